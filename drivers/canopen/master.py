@@ -1,0 +1,281 @@
+"""The CANopen fieldbus: every channel, every node, and the exchange paced by SYNC."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import can
+
+from config.schema.bus import CanopenBus
+from config.schema.robot import CABLES
+from config.schema.root import Config
+from drivers import epos4, force_cell
+from drivers.canopen.channel import CATCH_UP, SHORTEST_FRAME_BITS, Channel
+from drivers.canopen.identifiers import HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
+from drivers.canopen.nmt import Command, NmtState
+from drivers.canopen.node import POLL_S, Node, Role
+from drivers.canopen.pdo import Mapping
+from drivers.canopen.process_data import (
+    Encode,
+    SyncTicks,
+    cell_decoder,
+    drive_decoder,
+    drive_encoder,
+)
+from drivers.canopen.supervision import Supervision
+from drivers.errors import BringUpError, DriverError, SdoError
+from drivers.events import EventLog
+from drivers.exchange import Exchange
+from drivers.fieldbus import BusEvent, FrameTap, Progress
+from drivers.process_image import ProcessImage
+
+OpenBus = Callable[[str], can.BusABC]
+Clock = Callable[[], int]
+
+_OPERATIONAL = bytes((NmtState.OPERATIONAL,))
+
+
+class CanopenFieldbus:
+    """A `Fieldbus` on python-can.
+
+    Until the first `collect` a task polls the buses each millisecond and keeps the master's
+    heartbeat going; from then on the ticks do both.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        image: ProcessImage,
+        tap: FrameTap | None = None,
+        *,
+        open_bus: OpenBus | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        """``open_bus`` makes a channel's bus from its name, by default with ``can.Bus``; ``clock``
+        gives ns and is the running loop's by default. Raises `DriverError` for a PDO mapping that
+        control cannot work with."""
+        if not isinstance(config.fieldbus, CanopenBus):
+            raise DriverError(f"fieldbus kind {config.fieldbus.kind} is not canopen")
+        self.image = image
+        self._config = config
+        self._bus = bus = config.fieldbus
+        self.channels = tuple(channel.name for channel in bus.channels)
+        self._tap = tap
+        self._open_bus = open_bus or self._open_with_python_can
+        self._clock = clock
+        self._events = EventLog()
+        places = {d.axis: f"{c.name}/{d.node_id}" for c in bus.channels for d in c.drives}
+        self._exchange = Exchange(
+            config.robot,
+            bus.force_cell,
+            config.control.freshness,
+            image,
+            self._events,
+            [places[axis] for axis in range(CABLES)],
+        )
+        self._drive_rpdo = drive_encoder(Mapping.of(bus.drive.rpdo))
+        self._drive_tpdo = Mapping.of(bus.drive.tpdo)
+        self._cell_tpdo = Mapping.of(bus.force_cell.tpdo)
+        period_us = config.control.rates.period_us
+        self._heartbeat_ticks = max(1, bus.master.heartbeat_ms * 1000 // period_us)
+        self._next_heartbeat = 0
+        self._frames_per_drain = CATCH_UP * (
+            1 + bus.bitrate * period_us // (1_000_000 * SHORTEST_FRAME_BITS)
+        )
+        self._sync = SyncTicks()
+        self._supervision = Supervision(self._exchange, self._events, period_us)
+        self._ticking = False
+        self._pump_task: asyncio.Task[None] | None = None
+        self._buses: list[Channel] = []
+        self._nodes: list[Node] = []
+        self._drives: dict[int, Node] = {}
+        self._outputs: list[tuple[int, Channel, int, Encode]] = []
+
+    async def start(self, progress: Progress) -> None:
+        """Raises `BringUpError`, one line that names every node that failed and why."""
+        started = False
+        self._exchange.forget()
+        self._sync = SyncTicks()
+        try:
+            self._open_channels()
+            self._pump_task = asyncio.get_running_loop().create_task(self._pump())
+            count = f"{len(self._nodes)} nodes on {len(self._buses)} channels"
+            progress(f"resetting and configuring {count}")
+            await self._every_node("configured", lambda node: node.configure(progress))
+            progress(f"starting {count}")
+            await self._every_node("started", lambda node: node.start())
+            progress(f"{count} are operational")
+            started = True
+        finally:
+            if not started:
+                await self.stop()
+        self._events.take()
+        self._supervision.running = True
+
+    def collect(self, tick: int) -> None:
+        if not self._ticking:
+            self._begin_ticking(tick)
+        for channel in self._buses:
+            channel.drain()
+        # The SYNC goes out before the sums are done: its jitter is everybody's sampling jitter.
+        for channel in self._buses:
+            channel.sync()
+        self._supervision.look_for_silence(tick)
+        self._exchange.fill(tick)
+        self._sync.sent(tick)
+
+    def publish(self, tick: int) -> None:
+        controlwords, torques = self._exchange.commands()
+        for axis, channel, identifier, encode in self._outputs:
+            channel.send(identifier, encode(controlwords[axis], torques[axis]))
+        if tick >= self._next_heartbeat:
+            self._next_heartbeat = tick + self._heartbeat_ticks
+            self._send_heartbeat()
+
+    def take_events(self) -> list[BusEvent]:
+        return self._events.take()
+
+    async def sdo_read(self, axis: int, index: int, subindex: int) -> bytes:
+        return await self._drives[axis].sdo.read(index, subindex)
+
+    async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
+        await self._drives[axis].sdo.write(index, subindex, data)
+
+    async def stop(self) -> None:
+        """Power off, pre-operational, buses closed; safe at any point and more than once."""
+        if not self._buses:
+            return
+        self._supervision.running = self._ticking = False
+        configured = [node for node in self._nodes if node.configured]
+        if configured:
+            for _, channel, identifier, encode in self._outputs:
+                channel.send(identifier, encode(0, 0))
+            for channel in self._buses:
+                channel.sync()
+        if self._pump_task is None:
+            self._pump_task = asyncio.get_running_loop().create_task(self._pump())
+        await asyncio.gather(*(self._release(node) for node in configured))
+        await asyncio.sleep(2 * POLL_S)  # so that the last frames leave before the bus is closed
+        self._stop_pump()
+        for channel in self._buses:
+            channel.shutdown()
+        self._buses, self._nodes, self._outputs, self._drives = [], [], [], {}
+        self._supervision.clear()
+
+    # -- bring-up ---------------------------------------------------------------------------
+
+    def _open_with_python_can(self, name: str) -> can.BusABC:
+        bus = self._bus
+        return can.Bus(interface=bus.interface, channel=name, bitrate=bus.bitrate)
+
+    def _open_channels(self) -> None:
+        clock = self._clock or _loop_clock()
+        for number, name in enumerate(self.channels):
+            try:
+                bus = self._open_bus(name)
+            except (can.CanError, OSError, ValueError, ImportError) as error:
+                raise BringUpError(
+                    f"bring-up failed: {name} cannot be opened on interface "
+                    f"{self._bus.interface}: {error}"
+                ) from error
+            channel = Channel(
+                number, name, bus, self._frames_per_drain, clock, self._tap, self._events
+            )
+            self._buses.append(channel)
+            self._add_nodes(channel, number)
+
+    def _add_nodes(self, channel: Channel, number: int) -> None:
+        bus = self._bus
+        exchange, sync, events = self._exchange, self._sync, self._events
+        drive_settings = epos4.settings(self._config.robot)
+        for drive in bus.channels[number].drives:
+            role = Role(
+                f"drive of axis {drive.axis}",
+                bus.drive,
+                drive_settings,
+                bus.drive.master_timeout_ms,
+            )
+            node = self._add_node(channel, drive.node_id, role)
+            self._supervision.add(node, axis=drive.axis)
+            channel.handlers[TPDO1 + drive.node_id] = drive_decoder(
+                self._drive_tpdo, drive.axis, exchange, sync, events, node.where
+            )
+            self._outputs.append((drive.axis, channel, RPDO1 + drive.node_id, self._drive_rpdo))
+            self._drives[drive.axis] = node
+        cell_settings = force_cell.settings(bus.force_cell)
+        for cell in bus.channels[number].force_cells:
+            role = Role(f"force cell {cell.cell}", bus.force_cell, cell_settings)
+            node = self._add_node(channel, cell.node_id, role)
+            self._supervision.add(node, cell=cell.cell)
+            channel.handlers[TPDO1 + cell.node_id] = cell_decoder(
+                self._cell_tpdo, cell.cell, exchange, sync, events, node.where
+            )
+
+    def _add_node(self, channel: Channel, node_id: int, role: Role) -> Node:
+        node = Node(channel, node_id, role, self._bus.master)
+        self._nodes.append(node)
+        channel.handlers[SDO_RESPONSE + node_id] = node.sdo.receive
+        return node
+
+    async def _every_node(
+        self, done: str, step: Callable[[Node], Coroutine[Any, Any, None]]
+    ) -> None:
+        """All nodes at once; the failures of all are told together."""
+
+        async def attempt(node: Node) -> str | None:
+            try:
+                await step(node)
+            except DriverError as error:
+                return f"{node.where} ({node.role.title}): {error}"
+            return None
+
+        results = await asyncio.gather(*(attempt(node) for node in self._nodes))
+        failed = [text for text in results if text is not None]
+        if failed:
+            raise BringUpError(
+                f"{len(failed)} of {len(self._nodes)} nodes could not be {done}: "
+                + "; ".join(failed)
+            )
+
+    async def _release(self, node: Node) -> None:
+        with contextlib.suppress(SdoError):  # a node that is gone needs no farewell
+            await node.release()
+        node.command(Command.ENTER_PRE_OPERATIONAL)
+
+    # -- while no tick runs -----------------------------------------------------------------
+
+    async def _pump(self) -> None:
+        loop = asyncio.get_running_loop()
+        heartbeat_s = self._bus.master.heartbeat_ms * 1e-3
+        due = loop.time()
+        while True:
+            if loop.time() >= due:
+                due = loop.time() + heartbeat_s
+                self._send_heartbeat()
+            for channel in self._buses:
+                channel.drain()
+            await asyncio.sleep(POLL_S)
+
+    def _stop_pump(self) -> None:
+        if self._pump_task is not None:
+            self._pump_task.cancel()
+            self._pump_task = None
+
+    def _begin_ticking(self, tick: int) -> None:
+        self._ticking = True
+        self._stop_pump()
+        self._next_heartbeat = tick
+        self._supervision.begin(tick)
+
+    def _send_heartbeat(self) -> None:
+        for channel in self._buses:
+            channel.send(HEARTBEAT + self._bus.master.node_id, _OPERATIONAL)
+
+
+def _loop_clock() -> Clock:
+    loop = asyncio.get_running_loop()
+    now_ns: Clock | None = getattr(loop, "now_ns", None)
+    return now_ns or (lambda: round(loop.time() * 1e9))

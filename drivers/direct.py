@@ -1,0 +1,129 @@
+"""The fieldbus without frames: same quantities, quantisation and delay, for campaigns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from config.schema.bus import DirectBus
+from config.schema.robot import CABLES
+from config.schema.root import Config
+from drivers import epos4
+from drivers.errors import BringUpError, DriverError, SdoError
+from drivers.events import EventLog
+from drivers.exchange import Exchange
+from drivers.fieldbus import BusEvent, Progress
+from drivers.process_image import ProcessImage
+from drivers.setting import apply
+
+
+class DirectPort(Protocol):
+    """The far side: every device at once, in device units."""
+
+    def exchange(
+        self, at_ns: int, controlwords: Sequence[int], torques: Sequence[int]
+    ) -> tuple[list[int], list[int], list[int], list[int]]:
+        """At ``at_ns`` every device samples, then applies its controlword and per mille of torque:
+        what a SYNC does on CAN. Returns statuswords, increments, per mille, process values."""
+
+    def read(self, axis: int, index: int, subindex: int) -> bytes: ...
+
+    def write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
+        """Both raise `LookupError` or `ValueError` where an SDO server would abort."""
+
+
+class DirectFieldbus:
+    """A `Fieldbus` on a `DirectPort`."""
+
+    def __init__(
+        self, config: Config, image: ProcessImage, port: DirectPort, clock: Callable[[], int]
+    ) -> None:
+        """``clock`` gives ns on the port's own time."""
+        if not isinstance(config.fieldbus, DirectBus):
+            raise DriverError(f"fieldbus kind {config.fieldbus.kind} is not direct")
+        self.image = image
+        self.channels: tuple[str, ...] = ()
+        self._port = port
+        self._clock = clock
+        self._robot = config.robot
+        self._offset_ns = round(config.fieldbus.sample_offset_us * 1000)
+        self._events = EventLog()
+        self._exchange = Exchange(
+            config.robot,
+            config.fieldbus.force_cell,
+            config.control.freshness,
+            image,
+            self._events,
+            [f"direct/{axis}" for axis in range(CABLES)],
+        )
+        self._commands = ([0] * CABLES, [0] * CABLES)
+        self._sampled: tuple[int, list[int], list[int], list[int], list[int]] | None = None
+
+    async def start(self, progress: Progress) -> None:
+        """Raises `BringUpError`, one line that names every axis that failed and why."""
+        self._exchange.forget()
+        self._commands = ([0] * CABLES, [0] * CABLES)
+        failed = []
+        for axis in range(CABLES):
+            try:
+                await apply(_Objects(self._port, axis), epos4.settings(self._robot))
+            except DriverError as error:
+                failed.append(f"axis {axis}: {error}")
+        if failed:
+            raise BringUpError(
+                f"{len(failed)} of {CABLES} drives could not be configured: " + "; ".join(failed)
+            )
+        progress(f"{CABLES} drives are configured")
+
+    def collect(self, tick: int) -> None:
+        exchange = self._exchange
+        if self._sampled is not None:
+            sampled, statuswords, positions, torques, cells = self._sampled
+            exchange.statuswords[:] = statuswords
+            exchange.positions[:] = positions
+            exchange.torques[:] = torques
+            exchange.cells[:] = cells
+            exchange.axis_tick[:] = [sampled] * len(exchange.axis_tick)
+            exchange.cell_tick[:] = [sampled] * len(exchange.cell_tick)
+        exchange.fill(tick)
+        at_ns = self._clock() + self._offset_ns
+        self._sampled = (tick, *self._port.exchange(at_ns, *self._commands))
+
+    def publish(self, tick: int) -> None:
+        del tick  # the exchange of the next collect takes them, whenever that is
+        self._commands = self._exchange.commands()
+
+    def take_events(self) -> list[BusEvent]:
+        return self._events.take()
+
+    async def sdo_read(self, axis: int, index: int, subindex: int) -> bytes:
+        return await _Objects(self._port, axis).read(index, subindex)
+
+    async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
+        await _Objects(self._port, axis).write(index, subindex, data)
+
+    async def stop(self) -> None:
+        """Power off with one last exchange."""
+        if self._sampled is not None:
+            self._sampled = None
+            self._port.exchange(self._clock() + self._offset_ns, [0] * CABLES, [0] * CABLES)
+
+
+class _Objects:
+    """One axis of a port as `ObjectAccess`."""
+
+    def __init__(self, port: DirectPort, axis: int) -> None:
+        self._port = port
+        self._axis = axis
+
+    async def read(self, index: int, subindex: int) -> bytes:
+        try:
+            return self._port.read(self._axis, index, subindex)
+        except (LookupError, ValueError) as error:
+            raise SdoError(f"reading 0x{index:04X}:{subindex}: {error}") from error
+
+    async def write(self, index: int, subindex: int, data: bytes) -> None:
+        try:
+            self._port.write(self._axis, index, subindex, data)
+        except (LookupError, ValueError) as error:
+            raise SdoError(f"writing 0x{index:04X}:{subindex}: {error}") from error

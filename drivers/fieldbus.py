@@ -1,0 +1,59 @@
+"""The door between control and any bus: bring up, collect, publish, object access, stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from drivers.process_image import ProcessImage
+
+Progress = Callable[[str], None]
+"""Called with one short line for each step of a bring-up."""
+
+FrameTap = Callable[[int, int, int, bytes, bool], None]
+"""(time in ns of the loop's clock, channel number, identifier, data, sent by us)."""
+
+
+@dataclass(frozen=True)
+class BusEvent:
+    """Something a person should read later: which node, what, in words."""
+
+    name: str
+    """one of a small set: emcy, heartbeat_lost, heartbeat_back, boot_up, short_pdo, foreign_frame,
+    transmit_refused, late_pdo"""
+    where: str
+    """channel and node, as in can1/3"""
+    text: str
+
+
+class Fieldbus(Protocol):
+    """A bus with every device on it.
+
+    In a tick: `collect` first (fills ``image`` with all that has arrived, then triggers the
+    devices' next exchange), `publish` as soon as the outputs are computed. Neither waits.
+    A value sampled in tick k is read in tick k+1; a torque written in k+1 acts in tick k+2.
+    """
+
+    image: ProcessImage
+    channels: tuple[str, ...]
+
+    async def start(self, progress: Progress) -> None:
+        """Bring every device to the state in which `collect` and `publish` work.
+
+        Raises a `DriverError` that names each device that failed and why.
+        """
+
+    def collect(self, tick: int) -> None: ...
+
+    def publish(self, tick: int) -> None: ...
+
+    def take_events(self) -> list[BusEvent]:
+        """Events since the last call; empty, and free, almost always."""
+
+    async def sdo_read(self, axis: int, index: int, subindex: int) -> bytes: ...
+
+    async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None: ...
+
+    async def stop(self) -> None:
+        """Leave the devices safe (disabled, pre-operational) and release the bus."""

@@ -1,0 +1,89 @@
+"""What control sees of every bus: two structured arrays in SI units, one row per axis or cell."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+from config.schema.bus import CELLS
+from config.schema.robot import CABLES
+
+NEVER = np.iinfo(np.uint16).max
+"""Age of a measurement that has not arrived yet, in ticks."""
+
+AXIS_INPUT = np.dtype(
+    [
+        ("angle", "f8"),  # rad at the drum, incremental: zero is where the drive was switched on
+        ("torque", "f8"),  # N m at the drum, the drive's own figure, before gearbox losses
+        ("statusword", "u2"),
+        ("error_code", "u2"),  # of the last EMCY, 0 for none
+        ("age", "u2"),  # ticks since the measurement's own tick
+        ("state", "u1"),  # AxisState
+    ],
+    align=True,
+)
+
+CELL_INPUT = np.dtype(
+    [
+        ("force", "f8"),  # N, as the cell reports it, untared
+        ("age", "u2"),
+        ("status", "u1"),  # CiA 404 0x6150: 0 good
+    ],
+    align=True,
+)
+
+TRACKER_INPUT = np.dtype(
+    [
+        ("position", "f8", 3),
+        ("quaternion", "f8", 4),  # w x y z
+        ("delay", "f8"),  # s between the pose's timestamp and this tick's due time
+        ("sequence", "u4"),
+        ("fresh", "u1"),  # 1 in the one tick in which this pose arrived
+    ],
+    align=True,
+)
+
+AXIS_OUTPUT = np.dtype(
+    [
+        ("torque", "f8"),  # N m at the drum, before gearbox losses
+        ("command", "u1"),  # AxisCommand
+    ],
+    align=True,
+)
+
+
+class AxisState(IntEnum):
+    """CiA 402 states as control needs them; LOST is a drive that stopped answering."""
+
+    LOST = 0
+    NOT_READY = 1
+    SWITCH_ON_DISABLED = 2
+    READY_TO_SWITCH_ON = 3
+    SWITCHED_ON = 4
+    OPERATION_ENABLED = 5
+    QUICK_STOP_ACTIVE = 6
+    FAULT_REACTION_ACTIVE = 7
+    FAULT = 8
+
+
+class AxisCommand(IntEnum):
+    """Where control wants an axis; the axis finds the way there, one transition at a time."""
+
+    DISABLE = 0
+    ENABLE = 1
+    QUICK_STOP = 2
+    RESET_FAULT = 3
+
+
+class ProcessImage:
+    """The inputs a tick reads and the outputs it writes; arrays stay the same objects for life."""
+
+    def __init__(self) -> None:
+        self.axes = np.zeros(CABLES, AXIS_INPUT)
+        self.cells = np.zeros(CELLS, CELL_INPUT)
+        self.tracker = np.zeros((), TRACKER_INPUT)
+        self.commands = np.zeros(CABLES, AXIS_OUTPUT)
+        self.axes["age"] = NEVER
+        self.cells["age"] = NEVER
+        self.tracker["quaternion"] = (1.0, 0.0, 0.0, 0.0)

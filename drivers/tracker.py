@@ -1,0 +1,153 @@
+"""The optical tracker: poses as datagrams (docs/tracker.md), from a socket or from the lab."""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from drivers.errors import DriverError
+from drivers.events import EventLog
+from drivers.fieldbus import BusEvent
+from drivers.process_image import ProcessImage
+
+DATAGRAM = struct.Struct("<4sHHIIq3d4df")
+MAGIC = b"TNTK"
+VERSION = 1
+PLATFORM = 0
+"""Body number of the platform; other bodies are none of ours."""
+POSE_VALID = 0x1
+UNIT_TOLERANCE = 1e-3
+"""How far a quaternion's norm may be from 1: single precision upstream stays well inside."""
+PER_POLL = 64
+"""Datagrams taken in one poll, so that a flood cannot hold the tick."""
+
+
+class TrackerSource(Protocol):
+    """Where datagrams come from."""
+
+    def poll(self, now_ns: int) -> list[bytes]:
+        """Everything that has arrived by ``now_ns``, oldest first; never waits."""
+
+    def close(self) -> None: ...
+
+
+class UdpTracker:
+    """Datagrams from a UDP socket."""
+
+    def __init__(self, address: str, port: int) -> None:
+        """Raises `DriverError` if the port cannot be had."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind((address, port))
+        except OSError as error:
+            self._socket.close()
+            raise DriverError(f"tracker port {address}:{port}: {error.strerror}") from error
+
+    @property
+    def port(self) -> int:
+        port: int = self._socket.getsockname()[1]
+        return port
+
+    def poll(self, now_ns: int) -> list[bytes]:
+        del now_ns  # a socket gives what is there, whatever the time
+        datagrams = []
+        for _ in range(PER_POLL):
+            try:
+                datagrams.append(self._socket.recv(2 * DATAGRAM.size))
+            except BlockingIOError:
+                break
+        return datagrams
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One datagram's content; ``timestamp_ns`` is the instant of exposure on the robot's clock."""
+
+    sequence: int
+    timestamp_ns: int
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+
+
+class MalformedError(DriverError):
+    """A datagram that cannot be believed; the text says why."""
+
+
+def parse(datagram: bytes) -> Pose | None:
+    """The platform's pose; None for another body or while the tracker does not see it.
+
+    Raises `MalformedError`.
+    """
+    if len(datagram) != DATAGRAM.size:
+        raise MalformedError(f"{len(datagram)} bytes instead of {DATAGRAM.size}")
+    magic, version, body, sequence, flags, timestamp, x, y, z, qw, qx, qy, qz, _ = DATAGRAM.unpack(
+        datagram
+    )
+    if magic != MAGIC:
+        raise MalformedError("does not begin with TNTK")
+    if version != VERSION:
+        raise MalformedError(f"version {version}, known is {VERSION}")
+    if body != PLATFORM or not flags & POSE_VALID:
+        return None
+    if not all(map(math.isfinite, (x, y, z, qw, qx, qy, qz))):
+        raise MalformedError("a pose that is not finite")
+    norm = math.hypot(qw, qx, qy, qz)
+    if abs(norm - 1.0) > UNIT_TOLERANCE:
+        raise MalformedError(f"a quaternion of norm {norm:.4g}")
+    return Pose(sequence, timestamp, (x, y, z), (qw, qx, qy, qz))
+
+
+class TrackerInput:
+    """Puts the newest pose into the image's tracker row."""
+
+    def __init__(self, image: ProcessImage, source: TrackerSource) -> None:
+        self._row = image.tracker
+        self._source = source
+        self._events = EventLog()
+        self._newest: int | None = None
+        self.malformed = 0
+        """datagrams that were not believed, so far"""
+
+    def collect(self, now_ns: int) -> None:
+        """Take what has arrived by ``now_ns``; a pose older than the one held is passed over.
+
+        ``now_ns`` is what the clock reads, not when the tick was due: a pose exposed while a tick
+        was late is not from the future.
+        """
+        row = self._row
+        row["fresh"] = 0
+        newest: Pose | None = None
+        for datagram in self._source.poll(now_ns):
+            try:
+                pose = parse(datagram)
+                if pose is not None and pose.timestamp_ns > now_ns:
+                    raise MalformedError("a pose from the future: its clock is not the robot's")
+            except MalformedError as error:
+                self.malformed += 1
+                self._events.counted("tracker_malformed", "tracker", str(error))
+                continue
+            if pose is not None and (self._newest is None or pose.timestamp_ns > self._newest):
+                self._newest = pose.timestamp_ns
+                newest = pose
+        if newest is not None:
+            row["position"] = newest.position
+            row["quaternion"] = newest.quaternion
+            row["sequence"] = newest.sequence
+            row["fresh"] = 1
+        if self._newest is not None:
+            row["delay"] = np.float64((now_ns - self._newest) * 1e-9)
+
+    def take_events(self) -> list[BusEvent]:
+        return self._events.take()
+
+    def close(self) -> None:
+        self._source.close()
