@@ -1,0 +1,1 @@
+"""The devices of the lab, each without a bus: drives, force cells and the optical tracker."""

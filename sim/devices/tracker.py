@@ -1,0 +1,125 @@
+"""The optical tracker: sees the platform at its own rate and tells of it some milliseconds later.
+
+A datagram is 84 bytes, little-endian (docs/tracker.md):
+
+    offset  type       content
+    0       4 bytes    b"TNTK"
+    4       u16        version, 1
+    6       u16        body, 0 for the platform
+    8       u32        sequence, counts every exposure
+    12      u32        flags; bit 0: the pose is valid
+    16      i64        ns on the lab's clock at the instant of exposure
+    24      3 x f64    m, platform origin in the base frame
+    48      4 x f64    quaternion w x y z, platform to base
+    80      f32        m, RMS residual of the pose
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from math import cos, sin, sqrt
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.schema.bus import Tracker as TrackerConfig
+from config.schema.lab import TrackerNoise
+from sim.plant.streams import Stream, generator
+
+DATAGRAM = struct.Struct("<4sHHIIq3d4df")
+MAGIC = b"TNTK"
+VERSION = 1
+PLATFORM = 0
+VALID = 1
+_SECOND_NS = 1_000_000_000
+
+
+class Seen(Protocol):
+    """What the tracker looks at."""
+
+    @property
+    def now_ns(self) -> int: ...
+    @property
+    def position(self) -> NDArray[np.float64]: ...
+    @property
+    def quaternion(self) -> NDArray[np.float64]: ...
+
+
+class Tracker:
+    """Exposes at ``next_ns``; whoever owns the plant brings it to that time and calls `expose`.
+
+    ``blocked`` hides the platform: the tracker goes on sending, with the pose marked invalid.
+    """
+
+    def __init__(self, tracker: TrackerConfig, noise: TrackerNoise, plant: Seen, seed: int) -> None:
+        self._plant = plant
+        self._noise = noise
+        self._random = generator(seed, Stream.TRACKER)
+        self._origin_ns = plant.now_ns
+        self._rate_hz = tracker.rate_hz
+        self._latency_ns = round(tracker.latency_ms * 1e6)
+        self._jitter_ns = noise.jitter_ms * 1e6
+        self._sent: deque[tuple[int, bytes]] = deque()
+        self._arrival_ns = self._origin_ns
+        self._sequence = 0
+        self.blocked = False
+        self.next_ns = self._origin_ns
+        """time of the next exposure, on the plant's clock"""
+
+    @property
+    def next_arrival_ns(self) -> int | None:
+        """When the next datagram that is under way arrives."""
+        return self._sent[0][0] if self._sent else None
+
+    def expose(self, now_ns: int) -> None:
+        """Look at the plant, which stands at ``now_ns``."""
+        # Every exposure draws alike, seen or not, so that an occlusion shifts no later noise.
+        draw = self._random.standard_normal(6)
+        jitter_ns = round(self._random.uniform(-1.0, 1.0) * self._jitter_ns)
+        position, quaternion, residual = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0
+        if not self.blocked:
+            error = self._noise.position_sigma * draw[:3]
+            position = self._on_grid(self._plant.position + error)
+            quaternion = _turned(self._plant.quaternion, self._noise.rotation_sigma * draw[3:])
+            residual = sqrt(float(error @ error) / 3.0)
+        flags = 0 if self.blocked else VALID
+        head = (MAGIC, VERSION, PLATFORM, self._sequence & 0xFFFFFFFF, flags, now_ns)
+        datagram = DATAGRAM.pack(*head, *position, *quaternion, residual)
+        # One link, so nothing overtakes.
+        self._arrival_ns = max(self._arrival_ns, now_ns + max(0, self._latency_ns + jitter_ns))
+        self._sent.append((self._arrival_ns, datagram))
+        self._sequence += 1
+        # From the origin each time: a sum of rounded periods would run away from the rate.
+        self.next_ns = self._origin_ns + round(self._sequence * _SECOND_NS / self._rate_hz)
+
+    def _on_grid(self, position: NDArray[np.float64]) -> tuple[float, float, float]:
+        grid = self._noise.position_grid
+        if grid > 0.0:
+            position = np.round(position / grid) * grid
+        return float(position[0]), float(position[1]), float(position[2])
+
+    def poll(self, now_ns: int) -> list[bytes]:
+        """Datagrams that have arrived by ``now_ns``, in order, each handed out once."""
+        arrived = []
+        while self._sent and self._sent[0][0] <= now_ns:
+            arrived.append(self._sent.popleft()[1])
+        return arrived
+
+
+def _turned(
+    quaternion: NDArray[np.float64], error: NDArray[np.float64]
+) -> tuple[float, float, float, float]:
+    """The orientation with a small rotation vector (rad, platform frame) of error behind it."""
+    w, x, y, z = (float(part) for part in quaternion)
+    angle = sqrt(float(error @ error))
+    scale = sin(0.5 * angle) / angle if angle > 0.0 else 0.5
+    c = cos(0.5 * angle)
+    ex, ey, ez = (scale * float(part) for part in error)
+    return (
+        w * c - x * ex - y * ey - z * ez,
+        w * ex + x * c + y * ez - z * ey,
+        w * ey + y * c + z * ex - x * ez,
+        w * ez + z * c + x * ey - y * ex,
+    )

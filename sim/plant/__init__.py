@@ -1,0 +1,9 @@
+"""The mechanics of the lab: platform, cables, drums, motors' currents, phantom, cradle and load.
+
+`Plant` is the door. Everything is in SI units; no device, bus or clock is known here.
+"""
+
+from sim.plant.plant import Energy, Plant
+from sim.plant.streams import Stream, generator
+
+__all__ = ["Energy", "Plant", "Stream", "generator"]

@@ -1,0 +1,89 @@
+"""State and parameters of the plant as two flat records, which the compiled kernel works on.
+
+Both hold eight-byte words only (the switches stand last), so that views into them stay aligned.
+The types are part of the kernel's compiled signature: changing them here recompiles it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from config.schema.robot import CABLES
+from sim.truth import TRUTH_FIELDS
+
+_FLOAT = "<f8"
+_PER_CABLE = (_FLOAT, (CABLES,))
+_VECTOR = (_FLOAT, (3,))
+
+
+def _fields(**groups: tuple[str, tuple[int, ...]] | str) -> list[tuple[str, str, tuple[int, ...]]]:
+    return [(n, g, ()) if isinstance(g, str) else (n, g[0], g[1]) for n, g in groups.items()]
+
+
+STATE = np.dtype(
+    [
+        *((name, _FLOAT, (size,) if size else ()) for name, _, size, _, _ in TRUTH_FIELDS),
+        *_fields(
+            motor_angle=_PER_CABLE,  # rad, motor side
+            motor_rate=_PER_CABLE,  # rad/s, motor side
+            current_reference=_PER_CABLE,  # A, written by the drives
+            cell_force=(_FLOAT, (CABLES + 1,)),  # N, behind each cell's low-pass
+            relaxed=_FLOAT,  # m, how far the phantom's dashpot has given way
+            # What follows is the kernel's own, valid within one call.
+            rotation=(_FLOAT, (3, 3)),  # platform to base
+            elastic=_PER_CABLE,  # N, tension without the damper's share
+            strain_length=_PER_CABLE,  # m, unstretched free length
+            force=_VECTOR,  # N, total on the platform
+            moment=_VECTOR,  # N m, total about the platform origin, base frame
+            dissipation=_FLOAT,  # W, in cables, phantom and cradle
+            relaxation=_FLOAT,  # W, in the phantom's second dashpot
+            half_velocity=_VECTOR,  # m/s, in mid-step
+            half_momentum=_VECTOR,  # kg m2/s, angular, base frame, in mid-step
+            half_rate=_PER_CABLE,  # rad/s, in mid-step
+            drum_acceleration=_PER_CABLE,  # rad/s2, of the last kick
+            powered=("u1", (CABLES,)),  # power stage on
+            locked=("u1", (CABLES,)),  # holding brake engaged
+        ),
+    ]
+)
+
+PARAMETERS = np.dtype(
+    _fields(
+        mass=_FLOAT,
+        inertia=_VECTOR,  # principal, platform frame
+        gravity=_FLOAT,
+        anchors=(_FLOAT, (CABLES, 3)),  # base frame
+        tips=(_FLOAT, (CABLES, 3)),  # platform frame
+        axial_stiffness=_PER_CABLE,  # N: EA, zero for a cable that is cut
+        cable_damping=_FLOAT,
+        start_length=_PER_CABLE,  # m, unstretched free length at drum angle zero
+        radius=_FLOAT,
+        drum_inertia=_FLOAT,
+        viscous=_FLOAT,
+        coulomb=_FLOAT,  # N m at the drum
+        load_friction=_FLOAT,  # share of the tension
+        driving_loss=_FLOAT,  # share of the motor's torque lost while the motor drives
+        driven_loss=_FLOAT,  # share of it added while the cable drives
+        torque_per_amp=_FLOAT,  # N m/A at the drum, without losses
+        ratio=_FLOAT,
+        current_limit=_FLOAT,
+        current_pole=_FLOAT,  # rad/s
+        cell_pole=_FLOAT,  # rad/s
+        contact=_FLOAT,  # 1 with a phantom, else 0
+        contact_point=_VECTOR,
+        contact_normal=_VECTOR,
+        contact_stiffness=_FLOAT,
+        contact_damping=_FLOAT,
+        relaxing_stiffness=_FLOAT,
+        relaxation_rate=_FLOAT,  # 1/s
+        cradle_height=_FLOAT,  # m, where the vertical spring begins
+        cradle_place=_VECTOR,  # m, where the platform lies
+        cradle_stiffness=_FLOAT,
+        cradle_damping=_FLOAT,
+        cradle_rotational_stiffness=_FLOAT,
+        cradle_rotational_damping=_FLOAT,
+        load_direction=_VECTOR,
+        load_point=_VECTOR,  # platform frame
+        opening=_FLOAT,  # share of the step before the first drift: 1/2, or 1 (see kernel.advance)
+    )
+)

@@ -1,0 +1,58 @@
+"""What is really so: the record against which a run in the lab is judged.
+
+The table is written like the daemon's signals (name, type, size, unit, meaning) but shares no code
+with them. The plant's state begins with exactly these fields, so that filling a record is one copy.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+TRUTH_FIELDS: tuple[tuple[str, str, int, str, str], ...] = (
+    ("position", "float64", 3, "m", "platform origin in the base frame"),
+    ("quaternion", "float64", 4, "", "w x y z, platform to base"),
+    ("velocity", "float64", 3, "m/s", "of the platform origin"),
+    ("angular_velocity", "float64", 3, "rad/s", "base frame"),
+    ("tension", "float64", 8, "N", "true tension of every cable"),
+    ("drum_angle", "float64", 8, "rad", "since the start, winding in positive"),
+    ("drum_rate", "float64", 8, "rad/s", "winding in positive"),
+    ("current", "float64", 8, "A", "motor current, winding in positive"),
+    ("load", "float64", 6, "N, N m", "force and moment of the active load port, base frame"),
+    ("contact_force", "float64", 0, "N", "of the phantom on the contact port, along its normal"),
+    ("contact_penetration", "float64", 0, "m", "depth of the contact port in the phantom"),
+    ("kinetic", "float64", 0, "J", "of platform and drums"),
+    ("potential", "float64", 0, "J", "of the platform's weight, zero at the base frame's origin"),
+    ("strain", "float64", 0, "J", "of the free cables"),
+    ("phantom", "float64", 0, "J", "of the phantom's springs"),
+    ("cradle", "float64", 0, "J", "of the cradle's vertical spring"),
+    ("wound", "float64", 0, "J", "account of cable wound on and off under tension, see Energy"),
+    ("losses", "float64", 0, "J", "dissipated since the start"),
+    ("input_work", "float64", 0, "J", "done by the motors' torque since the start"),
+    ("load_work", "float64", 0, "J", "done by the load port since the start"),
+)
+"""Name, type, size (0: scalar), unit, meaning; widest first, as a CDR body wants it."""
+
+TRUTH = np.dtype(
+    [
+        (name, "<" + np.dtype(kind).str[1:], (size,) if size else ())
+        for name, kind, size, _, _ in TRUTH_FIELDS
+    ]
+)
+"""One record, packed little-endian in the table's order, without padding."""
+
+_WORD = np.dtype("<f8")
+
+
+class Truthful(Protocol):
+    """Anything that can tell the truth as one flat vector in the table's order."""
+
+    @property
+    def truth(self) -> NDArray[np.float64]: ...
+
+
+def fill(record: NDArray[Any], plant: Truthful) -> None:
+    """Write the plant's present state into a preallocated ``np.zeros(1, TRUTH)``."""
+    record.view(_WORD)[:] = plant.truth

@@ -1,0 +1,96 @@
+"""The emulated tracker: its datagram, its rate, its latency, its noise."""
+
+from __future__ import annotations
+
+import struct
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from plant_setup import CONFIG, LAB
+
+from sim.devices.tracker import Tracker
+
+NOISE = LAB.noise.tracker
+POSE = {"position": np.array([0.0123, -0.05, 0.2]), "quaternion": np.array([0.5, 0.5, -0.5, 0.5])}
+
+
+def tracker(seed: int = 1, **noise: float) -> Tracker:
+    seen = SimpleNamespace(now_ns=1_000, **POSE)
+    return Tracker(CONFIG.tracker, NOISE.model_copy(update=noise), seen, seed)
+
+
+def watched(t: Tracker, exposures: int) -> list[tuple[object, ...]]:
+    datagrams = []
+    for _ in range(exposures):
+        t.expose(t.next_ns)
+        datagrams += t.poll(t.next_ns)
+    datagrams += t.poll(t.next_ns + 1_000_000_000)
+    assert all(len(d) == 84 for d in datagrams)
+    return [struct.unpack("<4sHHIIq3d4df", d) for d in datagrams]
+
+
+def test_the_datagram() -> None:
+    quiet = tracker(position_sigma=0.0, rotation_sigma=0.0, jitter_ms=0.0)
+    magic, version, body, sequence, flags, stamp, *pose, residual = watched(quiet, 1)[0]
+    assert (magic, version, body, sequence, flags, stamp) == (b"TNTK", 1, 0, 0, 1, 1_000)
+    assert pose == pytest.approx([0.0123, -0.05, 0.2, 0.5, 0.5, -0.5, 0.5])
+    assert residual == 0.0
+
+
+def test_rate_and_order_over_a_long_time() -> None:
+    poses = watched(tracker(), 1201)
+    stamps = [p[5] for p in poses]
+    assert stamps[-1] == 1_000 + round(1200 * 1e9 / CONFIG.tracker.rate_hz)
+    assert [p[3] for p in poses] == list(range(1201))
+
+
+def test_latency_and_jitter() -> None:
+    t = tracker()
+    late = []
+    for _ in range(500):
+        at = t.next_ns
+        t.expose(at)
+        arrival = t.next_arrival_ns
+        assert arrival is not None
+        assert t.poll(arrival - 1) == []
+        assert len(t.poll(arrival)) == 1
+        assert t.poll(arrival) == []
+        late.append((arrival - at) * 1e-6)
+    low, high = (
+        CONFIG.tracker.latency_ms - NOISE.jitter_ms,
+        CONFIG.tracker.latency_ms + NOISE.jitter_ms,
+    )
+    assert low <= min(late) < low + 0.1
+    assert high - 0.1 < max(late) <= high
+
+
+def test_noise_and_grid() -> None:
+    poses = watched(tracker(), 2000)
+    positions = np.array([p[6:9] for p in poses])
+    steps = positions / NOISE.position_grid
+    assert steps == pytest.approx(np.round(steps), abs=1e-6)
+    spread = np.sqrt(NOISE.position_sigma**2 + NOISE.position_grid**2 / 12)
+    assert np.std(positions, axis=0) == pytest.approx([spread] * 3, rel=0.3)
+    assert np.mean(positions, axis=0) == pytest.approx(POSE["position"], abs=3e-5)
+    quaternions = np.array([p[9:13] for p in poses])
+    assert np.linalg.norm(quaternions, axis=1) == pytest.approx(1.0)
+    angles = 2 * np.arccos(np.clip(np.abs(quaternions @ POSE["quaternion"]), -1, 1))
+    assert np.sqrt(np.mean(angles**2) / 3) == pytest.approx(NOISE.rotation_sigma, rel=0.1)
+
+
+def test_a_blocked_tracker_says_so_and_its_noise_goes_on_alike() -> None:
+    seen, hidden = tracker(), tracker()
+    for t in (seen, hidden):
+        t.blocked = t is hidden
+        for _ in range(10):
+            t.expose(t.next_ns)
+        t.blocked = False
+    a, b = watched(seen, 5), watched(hidden, 5)
+    assert [p[4] for p in b] == [0] * 10 + [1] * 5
+    assert a[10:] == b[10:]
+
+
+def test_seeds() -> None:
+    assert watched(tracker(1), 50) == watched(tracker(1), 50)
+    assert watched(tracker(1), 50) != watched(tracker(2), 50)
