@@ -1,0 +1,212 @@
+"""From YAML files to a checked configuration and scenario."""
+
+from __future__ import annotations
+
+import difflib
+import reprlib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from config.document import Document, Key, dotted, is_file, read
+from config.errors import ConfigError
+from config.schema.root import Config
+from config.schema.scenario import Scenario
+
+HERE = Path(__file__).parent
+Overrides = dict[str, Any]
+Model = TypeVar("Model", bound=BaseModel)
+
+_REMEDY = {
+    "missing": "add it",
+    "extra_forbidden": "remove it or mend its spelling",
+    "greater_than": "choose a larger value",
+    "greater_than_equal": "choose a larger value",
+    "less_than": "choose a smaller value",
+    "less_than_equal": "choose a smaller value",
+    "finite_number": "give a finite number",
+    "literal_error": "choose one of these",
+    "union_tag_invalid": "choose one of these",
+    "union_tag_not_found": "add it",
+    "too_short": "give the missing items",
+    "too_long": "remove the surplus items",
+    "value_error": "change one of the values",
+}
+_EXPECTED = "give a value of that type"
+
+
+def load(
+    path: str | Path, scenario: str | None = None, overrides: Overrides | None = None
+) -> tuple[Config, Scenario]:
+    """Read a configuration and the scenario it names, or the one named here.
+
+    ``path`` may also be the bare name of a configuration that comes with the package, and
+    ``scenario`` a path to a YAML file. ``overrides`` maps dotted keys ("control.controller") to
+    values, for tests and command-line options. Raises `ConfigError`.
+    """
+    document = read(*_find(Path(path)))
+    for key, value in (overrides or {}).items():
+        _override(document, key, value)
+    config = _validate(document, Config)
+    if scenario is not None:
+        return config, load_scenario(scenario)
+    return config, _scenario(config.scenario, *document.place(("scenario",)), "scenario")
+
+
+def load_scenario(name: str, overrides: Overrides | None = None) -> Scenario:
+    """A scenario by the name of a file in config/scenarios, or by a path to one."""
+    return _scenario(name, f"scenario {name}", 0, "", overrides)
+
+
+def _scenario(
+    name: str, file: str, line: int, key: str, overrides: Overrides | None = None
+) -> Scenario:
+    """``file``, ``line`` and ``key`` are where the name stands."""
+    path, shown = Path(name), name
+    if path.suffix not in (".yaml", ".yml"):
+        path = HERE / "scenarios" / f"{name}.yaml"
+        shown = f"config/scenarios/{path.name}"
+    if not is_file(path):
+        known = sorted(ours.stem for ours in (HERE / "scenarios").glob("*.yaml"))
+        problem = f"there is no scenario {reprlib.repr(name)}"
+        raise ConfigError(file, line, key, problem, _choose(path.stem, known))
+    document = read(path, shown)
+    for dotted_key, value in (overrides or {}).items():
+        _override(document, dotted_key, value)
+    return _validate(document, Scenario)
+
+
+def _find(path: Path) -> tuple[Path, str]:
+    """A file as given; otherwise one of ours, so that an installed wheel needs no checkout."""
+    if is_file(path):
+        return path, str(path)
+    ours = HERE / path.name
+    named = path.parent in (Path(), Path("config"))
+    if named and is_file(ours):
+        return ours, f"config/{path.name}"
+    known = sorted(f"config/{file.name}" for file in HERE.glob("*.yaml") if _complete(file))
+    try:
+        problem = "is a directory" if path.is_dir() else "there is no such file"
+    except OSError:
+        problem = "cannot be the name of a file"
+    raise ConfigError(str(path), 0, "", problem, _choose(f"config/{path.name}", known))
+
+
+def _complete(file: Path) -> bool:
+    """Whether it is a whole configuration, and not a part that others include."""
+    return "\nfieldbus:" in file.read_text(encoding="utf-8")
+
+
+def _override(document: Document, key: str, value: Any) -> None:
+    """Set one value; what is not there to hold it is an error at that place."""
+    *parents, last = key.split(".")
+    place = document.data
+    path: Key = ()
+    for part in parents:
+        step = int(part) if isinstance(place, list) and part.isdecimal() else part
+        path = (*path, step)
+        try:
+            place = place[step]
+        except (KeyError, IndexError, TypeError) as error:
+            file, line = document.place(path)
+            problem = f"is not there, so {key} cannot be set"
+            raise ConfigError(file, line, dotted(path), problem, "add it") from error
+    if isinstance(place, dict):
+        place[last] = value
+    elif isinstance(place, list) and last.isdecimal() and int(last) < len(place):
+        place[int(last)] = value
+    else:
+        file, line = document.place(path)
+        raise ConfigError(file, line, key, "is not there and cannot be set", "mend its spelling")
+
+
+def _validate(document: Document, model: type[Model]) -> Model:
+    try:
+        return model.model_validate(document.data)
+    except ValidationError as error:
+        found = error.errors()
+        # A misspelt key is also a missing one; its own place is the better answer.
+        first = next((each for each in found if each["type"] == "extra_forbidden"), found[0])
+        raise _explain(document, model, first) from error
+
+
+def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) -> ConfigError:
+    key = _real_key(document, error["loc"])
+    kind = error["type"]
+    remedy = _REMEDY.get(kind, _EXPECTED)
+    problem = error["msg"].removeprefix("Value error, ")
+    problem = problem[0].lower() + problem[1:]
+    if kind == "missing":
+        problem = "is missing"
+    elif kind == "extra_forbidden":
+        problem = "is not a key here"
+        remedy = _choose(str(key[-1]), _fields(model, key), remedy)
+    elif kind == "union_tag_invalid":
+        context = error["ctx"]
+        key = (*key, context["discriminator"].strip("'"))
+        problem = f"there is no {context['tag']!r}"
+        remedy = f"choose one of {context['expected_tags']}"
+    elif kind == "union_tag_not_found":
+        problem = f"has no {error['ctx']['discriminator']}"
+    elif kind == "value_error":
+        problem, _, said = problem.partition("; ")
+        remedy = said or remedy
+    elif kind not in ("too_short", "too_long"):
+        problem = f"{problem}, not {reprlib.repr(error['input'])}"
+    file, line = document.place(key)
+    return ConfigError(file, line, dotted(key), problem, remedy)
+
+
+def _real_key(document: Document, loc: tuple[int | str, ...]) -> Key:
+    """pydantic names union branches in its locations; the document has no such step."""
+    key: list[str | int] = []
+    place: Any = document.data
+    for index, part in enumerate(loc):
+        last = index == len(loc) - 1
+        if isinstance(place, dict):
+            if part in place:
+                place = place[part]
+            elif not last:
+                continue
+        elif isinstance(place, list) and isinstance(part, int) and part < len(place):
+            place = place[part]
+        elif not last:
+            continue
+        key.append(part)
+    return tuple(key)
+
+
+def _fields(model: type[BaseModel], key: Key) -> list[str]:
+    """The keys that the schema knows beside the one that is unknown."""
+    names: list[str] = []
+    candidates: list[Any] = [model]
+    for part in key[:-1]:
+        inner: list[Any] = []
+        for candidate in candidates:
+            fields = getattr(candidate, "model_fields", {})
+            if part in fields:
+                inner += _models(fields[part].annotation)
+            elif isinstance(part, int):
+                inner.append(candidate)
+        candidates = inner
+    for candidate in candidates:
+        names += list(candidate.model_fields)
+    return names
+
+
+def _models(annotation: Any) -> list[Any]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    found: list[Any] = []
+    for argument in getattr(annotation, "__args__", ()):
+        found += _models(argument)
+    return found
+
+
+def _choose(name: str, known: list[str], otherwise: str | None = None) -> str:
+    close = difflib.get_close_matches(name, known, n=1)
+    if close:
+        return f"did you mean {close[0]}?"
+    return otherwise or f"choose one of {', '.join(known)}"

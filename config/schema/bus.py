@@ -1,0 +1,137 @@
+"""How the devices hang on their buses, and what each device must be."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from config.schema.base import Count, Fraction, NodeId, NonNegative, Positive, Section
+from config.schema.robot import CABLES
+
+CONTACT_CELL = CABLES
+"""Row of the contact port's cell: the ninth, behind the eight cable cells."""
+CELLS = CABLES + 1
+
+MappingEntry = Annotated[int, Field(ge=0x10000000, le=0xFFFFFFFF)]
+"""A PDO mapping word of CiA 301: index << 16 | subindex << 8 | length in bits."""
+
+
+class Identity(Section):
+    vendor: int
+    product: int
+    minimum_revision: int
+
+
+class Device(Section):
+    """What every node of one kind is told at bring-up."""
+
+    identity: Identity
+    heartbeat_ms: Count
+    """producer period written to 0x1017"""
+    rpdo: tuple[MappingEntry, ...] = ()
+    tpdo: tuple[MappingEntry, ...]
+
+    @model_validator(mode="after")
+    def _fits_a_frame(self) -> Device:
+        for name in ("rpdo", "tpdo"):
+            bits = sum(entry & 0xFF for entry in getattr(self, name))
+            if bits > 64:
+                raise ValueError(
+                    f"{name} maps {bits} bits, a CAN frame carries 64; map fewer objects"
+                )
+        return self
+
+
+class Drive(Device):
+    """EPOS4 in cyclic synchronous torque."""
+
+    rpdo: tuple[MappingEntry, ...]
+    master_timeout_ms: Count
+    """heartbeat consumer 0x1016: the drive leaves Operation Enabled when the daemon is silent"""
+
+
+class ForceCell(Device):
+    """CiA 404 analogue input."""
+
+    decimal_digits: Annotated[int, Field(ge=0, le=6)]
+    """0x6132: the integer process value is the force times ten to this power"""
+
+
+class DriveNode(Section):
+    axis: Annotated[int, Field(ge=0, lt=CABLES)]
+    node_id: NodeId
+
+
+class CellNode(Section):
+    cell: Annotated[int, Field(ge=0, lt=CELLS)]
+    node_id: NodeId
+
+
+class Channel(Section):
+    name: str
+    drives: tuple[DriveNode, ...] = ()
+    force_cells: tuple[CellNode, ...] = ()
+
+
+class Master(Section):
+    node_id: NodeId
+    heartbeat_ms: Count
+    sdo_timeout_ms: Count
+    boot_timeout_ms: Count
+
+
+class CanopenBus(Section):
+    kind: Literal["canopen"]
+    interface: str
+    """python-can interface: tonus (the lab), socketcan, or a vendor's"""
+    bitrate: Count
+    load_limit: Fraction
+    """highest worst-case share of a cycle that a channel's frames may take"""
+    master: Master
+    drive: Drive
+    force_cell: ForceCell
+    channels: Annotated[tuple[Channel, ...], Field(min_length=1)]
+
+    @field_validator("channels")
+    @classmethod
+    def _every_device_once(cls, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+        axes = [drive.axis for channel in channels for drive in channel.drives]
+        cells = [cell.cell for channel in channels for cell in channel.force_cells]
+        for kind, found, wanted in (("axis", axes, CABLES), ("cell", cells, CELLS)):
+            missing = sorted(set(range(wanted)) - set(found))
+            twice = sorted({number for number in found if found.count(number) > 1})
+            if twice:
+                raise ValueError(f"{kind} {twice[0]} has more than one node; give it one")
+            if missing:
+                raise ValueError(f"no node for {kind} {missing[0]}; add one")
+        return channels
+
+
+class DirectBus(Section):
+    """The same quantities without frames: for campaigns, tuning and comparison."""
+
+    kind: Literal["direct"]
+    drive: Drive
+    force_cell: ForceCell
+    sample_offset_us: NonNegative
+    """time from the start of the tick to the sampling of every device"""
+
+
+Bus = Annotated[CanopenBus | DirectBus, Field(discriminator="kind")]
+
+
+class Tracker(Section):
+    """The optical tracker: one UDP datagram a pose (docs/tracker.md)."""
+
+    address: str
+    port: Annotated[int, Field(ge=1, le=65535)]
+    rate_hz: Positive
+    latency_ms: NonNegative
+    """nominal age of a pose when it arrives; the timestamp decides, this only sizes buffers"""
+    position_sigma: Positive
+    """m"""
+    rotation_sigma: Positive
+    """rad"""
+    maximum_age_ms: Positive
+    """without a pose for this long the estimator runs on the cables alone, as a named state"""

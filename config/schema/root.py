@@ -1,0 +1,22 @@
+"""One configuration: a robot, its bus, its controller, and perhaps a lab."""
+
+from __future__ import annotations
+
+from config.schema.base import Section
+from config.schema.bus import Bus, Tracker
+from config.schema.control import Control, RealTime, Recording
+from config.schema.lab import Lab
+from config.schema.robot import Robot
+
+
+class Config(Section):
+    name: str
+    robot: Robot
+    fieldbus: Bus
+    tracker: Tracker
+    control: Control
+    realtime: RealTime
+    recording: Recording
+    scenario: str
+    """the scenario that runs when none is named"""
+    lab: Lab | None = None

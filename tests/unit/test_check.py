@@ -1,0 +1,269 @@
+"""`tonus check`: the shipped configuration passes, and each rule can fail."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.optimize import linprog
+
+import tools.mechanics
+from config import Config, Scenario, load
+from config.loader import HERE, load_scenario
+from config.schema.bus import CanopenBus
+from runtime.margin import tension_loop_margins
+from tools.check import Finding, check
+from tools.cli.check import check as command
+from tools.feasibility import Poses, against, feasibility, poses, reserves, workspace_poses
+from tools.mechanics import DIRECTIONS
+
+CONFIG, SCENARIO = load("config/can.yaml", scenario="load_test")
+WEIGHT = CONFIG.robot.platform.mass * CONFIG.robot.gravity
+
+
+MARGINS = lru_cache(tension_loop_margins)
+
+
+@pytest.fixture(autouse=True)
+def _margins_of_one_loop_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are most of a check's time, and few of these tests change the loop."""
+    monkeypatch.setattr(tools.mechanics, "tension_loop_margins", MARGINS)
+
+
+def failed(overrides: dict[str, Any], scenario: Scenario = SCENARIO) -> dict[str, Finding]:
+    config, _ = load("config/can.yaml", overrides=overrides)
+    return {each.rule: each for each in check(config, scenario) if not each.ok}
+
+
+def only(found: dict[str, Finding], rule: str) -> Finding:
+    assert list(found) == [rule]
+    return found[rule]
+
+
+@pytest.mark.parametrize("name", ["can", "direct"])
+def test_what_is_shipped_passes(name: str) -> None:
+    config, scenario = load(f"config/{name}.yaml")
+    findings = check(config, scenario)
+    assert [finding for finding in findings if not finding.ok] == []
+
+
+@pytest.mark.parametrize("name", sorted(file.stem for file in (HERE / "scenarios").glob("*.yaml")))
+def test_every_scenario_that_is_shipped_passes(name: str) -> None:
+    assert failed({}, load_scenario(name)) == {}
+
+
+def one_channel(period_us: int) -> list[Finding]:
+    bus = CONFIG.fieldbus
+    assert isinstance(bus, CanopenBus)
+    channel = {
+        "name": "can0",
+        "drives": [d.model_dump() for c in bus.channels for d in c.drives],
+        "force_cells": [c.model_dump() for channel in bus.channels for c in channel.force_cells],
+    }
+    config, _ = load(
+        "config/can.yaml",
+        overrides={"fieldbus.channels": [channel], "control.rates.period_us": period_us},
+    )
+    return [finding for finding in check(config, SCENARIO) if finding.rule == "bus load"]
+
+
+def test_everything_on_one_channel_is_refused_at_1_khz_and_not_at_250_hz() -> None:
+    (fast,) = one_channel(1000)
+    assert not fast.ok
+    assert fast.text.startswith(
+        "channel can0 carries 2750 us of frames in a cycle of 1000 us (275.0 %"
+    )
+    assert fast.text.endswith("the limit is 85 %")
+    assert fast.remedy == "use more channels or a longer period"
+    (slow,) = one_channel(4000)
+    assert slow.ok
+
+
+def test_two_nodes_with_one_id_are_named_and_so_is_their_cob_id() -> None:
+    found = failed({"fieldbus.channels.0.force_cells.1.node_id": 1})
+    assert found["node ids"].text == "axis 0 and cell 1 both have node id 1"
+    assert found["COB-IDs"].text == "axis 0 and cell 1 both use COB-ID 0x081"
+    assert found["node ids"].where == "fieldbus.channels can0"
+
+
+def test_no_node_may_have_the_masters_id() -> None:
+    found = failed({"fieldbus.channels.2.drives.0.node_id": 127})
+    assert found["node ids"].text == "the master and axis 4 both have node id 127"
+    assert found["COB-IDs"].text == "the master and axis 4 both use COB-ID 0x77F"
+
+
+def test_one_id_on_two_channels_is_no_collision() -> None:
+    assert failed({"fieldbus.channels.1.drives.0.node_id": 1}) == {}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "rule", "said"),
+    [
+        ({"fieldbus.drive.master_timeout_ms": 69}, "heartbeat", "69 ms"),
+        ({"control.rates.period_us": 1500}, "period", "33.3333 cycles"),
+        ({"fieldbus.channels.1.name": "can0"}, "channel names", "can0 is given twice"),
+        ({"fieldbus.drive.rpdo": [0x60400010]}, "PDO mapping", "0x6071:0"),
+        ({"fieldbus.drive.rpdo": [0x60400010, 0x60710010, 0x60FF0020]}, "PDO mapping", "60FF"),
+        ({"fieldbus.drive.tpdo": [0x60410010, 0x60770010]}, "PDO mapping", "0x6064:0"),
+        ({"fieldbus.drive.tpdo": [0x60410010, 0x60640018, 0x60770010]}, "PDO mapping", "24 bits"),
+        ({"fieldbus.force_cell.tpdo": [0x61500108]}, "PDO mapping", "no process value"),
+        ({"fieldbus.load_limit": 0.72}, "bus load", "can3 carries 800 us"),
+        ({"robot.home": [0.0, 0.0, 0.3]}, "places", "outside the workspace"),
+        ({"robot.rest": [0.0, 0.4, 0.0]}, "places", "outside the workspace"),
+        ({"robot.motor.current_limit": 5.7}, "motor torque", "200 N need 5.75 A of 5.7 A"),
+        ({"control.envelope.speed_limit": 0.6}, "motor speed", "0.516 m/s"),
+        ({"control.tension_loop.rate_damping": 0.1}, "tension loop", "floors 6 dB and 35 deg"),
+        ({"control.tension_loop.proportional": 60.0}, "tension loop", "floors 6 dB and 35 deg"),
+    ],
+    ids=lambda value: str(value)[:40],
+)
+def test_each_rule_can_fail(overrides: dict[str, Any], rule: str, said: str) -> None:
+    found = failed(overrides)
+    assert rule in found
+    assert said in found[rule].text
+    assert found[rule].remedy
+    assert found[rule].where
+
+
+def test_the_heartbeat_may_be_late_by_exactly_20_ms() -> None:
+    assert failed({"fieldbus.drive.master_timeout_ms": 70}) == {}
+
+
+def with_load(force: float, direction: tuple[float, float, float] = (1, 0, 0)) -> Scenario:
+    lab = SCENARIO.lab
+    assert lab.load is not None
+    profile = tuple(point.model_copy(update={"force": force}) for point in lab.load.profile)
+    load = lab.load.model_copy(update={"profile": profile, "direction": direction})
+    return SCENARIO.model_copy(update={"lab": lab.model_copy(update={"load": load})})
+
+
+@pytest.mark.parametrize("force", [400.0, -400.0])
+def test_a_load_beyond_the_cables_is_refused(force: float) -> None:
+    found = only(failed({}, with_load(force)), "load")
+    assert "400 N" in found.text
+    assert "tensions must leave 20.25 to 200 N" in found.text
+
+
+def test_a_load_is_judged_where_the_reference_leads() -> None:
+    """120 N downwards can be held at home, not under the ceiling, where the cables run flat."""
+    waypoint = {"position": (-0.24, -0.24, 0.19), "duration": 5.0}
+    reference = {"kind": "path", "waypoints": [waypoint]}
+    data = with_load(120.0, (0, 0, -1)).model_dump()
+    assert failed({}, Scenario.model_validate(data)) == {}
+    away = Scenario.model_validate({**data, "reference": reference})
+    assert "load" in failed({}, away)
+
+
+def test_a_reference_that_leaves_the_workspace_is_refused() -> None:
+    data = SCENARIO.model_dump()
+    data["lab"]["load"] = None
+    data["reference"] = {
+        "kind": "sine", "direction": (0, 0, 1), "amplitude": 0.21, "frequency": 0.5, "fade": 0.0,
+    }  # fmt: skip
+    found = only(failed({}, Scenario.model_validate(data)), "reference")
+    assert "leaves the workspace" in found.text
+
+
+def test_a_fault_needs_its_node() -> None:
+    data = SCENARIO.model_dump()
+    fault = {"at": 1.0, "kind": "unplug", "channel": "can0", "node": 3}
+    data["lab"]["faults"] = [fault, {**fault, "channel": "can1"}]
+    found = only(failed({}, Scenario.model_validate(data)), "faults")
+    assert found.where.endswith("lab.faults.0")
+
+
+def test_weaker_cables_fail_with_share_and_worst_pose() -> None:
+    found = only(failed({"control.tension.max": 120.0}), "workspace")
+    assert "gravity and 25 N" in found.text
+    share = float(found.text.split(": ")[1].split(" %")[0])
+    assert 0.0 < share < 100.0
+    assert "+0.200) m" in found.text
+
+
+def test_without_a_lab_no_margin_is_claimed() -> None:
+    config, _ = load("config/can.yaml", overrides={"lab": None})
+    loop = next(each for each in check(config, SCENARIO) if each.rule == "tension loop")
+    assert loop.text.startswith("not computed")
+
+
+def bounded(maximum: float) -> Any:
+    return CONFIG.control.tension.model_copy(update={"max": maximum})
+
+
+def grid(config: Config = CONFIG) -> Poses:
+    box = config.robot.workspace.model_copy(update={"tilt_deg": 0.0})
+    return workspace_poses(config.robot.geometry, box, 7)
+
+
+@pytest.mark.parametrize(
+    ("maximum", "force", "percent"),
+    [
+        (120.0, 0.0, 100.0), (120.0, 25.0, 95.9), (120.0, 100.0, 34.7),
+        (150.0, 25.0, 100.0), (150.0, 100.0, 69.7), (180.0, 100.0, 87.8),
+        (200.0, 0.0, 100.0), (200.0, 25.0, 100.0), (200.0, 100.0, 93.6),
+        (250.0, 100.0, 100.0),
+    ],
+)  # fmt: skip
+def test_the_map_of_the_geometry_is_reproduced(
+    maximum: float, force: float, percent: float
+) -> None:
+    wrenches = against(WEIGHT, force * DIRECTIONS)
+    outcome = feasibility(grid(), wrenches, bounded(maximum), 0.1)
+    assert 100.0 * outcome.share == pytest.approx(percent, abs=0.05)
+
+
+def test_the_reserve_is_the_optimum_of_the_linear_programme() -> None:
+    """The largest d such that tensions in [min + d, max - d] balance the wrench."""
+    at = workspace_poses(CONFIG.robot.geometry, CONFIG.robot.workspace, 3)
+    random = np.random.default_rng(5)
+    bounds = CONFIG.control.tension
+    for index in (0, 13, *random.integers(0, len(at.positions), 25)):
+        wrench = 90.0 * random.standard_normal(6) * [1.0, 1.0, 1.0, 0.1, 0.1, 0.1]
+        pose = poses(CONFIG.robot.geometry, at.positions[[index]], at.rotations[[index]])
+        found = float(reserves(pose, wrench[None], bounds, 0.1)[0, 0])
+        ones, eye = np.ones((8, 1)), np.eye(8)
+        best = linprog(
+            np.array([0.0] * 8 + [-1.0]),
+            A_ub=np.vstack([np.hstack([-eye, ones]), np.hstack([eye, ones])]),
+            b_ub=np.array([-bounds.min] * 8 + [bounds.max] * 8),
+            A_eq=np.hstack([pose.matrices[0], np.zeros((6, 1))]),
+            b_eq=wrench,
+            bounds=[(None, None)] * 9,
+        )
+        assert found == pytest.approx(-best.fun, abs=1e-6)
+
+
+def test_where_the_cables_lose_a_degree_of_freedom_nothing_is_feasible() -> None:
+    geometry = CONFIG.robot.geometry.model_copy(update={"platform": ((0.0, 0.0, 0.0),) * 8})
+    at = poses(geometry, np.zeros((1, 3)), np.zeros((1, 3)))
+    outcome = feasibility(at, against(WEIGHT, 0.0 * DIRECTIONS), CONFIG.control.tension, 0.1)
+    assert outcome.share == 0.0
+    assert outcome.reserve == -np.inf
+
+
+def test_the_command_prints_a_table_and_says_whether_all_is_well() -> None:
+    result = CliRunner().invoke(command, ["config/can.yaml"])
+    assert result.exit_code == 0
+    assert "channel can3 carries 800 us of frames" in result.output
+    assert result.output.splitlines()[-1].endswith("checks passed")
+    listed = CliRunner().invoke(command, ["config/can.yaml", "--json", "--scenario", "hold"])
+    assert listed.exit_code == 0
+    findings = json.loads(listed.output)
+    assert all(finding["ok"] for finding in findings)
+    assert set(findings[0]) == {"rule", "ok", "where", "text", "remedy"}
+
+
+def test_the_command_exits_with_1_when_a_check_failed(tmp_path: Any) -> None:
+    data = (HERE / "can.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "mine.yaml"
+    data = data.replace("!include ", f"!include {HERE}/")
+    path.write_text(data.replace("can4.yaml", "can1.yaml"), encoding="utf-8")
+    result = CliRunner().invoke(command, [str(path)])
+    assert result.exit_code == 1
+    assert "FAILED  bus load      channel can0 carries 2750 us" in result.output
+    assert "use more channels or a longer period" in result.output
+    assert "1 of " in result.output.splitlines()[-1]

@@ -1,0 +1,209 @@
+"""What can be known about a configuration before anything is started.
+
+The schema has already judged every value by itself; these rules judge values against each other,
+against the buses' arithmetic and against the robot's mechanics.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from config import Config, Scenario
+from config.busload import channel_load
+from config.schema.bus import CanopenBus, Channel, Drive, ForceCell
+from drivers import epos4, force_cell
+from drivers.canopen import identifiers
+from drivers.canopen.pdo import Mapping, PdoError
+from drivers.canopen.process_data import drive_encoder
+from tools.mechanics import Finding, mechanics
+
+__all__ = ["Finding", "check"]
+
+HEARTBEAT_SLACK_MS = 20
+"""EPOS4: a heartbeat consumer waits at least this much longer than the producer's period."""
+
+
+@dataclass(frozen=True)
+class _Node:
+    name: str
+    node_id: int
+    base_identifiers: tuple[int, ...]
+
+
+def check(config: Config, scenario: Scenario) -> list[Finding]:
+    """Every rule's outcome, in a fixed order; nothing is started and nothing raises."""
+    bus = config.fieldbus
+    findings = list(_mappings(bus.drive, bus.force_cell))
+    if isinstance(bus, CanopenBus):
+        findings += _period(bus, config.control.rates.period_us)
+        findings += _heartbeat(bus)
+        findings += _channel_names(bus)
+        for channel in bus.channels:
+            findings += _load(bus, channel, config.control.rates.period_us)
+            findings += _identifiers(bus, channel)
+        findings += _faults(bus, scenario)
+    return findings + list(mechanics(config, scenario))
+
+
+def _mappings(drive: Drive, cell: ForceCell) -> Iterator[Finding]:
+    needed = "statusword 0x60410010, position 0x60640020 and torque 0x60770010"
+    commands = "controlword 0x60400010 and target torque 0x60710010"
+    try:
+        drive_encoder(Mapping.of(drive.rpdo))
+        problem = ""
+    except PdoError as error:
+        problem = str(error)
+    yield Finding(
+        "PDO mapping",
+        not problem,
+        "fieldbus.drive.rpdo",
+        problem or f"maps {commands}",
+        f"map {commands}",
+    )
+    try:
+        mapping = Mapping.of(drive.tpdo)
+        for entry in (epos4.STATUSWORD, epos4.POSITION_ACTUAL, epos4.TORQUE_ACTUAL):
+            mapping.position(entry)
+        problem = ""
+    except PdoError as error:
+        problem = str(error)
+    yield Finding(
+        "PDO mapping",
+        not problem,
+        "fieldbus.drive.tpdo",
+        problem or f"maps {needed}",
+        f"map {needed}",
+    )
+    values = ", ".join(f"0x{entry:08X}" for entry in force_cell.PROCESS_VALUES)
+    try:
+        found = set(Mapping.of(cell.tpdo).entries) & set(force_cell.PROCESS_VALUES)
+        problem = "" if found else "the PDO maps no process value of channel 1"
+    except PdoError as error:
+        problem = str(error)
+    yield Finding(
+        "PDO mapping",
+        not problem,
+        "fieldbus.force_cell.tpdo",
+        problem or "maps the process value",
+        f"map one of {values}",
+    )
+
+
+def _period(bus: CanopenBus, period_us: int) -> Iterator[Finding]:
+    heartbeat_us = bus.master.heartbeat_ms * 1000
+    fits = heartbeat_us % period_us == 0
+    yield Finding(
+        "period",
+        fits,
+        "control.rates.period_us",
+        f"the master's heartbeat of {bus.master.heartbeat_ms} ms is "
+        f"{heartbeat_us / period_us:g} cycles of {period_us} us",
+        "choose a period that divides fieldbus.master.heartbeat_ms",
+    )
+
+
+def _heartbeat(bus: CanopenBus) -> Iterator[Finding]:
+    timeout, period = bus.drive.master_timeout_ms, bus.master.heartbeat_ms
+    yield Finding(
+        "heartbeat",
+        timeout >= period + HEARTBEAT_SLACK_MS,
+        "fieldbus.drive.master_timeout_ms",
+        f"drives wait {timeout} ms for the master's heartbeat, sent every {period} ms",
+        f"set it to at least {period + HEARTBEAT_SLACK_MS} ms",
+    )
+
+
+def _channel_names(bus: CanopenBus) -> Iterator[Finding]:
+    twice = [name for name, count in Counter(c.name for c in bus.channels).items() if count > 1]
+    text = f"{twice[0]} is given twice" if twice else f"{len(bus.channels)} channels"
+    yield Finding(
+        "channel names", not twice, "fieldbus.channels", text, "give every channel its own name"
+    )
+
+
+def _load(bus: CanopenBus, channel: Channel, period_us: int) -> Iterator[Finding]:
+    load = channel_load(bus, channel, period_us)
+    yield Finding(
+        "bus load",
+        load.share <= bus.load_limit,
+        f"fieldbus.channels {channel.name}",
+        f"channel {channel.name} carries {load.cyclic_us:.0f} us of frames in a cycle of "
+        f"{period_us} us ({100 * load.cyclic_share:.1f} %, with heartbeats "
+        f"{100 * load.share:.1f} %), the limit is {100 * bus.load_limit:g} %",
+        "use more channels or a longer period",
+    )
+
+
+def _nodes(bus: CanopenBus, channel: Channel) -> Iterator[_Node]:
+    every = (
+        identifiers.EMCY,
+        identifiers.SDO_RESPONSE,
+        identifiers.SDO_REQUEST,
+        identifiers.HEARTBEAT,
+    )
+    yield _Node("the master", bus.master.node_id, (identifiers.HEARTBEAT,))
+    for drive in channel.drives:
+        yield _Node(
+            f"axis {drive.axis}", drive.node_id, (*every, *_pdos(bus.drive.rpdo, bus.drive.tpdo))
+        )
+    for cell in channel.force_cells:
+        pdos = _pdos(bus.force_cell.rpdo, bus.force_cell.tpdo)
+        yield _Node(f"cell {cell.cell}", cell.node_id, (*every, *pdos))
+
+
+def _pdos(rpdo: tuple[int, ...], tpdo: tuple[int, ...]) -> tuple[int, ...]:
+    used = ((rpdo, identifiers.RPDO1), (tpdo, identifiers.TPDO1))
+    return tuple(identifier for mapping, identifier in used if mapping)
+
+
+def _identifiers(bus: CanopenBus, channel: Channel) -> Iterator[Finding]:
+    where = f"fieldbus.channels {channel.name}"
+    nodes = list(_nodes(bus, channel))
+    owners: dict[int, str] = {}
+    clash = ""
+    for node in nodes:
+        if node.node_id in owners and not clash:
+            clash = f"{owners[node.node_id]} and {node.name} both have node id {node.node_id}"
+        owners.setdefault(node.node_id, node.name)
+    yield Finding(
+        "node ids",
+        not clash,
+        where,
+        clash or f"{channel.name}: {len(nodes)} nodes, all different",
+        "give every node of a channel, the master included, its own node id",
+    )
+    owners = {identifiers.NMT: "NMT", identifiers.SYNC: "SYNC"}
+    clash = ""
+    for node in nodes:
+        for base in node.base_identifiers:
+            cob_id = base + node.node_id
+            if cob_id in owners and not clash:
+                clash = f"{owners[cob_id]} and {node.name} both use COB-ID 0x{cob_id:03X}"
+            owners.setdefault(cob_id, node.name)
+    yield Finding(
+        "COB-IDs",
+        not clash,
+        where,
+        clash or f"{channel.name}: {len(owners)} identifiers, all apart",
+        "change one of the two node ids",
+    )
+
+
+def _faults(bus: CanopenBus, scenario: Scenario) -> Iterator[Finding]:
+    """A fault injected into a node that is not there would never be seen."""
+    known = {(channel.name, drive.node_id) for channel in bus.channels for drive in channel.drives}
+    known |= {
+        (channel.name, cell.node_id) for channel in bus.channels for cell in channel.force_cells
+    }
+    for index, fault in enumerate(scenario.lab.faults):
+        there = (fault.channel, fault.node) in known
+        yield Finding(
+            "faults",
+            there,
+            f"scenario {scenario.name}: lab.faults.{index}",
+            f"{fault.kind} of node {fault.node} on {fault.channel}"
+            + ("" if there else ", where there is no such node"),
+            "name a channel and a node id of the fieldbus",
+        )
