@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.schema.robot import Geometry, Tension, Workspace
-from runtime.kinematics import geometry, rotate
+from runtime.compiled import geometry, rotate
 
 Array = NDArray[np.float64]
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])

@@ -1,0 +1,124 @@
+"""The only file that reads a clock: two event loops, one in real time and one in virtual time.
+
+Both offer `loop.time()` in seconds; `now_ns` gives the same instant as an integer. In virtual time
+the loop never waits: with nothing ready it jumps to the next timer, so a run takes as long as its
+computation and nothing in it can depend on how fast the machine is.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import selectors
+import time
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+Clock = Callable[[], int]
+"""Returns nanoseconds."""
+
+
+class RealTimeLoop(asyncio.SelectorEventLoop):
+    """An ordinary loop on CLOCK_MONOTONIC."""
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+
+class _NeverWaits(selectors.SelectSelector):
+    """Reports what is ready and returns at once, whatever timeout is asked for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.idle_for: float | None = 0.0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        self.idle_for = timeout
+        return []
+
+
+class VirtualTimeLoop(asyncio.SelectorEventLoop):
+    """A loop whose time starts at zero and jumps from timer to timer.
+
+    File descriptors are not watched: input from outside would make a run depend on the outside.
+    A loop that waits for something which can never come raises instead of hanging.
+    """
+
+    def __init__(self) -> None:
+        self._virtual_ns = 0
+        super().__init__(_NeverWaits())
+
+    def now_ns(self) -> int:
+        return self._virtual_ns
+
+    def time(self) -> float:
+        return self._virtual_ns * 1e-9
+
+    def _run_once(self) -> None:
+        if not self._ready:  # type: ignore[attr-defined]
+            self._jump()
+        super()._run_once()  # type: ignore[misc]
+
+    def _jump(self) -> None:
+        scheduled = self._scheduled  # type: ignore[attr-defined]
+        while scheduled and scheduled[0]._cancelled:
+            # As the base class does it, so that its count of cancelled timers stays right.
+            handle = heapq.heappop(scheduled)
+            handle._scheduled = False
+            self._timer_cancelled_count -= 1  # type: ignore[attr-defined]
+        if not scheduled:
+            if not self._stopping:  # type: ignore[attr-defined]
+                raise RuntimeError("virtual time stands still: nothing is left that could happen")
+            return
+        due_ns = round(scheduled[0]._when * 1e9)
+        self._virtual_ns = max(self._virtual_ns, due_ns)
+
+
+Loop = RealTimeLoop | VirtualTimeLoop
+
+
+def loop_clock() -> Clock:
+    """The running loop's clock, for those who ask often."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, RealTimeLoop | VirtualTimeLoop), "the daemon runs on its own loops"
+    return loop.now_ns
+
+
+def now_ns() -> int:
+    """Nanoseconds of the running loop's clock."""
+    return loop_clock()()
+
+
+def run(main: Coroutine[Any, Any, Result], *, virtual: bool) -> Result:
+    """Run a coroutine to its end on a loop of the chosen kind."""
+    with asyncio.Runner(loop_factory=VirtualTimeLoop if virtual else RealTimeLoop) as runner:
+        return runner.run(main)
+
+
+class Stopwatch:
+    """Measures how long our own code takes. In virtual time it always reads zero: what belongs to
+    the host must not reach a virtual log."""
+
+    def __init__(self, *, running: bool) -> None:
+        self.wall_ns: Clock = time.monotonic_ns if running else _zero
+        self.processor_ns: Clock = time.thread_time_ns if running else _zero
+
+
+def utc_offset_ns() -> int:
+    """UTC minus CLOCK_MONOTONIC, now."""
+    return time.time_ns() - time.monotonic_ns()
+
+
+def wall_seconds() -> float:
+    """For telling a person how long something took."""
+    return time.monotonic()
+
+
+def pause(seconds: float) -> None:
+    """Block this thread: for helper processes that poll, never for the tick's."""
+    time.sleep(seconds)
+
+
+def _zero() -> int:
+    return 0

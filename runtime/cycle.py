@@ -1,0 +1,278 @@
+"""The tick. `ControlCycle.step` is a pure function of its own state and its arguments:
+
+    sensors, filters, estimator, stiffness law, envelope, distribution, tension loop
+
+No clock, no input or output, no randomness, nothing that grows. What an operator says and what the
+buses report come in as arguments, and the state machine is part of it, so that recorded inputs
+reproduce every output bit for bit.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from config.schema.bus import Tracker
+from config.schema.control import Control
+from config.schema.robot import CABLES, Robot
+from config.schema.scenario import Reference
+from drivers.process_image import ProcessImage
+from runtime.controllers import CONTROLLERS, Motion
+from runtime.distribution import TensionDistribution
+from runtime.envelope import Envelope
+from runtime.estimator import Estimate, PoseEstimator
+from runtime.guide import Guide
+from runtime.kinematics import Kinematics
+from runtime.referencing import Referencing
+from runtime.sensing import Sensing
+from runtime.sequence import Sequence
+from runtime.signals import CycleRecord, Solver
+from runtime.states import Operator, State
+from runtime.stiffness import LawTerms, Limiter
+from runtime.tension import TensionLoop
+
+Array = NDArray[np.float64]
+_NOBODY = np.zeros(CABLES, dtype=bool)
+
+
+@njit(cache=True)
+def _bounds(
+    before: Array,
+    present: NDArray[np.bool_],
+    levels: tuple[float, float, float, float],
+    low: Array,
+    high: Array,
+    centre: Array,
+) -> None:
+    """Bounds and centre of each tension: the configured ones, no further from the last reference
+    than ``reach``, and zero where a cable is lost. ``levels``: low, high, centre, reach.
+    """
+    lowest, highest, middle, reach = levels
+    for i in range(before.shape[0]):
+        low[i] = high[i] = centre[i] = 0.0
+        if present[i]:
+            low[i] = min(max(before[i] - reach, lowest), highest)
+            high[i] = max(min(before[i] + reach, highest), lowest)
+            centre[i] = middle
+
+
+class ControlCycle:
+    """Everything the robot does in a millisecond."""
+
+    def __init__(
+        self, robot: Robot, control: Control, tracker: Tracker, reference: Reference
+    ) -> None:
+        period = control.rates.period
+        self._robot, self._control, self._period = robot, control, period
+        self.record = CycleRecord()
+        self._kinematics = Kinematics(robot.geometry)
+        self._sensing = Sensing(control)
+        self._envelope = Envelope(
+            control.envelope, control.tension, control.stiffness, robot, period
+        )
+        self._referencing = Referencing(robot, control.sequence, Kinematics(robot.geometry))
+        self.sequence = Sequence(control, self._sensing, self._referencing, self._envelope)
+        self._guide = Guide(robot, control.sequence, reference, period)
+        self._estimator = PoseEstimator(robot, control.estimator, tracker, self._kinematics, period)
+        self._controller = CONTROLLERS[control.controller](robot, control)
+        self._limiter = Limiter(control.stiffness, period)
+        self._distribution = TensionDistribution(control.distribution, robot.geometry.moment_length)
+        self._loop = TensionLoop(robot, control.tension_loop, period)
+        self._reference = np.zeros(CABLES)
+        self._centre = np.zeros(CABLES)
+        self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
+        self._wrench = np.zeros(6)
+        self._law = 0.0
+        self._accepted = False
+        self._finite = True
+
+    def step(self, image: ProcessImage, tick: int, operator: Operator) -> CycleRecord:
+        """One tick: reads ``image.axes``, ``image.cells`` and ``image.tracker``, writes
+        ``image.commands`` and the record."""
+        sensing, sequence = self._sensing, self.sequence
+        sensing.step(image, tick)
+        if sequence.step(image, tick, operator, finite=self._finite):
+            self._enter(sequence.state)
+        image.commands["command"] = sequence.axis_command
+        estimate = None
+        if sequence.regulating:
+            estimate = self._estimate(image)
+            self._regulate(estimate)
+            rate = self._drum_rate(estimate)
+            self._finite = bool(np.isfinite(self._wrench).all() and np.isfinite(rate).all())
+        elif sequence.straightening >= 0.0:
+            self._reference[:] = sequence.straightening * self._control.tension.referencing
+            rate = np.zeros(CABLES)
+        else:
+            self._reference[:] = 0.0
+            rate = None
+        if rate is None:
+            image.commands["torque"] = 0.0
+        else:
+            image.commands["torque"] = self._loop(
+                self._reference, sensing.tension, rate, sensing.rate, sensing.usable
+            )
+        self._write_inputs(image, tick, operator)
+        self._write_results(image, estimate)
+        return self.record
+
+    def _enter(self, state: State) -> None:
+        self._finite = True
+        if state is State.REFERENCING:
+            self._loop.reset()
+            self._limiter.reset()
+            self._controller.reset()
+        elif state is State.PRETENSION:
+            reference, tension = self._referencing, self._sensing.filter.value[:CABLES]
+            self._kinematics.evaluate(reference.position, reference.quaternion)
+            wrench = self._kinematics.matrix @ tension
+            self._estimator.start(reference.position, reference.quaternion, wrench, reference.poses)
+            self._guide.start(reference.position)
+
+    def _estimate(self, image: ProcessImage) -> Estimate:
+        sensing, tracker = self._sensing, image.tracker
+        lengths = self._referencing.lengths(sensing.angle, sensing.tension)
+        estimate = self._estimator.step(lengths, sensing.tension, sensing.usable)
+        self._accepted = bool(tracker["fresh"]) and self._estimator.track(
+            tracker["position"], tracker["quaternion"], float(tracker["delay"])
+        )
+        return estimate
+
+    def _regulate(self, estimate: Estimate) -> None:
+        """Law, cap, limiter, wrench, distribution."""
+        sensing, sequence, envelope = self._sensing, self.sequence, self._envelope
+        bearing = sensing.usable if sequence.state in (State.HOLD, State.ACTIVE) else _NOBODY
+        envelope(
+            sensing.filter.value[:CABLES],
+            sensing.contact,
+            estimate.position,
+            estimate.velocity,
+            bearing,
+        )
+        desired = self._guide(sequence.state, sequence.elapsed, envelope.progress)
+        force = estimate.external[:3]
+        motion = Motion(
+            *desired,
+            estimate.position,
+            estimate.quaternion,
+            estimate.velocity,
+            estimate.angular_velocity,
+            float(np.sqrt(force @ force)),
+        )
+        self._law = self._controller.stiffness(motion)
+        stiffness = self._limiter(self._law, min(envelope.cap, sequence.stiffness_cap))
+        self._wrench = self._controller.wrench(motion, stiffness)
+        self._distribute(stiffness)
+
+    def _distribute(self, stiffness: float) -> None:
+        """Co-contraction follows the stiffness; a cable that cannot be trusted carries nothing."""
+        levels, present = self.sequence.levels, self._sensing.present
+        settings, base = self._control.distribution, self._control.stiffness.base
+        contraction = 1.0 + settings.co_contraction * (stiffness / base - 1.0)
+        centre = min(max(levels.level * contraction, levels.low), levels.high)
+        reach = settings.tension_rate * self._period
+        _bounds(
+            self._reference,
+            present,
+            (levels.low, levels.high, centre, reach),
+            self._low,
+            self._high,
+            self._centre,
+        )
+        self._reference = self._distribution(
+            self._kinematics.matrix * present, self._wrench, self._centre, self._low, self._high
+        )
+
+    def _drum_rate(self, estimate: Estimate) -> Array:
+        """Drum rates (8,) that follow the platform at constant tension (eq. 1)."""
+        twist = np.concatenate([estimate.velocity, estimate.angular_velocity])
+        stretch = 1.0 + self._sensing.tension / self._robot.cable.axial_stiffness
+        rate = (self._kinematics.matrix.T @ twist) / (self._robot.drum.radius * stretch)
+        return np.asarray(rate)
+
+    def _write_inputs(self, image: ProcessImage, tick: int, operator: Operator) -> None:
+        record, sensing, sequence = self.record, self._sensing, self.sequence
+        record.timing.tick[...] = tick
+        state = record.state
+        state.elapsed[...] = sequence.elapsed
+        state.scenario_time[...] = self._guide.time
+        state.fault[...] = sequence.fault
+        state.fault_where[...] = sequence.where
+        state.state[...] = sequence.state
+        state.operator[...] = operator
+        drives, axes = record.drives, image.axes
+        drives.angle[:] = axes["angle"]
+        drives.torque[:] = axes["torque"]
+        drives.rate[:] = sensing.rate
+        drives.age[:] = axes["age"]
+        drives.statusword[:] = axes["statusword"]
+        drives.error_code[:] = axes["error_code"]
+        drives.state[:] = axes["state"]
+        cells = record.force_cells
+        cells.raw[:] = image.cells["force"]
+        cells.tare[:] = sensing.tare
+        cells.filtered[:] = sensing.filter.value
+        cells.age[:] = image.cells["age"]
+        cells.status[:] = image.cells["status"]
+        tracker, seen = record.tracker, image.tracker
+        tracker.position[:] = seen["position"]
+        tracker.quaternion[:] = seen["quaternion"]
+        tracker.delay[...] = seen["delay"]
+        tracker.sequence[...] = seen["sequence"]
+        tracker.fresh[...] = seen["fresh"]
+
+    def _write_results(self, image: ProcessImage, estimate: Estimate | None) -> None:
+        record, sensing = self.record, self._sensing
+        record.drives.torque_command[:] = image.commands["torque"]
+        record.drives.command[:] = image.commands["command"]
+        tension = record.tension
+        tension.reference[:] = self._reference
+        tension.measured[:] = sensing.tension
+        tension.integral[:] = self._loop.integral
+        if estimate is None:
+            tension.solver[...] = Solver.NONE
+            return
+        distribution = self._distribution
+        tension.solver[...] = distribution.solver
+        tension.iterations[...] = distribution.iterations
+        tension.co_contraction[:] = self._centre
+        record.tracker.accepted[...] = self._accepted
+        pose, estimator = record.pose, self._estimator
+        pose.position[:] = estimate.position
+        pose.quaternion[:] = estimate.quaternion
+        pose.velocity[:] = estimate.velocity
+        pose.angular_velocity[:] = estimate.angular_velocity
+        position, velocity, acceleration = self._guide.desired
+        pose.desired_position[:] = position
+        pose.desired_velocity[:] = velocity
+        pose.desired_acceleration[:] = acceleration
+        pose.cable_position[:] = estimator.cable_position
+        pose.bias[:] = estimator.bias
+        pose.residual[...] = estimator.residual
+        self._write_law(record.stiffness, self._controller.terms)
+        wrench = record.wrench
+        wrench.commanded[:] = self._wrench
+        wrench.delivered[:] = self._kinematics.matrix @ self._reference
+        wrench.external[:] = estimate.external
+        wrench.deficit[...] = distribution.deficit
+        wrench.contact[...] = sensing.contact
+        margins, envelope = record.envelope, self._envelope
+        margins.tension_high[...] = envelope.tension_high
+        margins.tension_low[...] = envelope.tension_low
+        margins.contact[...] = envelope.contact
+        margins.speed[...] = envelope.speed
+        margins.workspace[...] = envelope.workspace
+        margins.progress[...] = envelope.progress
+        margins.grade[...] = envelope.grade
+        margins.bound[...] = envelope.bound
+
+    def _write_law(self, stiffness: SimpleNamespace, terms: LawTerms) -> None:
+        stiffness.law[...] = self._law
+        stiffness.velocity_term[...] = terms.velocity
+        stiffness.force_term[...] = terms.force
+        stiffness.deviation_term[...] = terms.deviation
+        stiffness.cap[...] = self._envelope.cap
+        stiffness.k_eq[...] = self._limiter.value

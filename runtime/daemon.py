@@ -1,0 +1,197 @@
+"""The daemon: one bus, one tick, one record, until the commander is done.
+
+    collect → step → publish → record
+
+All that is slow (bring-up, files, people) lies before, after or outside the ticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.schema.root import Config
+from config.schema.scenario import Scenario
+from drivers.fieldbus import BusEvent, Fieldbus, Progress
+from runtime.clock import Stopwatch, now_ns
+from runtime.cycle import ControlCycle
+from runtime.operator import Commander
+from runtime.scheduler import Misses, Pacing, Scheduler
+from runtime.signals import Grade
+from runtime.states import ARMED, Fault, Operator, State
+from runtime.taps import Level
+from runtime.words import describe, place, reaction
+
+
+class TrackerDoor(Protocol):
+    """Brings the tracker's poses into the image."""
+
+    def collect(self, now_ns: int) -> None: ...
+
+    def take_events(self) -> list[BusEvent]: ...
+
+
+class Ring(Protocol):
+    """Where the cycle record goes."""
+
+    def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None: ...
+
+
+class EventSink(Protocol):
+    """Where events go."""
+
+    def __call__(
+        self, stamp_ns: int, tick: int, level: Level, name: str, where: str, text: str
+    ) -> None: ...
+
+
+@dataclass
+class Outcome:
+    """How a run ended."""
+
+    state: State
+    fault: Fault
+    reason: str
+    ticks: int
+    misses: Misses
+
+
+class Daemon:
+    """Owns the cycle and drives it; everything it talks to is handed in."""
+
+    def __init__(
+        self,
+        config: Config,
+        scenario: Scenario,
+        fieldbus: Fieldbus,
+        tracker: TrackerDoor,
+        commander: Commander,
+        *,
+        ring: Ring,
+        events: EventSink,
+        stopwatch: Stopwatch,
+    ) -> None:
+        self._config = config
+        self._fieldbus, self._tracker, self._commander = fieldbus, tracker, commander
+        self._ring, self._events, self._stopwatch = ring, events, stopwatch
+        self.cycle = ControlCycle(config.robot, config.control, config.tracker, scenario.reference)
+        self._due_ns = 0
+        self._state = State.OFF
+        self._grade = Grade.GREEN
+        self._fault = Fault.NONE
+        self._tracker_tick, self._tracker_silent = 0, False
+        patience = config.tracker.maximum_age_ms * 1e-3 / config.control.rates.period
+        self._tracker_patience = int(patience)
+        self._text = ""
+
+    async def run(
+        self, pacing: Callable[[], Pacing], progress: Progress, ready: Callable[[], None]
+    ) -> Outcome:
+        """Bring up, tick, bring down. ``ready`` is called between bring-up and the first tick.
+
+        Raises a `DriverError` when the bus cannot be brought up; a fault in operation is an
+        outcome, not an exception.
+        """
+        try:
+            await self._fieldbus.start(progress)
+            ready()
+            scheduler = self._schedule(pacing())
+            try:
+                ticks = await self._tick_until_done(scheduler)
+            finally:
+                scheduler.close()
+        finally:
+            await self._fieldbus.stop()
+        sequence = self.cycle.sequence
+        return Outcome(
+            sequence.state,
+            sequence.fault,
+            self._text or "scenario completed",
+            ticks,
+            scheduler.misses,
+        )
+
+    def _schedule(self, pacing: Pacing) -> Scheduler:
+        """The first tick is due on a whole period, at least one from now."""
+        period_ns = self._config.control.rates.period_ns
+        start_ns = (now_ns() // period_ns + 2) * period_ns
+        return Scheduler(period_ns, start_ns, pacing, self._stopwatch)
+
+    async def _tick_until_done(self, scheduler: Scheduler) -> int:
+        ticks = 0
+        while not self._commander.finished:
+            self._tick(await scheduler.next(), scheduler)
+            ticks += 1
+        return ticks
+
+    def _tick(self, tick: int, scheduler: Scheduler) -> None:
+        wall, fieldbus, cycle = self._stopwatch.wall_ns, self._fieldbus, self.cycle
+        self._due_ns = due_ns = scheduler.due_ns(tick)
+        began = wall()
+        fieldbus.collect(tick)
+        self._tracker.collect(now_ns())
+        collected = wall()
+        command = self._commander.next(cycle.sequence)
+        record = cycle.step(fieldbus.image, tick, command)
+        computed = wall()
+        fieldbus.publish(tick)
+        published = wall()
+        timing, misses = record.timing, scheduler.misses
+        timing.due_ns[...] = due_ns
+        timing.missed_own[...] = misses.own
+        timing.missed_host[...] = misses.host
+        timing.wakeup_us[...] = scheduler.wakeup_ns * 1e-3
+        timing.collect_us[...] = (collected - began) * 1e-3
+        timing.compute_us[...] = (computed - collected) * 1e-3
+        timing.publish_us[...] = (published - computed) * 1e-3
+        self._ring.publish(record.data, due_ns)
+        self._report(tick, command)
+
+    def _report(self, tick: int, command: Operator) -> None:
+        """Events, in the ticks where there are any."""
+        sequence = self.cycle.sequence
+        if command is not Operator.NONE:
+            self._emit(tick, Level.INFO, "operator", "", command.name.lower())
+        if sequence.fault is not self._fault:
+            self._report_fault(tick)
+        if sequence.state is not self._state:
+            before, self._state = self._state, sequence.state
+            self._emit(tick, Level.INFO, "state", "", f"{before.name} to {sequence.state.name}")
+        grade = Grade(int(self.cycle.record.envelope.grade))
+        if grade is not self._grade:
+            self._grade = grade
+            level = Level.INFO if grade is Grade.GREEN else Level.WARNING
+            self._emit(tick, level, "envelope", "", f"grade {grade.name.lower()}")
+        self._watch_tracker(tick)
+        for source in (self._fieldbus, self._tracker):
+            for event in source.take_events():
+                self._emit(tick, Level.WARNING, event.name, event.where, event.text)
+
+    def _watch_tracker(self, tick: int) -> None:
+        """Without poses the estimator runs on the cables alone: a degraded mode, and said so."""
+        if self.cycle.record.tracker.fresh:
+            if self._tracker_silent:
+                self._emit(tick, Level.INFO, "tracker_back", "tracker", "poses arrive again")
+            self._tracker_tick, self._tracker_silent = tick, False
+        elif tick - self._tracker_tick > self._tracker_patience and not self._tracker_silent:
+            self._tracker_silent = True
+            text = "no pose any more; the estimate rests on the cables alone"
+            self._emit(tick, Level.WARNING, "tracker_lost", "tracker", text)
+
+    def _report_fault(self, tick: int) -> None:
+        sequence = self.cycle.sequence
+        fault = self._fault = sequence.fault
+        if fault is Fault.NONE:
+            self._text = ""
+            return
+        at = place(self._config, fault, sequence.where)
+        answer = reaction(fault, armed=self._state in ARMED)
+        self._text = f"{describe(self._config, fault, sequence.where, sequence.reason)}; {answer}"
+        self._emit(tick, Level.ERROR, fault.name.lower(), at, self._text)
+
+    def _emit(self, tick: int, level: Level, name: str, where: str, text: str) -> None:
+        self._events(self._due_ns, tick, level, name, where, text)

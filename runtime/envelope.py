@@ -1,0 +1,175 @@
+"""The Dynamic Safety Envelope: eq. (4) and (14), predicted over a horizon and graded.
+
+Green leaves the run untouched. Amber: a bound is predicted to be met within the horizon, so the
+stiffness cap comes down and the reference slows, to a stop if need be. Red: a bound is met, and the
+state machine stops the robot. The order is law, cap, limiter: the law raises the stiffness with
+force, the cap lowers it near the contact limit, and the cap wins.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from config.schema.control import Envelope as Settings
+from config.schema.control import StiffnessLaw
+from config.schema.robot import Robot, Tension
+from runtime.signals import Bound, Grade
+from runtime.states import Fault
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def _tension_margins(
+    tension: Array,
+    last: Array,
+    reach: float,
+    bearing: NDArray[np.bool_],
+    bounds: tuple[float, float, float],
+    over: NDArray[np.int64],
+    under: NDArray[np.int64],
+) -> tuple[float, float]:
+    """Smallest distance (N) to T_max and T_min, predicted; and the ticks each cable has spent
+    beyond T_max or slack. ``bounds``: T_min, T_max, T_slack."""
+    low, high, slack = bounds
+    to_high, to_low = high, high
+    for i in range(tension.shape[0]):
+        ahead = tension[i] + reach * (tension[i] - last[i])
+        last[i] = tension[i]
+        over[i] = over[i] + 1 if tension[i] > high else 0
+        under[i] = under[i] + 1 if bearing[i] and tension[i] < slack else 0
+        if bearing[i]:
+            to_high = min(to_high, high - ahead)
+            to_low = min(to_low, ahead - low)
+    return to_high, to_low
+
+
+@njit(cache=True)
+def _distance_inside(point: Array, low: Array, high: Array) -> float:
+    """m to the nearest face of the box, negative outside."""
+    nearest = math.inf
+    for i in range(3):
+        nearest = min(nearest, point[i] - low[i], high[i] - point[i])
+    return nearest
+
+
+class Envelope:
+    """Grades one tick; `cap`, `progress` and `fault` are what the cycle acts on."""
+
+    def __init__(
+        self, settings: Settings, tension: Tension, law: StiffnessLaw, robot: Robot, period: float
+    ) -> None:
+        self._settings, self._tension, self._law = settings, tension, law
+        self._period = period
+        box = robot.workspace
+        self._low = np.array([box.x[0], box.y[0], box.z[0]])
+        self._high = np.array([box.x[1], box.y[1], box.z[1]])
+        self._over = np.zeros(len(robot.geometry.frame), dtype=np.int64)
+        self._under = np.zeros(len(robot.geometry.frame), dtype=np.int64)
+        self._last_tension = np.zeros(len(robot.geometry.frame))
+        self._last_contact = 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        self.cap = self._law.maximum
+        """N/m"""
+        self.progress = 1.0
+        """rate of the scenario's time"""
+        self.grade = Grade.GREEN
+        self.bound = Bound.NONE
+        self.fault = Fault.NONE
+        self.where = -1
+        self.tension_high = self.tension_low = self.contact = self.speed = self.workspace = 1.0
+        self._over[:] = 0
+        self._under[:] = 0
+        self._first = True
+
+    def __call__(
+        self,
+        tension: Array,
+        contact: float,
+        position: Array,
+        velocity: Array,
+        bearing: NDArray[np.bool_],
+    ) -> None:
+        """Grade a tick from filtered tensions (8,), filtered contact force, pose estimate and the
+        mask ``bearing`` (8,) of cables that ought to carry tension."""
+        s, t = self._settings, self._tension
+        horizon = s.horizon
+        swell = (contact - self._last_contact) / self._period
+        self._last_contact = contact
+        if self._first:
+            self._first = False
+            self._last_tension[:] = tension
+        to_high, to_low = _tension_margins(
+            tension,
+            self._last_tension,
+            horizon / self._period,
+            bearing,
+            (t.min, t.max, t.slack),
+            self._over,
+            self._under,
+        )
+        self.tension_high = to_high / (t.max - t.pre)
+        self.tension_low = to_low / (t.pre - t.min)
+        force = max(contact, contact + horizon * swell)
+        self.contact = (s.contact_limit - force) / s.contact_limit
+        speed = math.sqrt(float(velocity @ velocity))
+        self.speed = (s.speed_limit - speed) / s.speed_limit
+        there = position + horizon * velocity
+        self.workspace = _distance_inside(there, self._low, self._high)
+        if not s.enabled:
+            return
+        self._judge(contact, speed, position)
+        self._soften(force, speed)
+
+    def _judge(self, contact: float, speed: float, position: Array) -> None:
+        """Red: what is met now, not what is predicted."""
+        s, ticks = self._settings, self._settings.over_tension_ticks
+        self.fault, self.where = Fault.NONE, -1
+        outside = _distance_inside(position, self._low, self._high) < 0.0
+        if contact >= s.contact_limit:
+            self.fault = Fault.CONTACT_LIMIT
+        elif self._over.max() >= ticks:
+            self.fault, self.where = Fault.OVER_TENSION, int(self._over.argmax())
+        elif self._under.max() >= ticks:
+            self.fault, self.where = Fault.SLACK_CABLE, int(self._under.argmax())
+        elif speed >= s.speed_limit:
+            self.fault = Fault.SPEED_LIMIT
+        elif outside:
+            self.fault = Fault.WORKSPACE_LIMIT
+
+    def _soften(self, force: float, speed: float) -> None:
+        """Amber: how much is left of each bound, 1 untouched, 0 used up; the least decides."""
+        s = self._settings
+        # Full softness is reached a hysteresis short of the limit, so that the platform comes to
+        # rest inside the bound and not on it.
+        soft_force = s.contact_limit * (1.0 - s.hysteresis)
+        warn_force = s.contact_limit * s.contact_warning
+        soft_speed = s.speed_limit * (1.0 - s.hysteresis)
+        warn_speed = s.speed_limit * s.speed_warning
+        edge = 1.0 - s.tension_warning
+        shares = (
+            (Bound.CONTACT, (soft_force - force) / (soft_force - warn_force)),
+            (Bound.SPEED, (soft_speed - speed) / (soft_speed - warn_speed)),
+            (Bound.WORKSPACE, self.workspace / s.workspace_margin if s.workspace_margin else 1.0),
+            (Bound.TENSION_HIGH, self.tension_high / edge),
+        )
+        bound, share = min(shares, key=lambda item: item[1])
+        share = min(max(share, 0.0), 1.0)
+        low, high = self._law.minimum, self._law.maximum
+        stiffening = bound in (Bound.CONTACT, Bound.TENSION_HIGH)
+        self.cap = low + share * (high - low) if stiffening else high
+        self.progress = share
+        amber = share < 1.0 or self.tension_low < -edge
+        if self.fault is not Fault.NONE:
+            self.grade = Grade.RED
+        elif amber:
+            self.grade = Grade.AMBER
+        else:
+            self.grade = Grade.GREEN
+        self.bound = bound if share < 1.0 else (Bound.TENSION_LOW if amber else Bound.NONE)

@@ -1,0 +1,56 @@
+"""A throwaway cycle, played from OFF to ACTIVE against a robot that does as it is told: so that
+everything compiled is compiled, and every cache warm, before anything is armed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from config.schema.root import Config
+from config.schema.scenario import Scenario
+from drivers.process_image import AxisCommand, AxisState, ProcessImage
+from runtime.cycle import ControlCycle
+from runtime.states import Operator, State
+
+TICKS_AFTER_START = 50
+_TRACKER_DIVISOR = 8
+_DELAY_TICKS = 10
+
+
+def rehearse(config: Config, scenario: Scenario) -> bool:
+    """Returns whether the cycle came as far as ACTIVE, which it does with a sound configuration."""
+    # This robot's drums do not turn, which a watchful envelope would not let pass.
+    watching = config.control.envelope.model_copy(update={"enabled": False})
+    control = config.control.model_copy(update={"envelope": watching})
+    cycle = ControlCycle(config.robot, control, config.tracker, scenario.reference)
+    image = ProcessImage()
+    image.axes["age"] = image.cells["age"] = 0
+    image.tracker["position"] = config.robot.rest
+    image.tracker["delay"] = _DELAY_TICKS * config.control.rates.period
+    sequence = config.control.sequence
+    longest = 2.0 * (
+        sequence.tare_s
+        + sequence.referencing_settle_s
+        + sequence.referencing_average_s
+        + sequence.pretension_s
+        + sequence.lift_s
+    )
+    left = TICKS_AFTER_START
+    for tick in range(int(longest / config.control.rates.period)):
+        state = cycle.sequence.state
+        command = Operator.NONE
+        if state is State.STANDBY:
+            command = Operator.ARM
+        elif state is State.HOLD:
+            command = Operator.START
+        elif state is State.ACTIVE:
+            left -= 1
+        if not left:
+            return True
+        enabled = image.commands["command"] == AxisCommand.ENABLE
+        image.axes["state"] = np.where(
+            enabled, AxisState.OPERATION_ENABLED, AxisState.SWITCH_ON_DISABLED
+        )
+        image.tracker["fresh"] = tick % _TRACKER_DIVISOR == 0
+        image.cells["force"][: len(enabled)] = cycle.record.tension.reference
+        cycle.step(image, tick, command)
+    return False

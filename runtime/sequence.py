@@ -1,0 +1,252 @@
+"""The way through a run: what each state waits for, what counts as a fault, and how the tensions
+grow and shrink on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from config.schema.control import Control
+from drivers.process_image import AxisCommand, AxisState, ProcessImage
+from runtime.envelope import Envelope
+from runtime.referencing import Referencing
+from runtime.sensing import Sensing
+from runtime.states import TRANSITIONS, Event, Fault, Operator, State
+
+_FAULTS = (int(AxisState.FAULT), int(AxisState.FAULT_REACTION_ACTIVE))
+MOVING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
+
+
+@njit(cache=True)
+def _broken_axis(
+    state: NDArray[np.uint8],
+    age: NDArray[np.uint16],
+    fresh: int,
+    faults: tuple[int, int],
+    wanted: int,
+) -> int:
+    """The first axis in a fault state, or (``wanted`` not negative) not in the state it was brought
+    to although its word is fresh; -1 for none."""
+    for i in range(state.shape[0]):
+        if state[i] == faults[0] or state[i] == faults[1]:
+            return i
+        if wanted >= 0 and age[i] <= fresh and state[i] != wanted:
+            return i
+    return -1
+
+
+@njit(cache=True)
+def _first_set(values: NDArray[np.uint8]) -> int:
+    for i in range(values.shape[0]):
+        if values[i]:
+            return i
+    return -1
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Tension bounds and pretension of a tick, N."""
+
+    low: float
+    high: float
+    level: float
+
+
+class Sequence:
+    """The state machine at work: `step` follows at most one event a tick, faults first."""
+
+    def __init__(
+        self, control: Control, sensing: Sensing, referencing: Referencing, envelope: Envelope
+    ) -> None:
+        self._control, self._settings = control, control.sequence
+        self._sensing, self._referencing, self._envelope = sensing, referencing, envelope
+        self._period = control.rates.period
+        self._entered = 0
+        self._ready_at = 0.0
+        self._resetting = False
+        self._not_a_number = False
+        self.state = State.OFF
+        self.elapsed = 0.0
+        """s in this state"""
+        self.fault, self.where = Fault.NONE, -1
+        self.reason = ""
+        """why referencing refused, in words"""
+        self.enabled = False
+        """every drive has been in Operation Enabled since arming"""
+        self.referenced = False
+        self.stop_ends = 2.0 * self._settings.stop_s + self._settings.lower_s
+        """s from the start of a stop until the drives are disabled"""
+
+    def step(
+        self, image: ProcessImage, tick: int, operator: Operator, *, finite: bool = True
+    ) -> bool:
+        """Returns whether the state changed. ``finite``: whether the last estimate was a number."""
+        self.elapsed = (tick - self._entered) * self._period
+        if not finite:
+            operator, self._not_a_number = Operator.ESTOP, True
+        event = self._watch(image, operator) or self._arrive(image)
+        if event is None:
+            return False
+        before, self.state = self.state, TRANSITIONS[self.state, event]
+        if event is Event.RESET and before is State.FAULT:
+            self.fault, self.where = Fault.NONE, -1
+            self._resetting, self._not_a_number = True, False
+        if self.state is before:
+            return False
+        self._entered, self.elapsed = tick, 0.0
+        if self.state is State.REFERENCING:
+            self._resetting = self.referenced = False
+            self._referencing.reset()
+            self._envelope.reset()
+        elif self.state is State.PRETENSION:
+            self.referenced = True
+        if self.state in (State.REFERENCING, State.STANDBY, State.FAULT):
+            self.enabled = False
+        return True
+
+    @property
+    def axis_command(self) -> AxisCommand:
+        if self.state is State.SAFE_STOP:
+            stopping = self.enabled and self.elapsed < self._give_up
+            return AxisCommand.ENABLE if stopping else AxisCommand.DISABLE
+        if self.state in (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE):
+            return AxisCommand.ENABLE
+        return AxisCommand.RESET_FAULT if self._resetting else AxisCommand.DISABLE
+
+    @property
+    def regulating(self) -> bool:
+        """In control of the platform, and not only of single cables."""
+        if self.state is State.SAFE_STOP:
+            return self.referenced and self.elapsed < self.stop_ends
+        return self.state in MOVING
+
+    @property
+    def straightening(self) -> float:
+        """Share of the referencing tension asked of each cable on its own; negative for none."""
+        if not self.enabled:
+            return -1.0
+        if self.state is State.REFERENCING:
+            rise = 0.5 * self._settings.referencing_settle_s
+            return min(1.0, (self.elapsed - self._ready_at) / rise)
+        if self.state is State.SAFE_STOP:
+            return max(0.0, 1.0 - self.elapsed / self._settings.stop_s)
+        return -1.0
+
+    @property
+    def levels(self) -> Levels:
+        """Full from HOLD on, growing in PRETENSION, shrinking at the end of a stop."""
+        tension, settings = self._control.tension, self._settings
+        share = 1.0
+        if self.state is State.PRETENSION:
+            share = min(1.0, self.elapsed / settings.pretension_s)
+        elif self.state is State.SAFE_STOP:
+            share = min(1.0, max(0.0, (self.stop_ends - self.elapsed) / settings.stop_s))
+        return Levels(
+            tension.slack + share * (tension.min - tension.slack),
+            tension.max,
+            tension.referencing + share * (tension.pre - tension.referencing),
+        )
+
+    @property
+    def stiffness_cap(self) -> float:
+        """A stop because of contact is a soft one; any other keeps the platform where it is."""
+        law = self._control.stiffness
+        if self.state is not State.SAFE_STOP:
+            return law.maximum
+        return law.minimum if self.fault is Fault.CONTACT_LIMIT else law.base
+
+    @property
+    def _give_up(self) -> float:
+        """When a stop disables the drives: at its end, or early when there was no reference."""
+        return self.stop_ends if self.referenced else self._settings.stop_s
+
+    def _watch(self, image: ProcessImage, operator: Operator) -> Event | None:
+        if operator is Operator.ESTOP:
+            fault = Fault.NOT_FINITE if self._not_a_number else Fault.EMERGENCY_STOP
+            return self._raise(fault, -1, Event.ESTOP)
+        if self.state is not State.FAULT and self.fault is Fault.NONE:
+            event = self._defect(image)
+            if event is not None:
+                return event
+        return Event(operator) if operator is not Operator.NONE else None
+
+    def _defect(self, image: ProcessImage) -> Event | None:
+        sensing, axes, cells = self._sensing, image.axes, image.cells
+        if self.state is not State.OFF:
+            axis = sensing.lost_axis(image)
+            if axis >= 0:
+                return self._raise(Fault.DRIVE_LOST, axis)
+            cell = sensing.lost_cell(image)
+            if cell >= 0:
+                return self._raise(Fault.CELL_LOST, cell)
+        armed = self.enabled and self.axis_command is AxisCommand.ENABLE
+        axis = _broken_axis(
+            axes["state"],
+            axes["age"],
+            self._control.freshness.measurement_ticks,
+            _FAULTS,
+            int(AxisState.OPERATION_ENABLED) if armed else -1,
+        )
+        if axis >= 0 and not self._resetting:
+            return self._raise(Fault.DRIVE_FAULT, axis)
+        cell = _first_set(cells["status"])
+        if cell >= 0:
+            return self._raise(Fault.CELL_BAD, cell)
+        if self.state in MOVING and self._envelope.fault is not Fault.NONE:
+            return self._raise(self._envelope.fault, self._envelope.where)
+        return None
+
+    def _raise(self, fault: Fault, where: int, event: Event = Event.FAULT) -> Event:
+        self.fault, self.where = fault, where
+        return event
+
+    def _arrive(self, image: ProcessImage) -> Event | None:
+        """What the present state has come to by itself."""
+        settings = self._settings
+        if self.state is State.OFF:
+            return self._tare(image)
+        if self.state is State.REFERENCING:
+            return self._reference(image)
+        if self.state is State.PRETENSION:
+            done = self.elapsed >= settings.pretension_s + settings.lift_s
+            return Event.TENSIONED if done else None
+        if self.state is State.SAFE_STOP and self.elapsed >= self._give_up:
+            silent = image.axes["age"] > self._control.freshness.stale_stop_ticks
+            off = image.axes["state"] != AxisState.OPERATION_ENABLED
+            if (off | silent).all():
+                clean = self.fault is Fault.NONE
+                return Event.STOPPED if clean else Event.STOPPED_BY_FAULT
+        return None
+
+    def _tare(self, image: ProcessImage) -> Event | None:
+        sensing = self._sensing
+        sensing.collect_tare(image)
+        if sensing.tare_time < self._settings.tare_s:
+            return None
+        sensing.apply_tare()
+        beyond = np.abs(sensing.tare) > self._settings.tare_limit
+        if beyond.any():
+            return self._raise(Fault.CELL_BAD, int(beyond.argmax()))
+        return Event.TARED
+
+    def _reference(self, image: ProcessImage) -> Event | None:
+        settings, sensing = self._settings, self._sensing
+        if not self.enabled:
+            ready = image.axes["state"] == AxisState.OPERATION_ENABLED
+            if ready.all():
+                self.enabled, self._ready_at = True, self.elapsed
+            elif self.elapsed > settings.enable_timeout_s:
+                return self._raise(Fault.ENABLE_TIMEOUT, int((~ready).argmax()))
+            return None
+        since = self.elapsed - self._ready_at - settings.referencing_settle_s
+        if since >= 0.0:
+            self._referencing.collect(image, sensing.angle, sensing.tension)
+        if since < settings.referencing_average_s:
+            return None
+        self.reason = self._referencing.conclude(self._control.tension.referencing)
+        if self.reason:
+            return self._raise(Fault.REFERENCING_FAILED, -1)
+        return Event.REFERENCED

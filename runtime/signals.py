@@ -1,0 +1,199 @@
+"""Every signal of a tick, in one table: the single source of truth.
+
+Stages write these fields, the ring copies the record, the MCAP schemas are generated from it, the
+log tools decode with it and the documentation prints it. A signal is added here and nowhere else.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from types import SimpleNamespace
+
+import numpy as np
+
+from config.schema.bus import CELLS
+from config.schema.robot import CABLES
+from runtime.topics import Field, Topic, record_dtype
+
+SCHEMA_VERSION = 1
+"""Counts up when a field changes its name, type, unit or meaning."""
+
+
+class Solver(IntEnum):
+    """Where a tick's tensions came from."""
+
+    NONE = 0
+    OPTIMAL = 1
+    FALLBACK = 2
+
+
+class Grade(IntEnum):
+    """The Dynamic Safety Envelope's verdict on a tick (paper, Figure 1)."""
+
+    GREEN = 0
+    AMBER = 1
+    RED = 2
+
+
+class Bound(IntEnum):
+    """Which bound of the envelope is nearest, or met."""
+
+    NONE = 0
+    TENSION_HIGH = 1
+    TENSION_LOW = 2
+    STIFFNESS = 3
+    CONTACT = 4
+    SPEED = 5
+    WORKSPACE = 6
+
+
+def _topic(name: str, message: str, doc: str, *fields: Field) -> Topic:
+    return Topic(f"/tonus/{name}", f"tonus_msgs/msg/{message}", doc, fields)
+
+
+def _f8(name: str, size: int, unit: str, doc: str) -> Field:
+    return Field(name, "float64", size, unit, doc)
+
+
+TOPICS: tuple[Topic, ...] = (
+    _topic(
+        "timing",
+        "Timing",
+        "when the tick ran; latencies are zero in virtual time",
+        Field("tick", "uint64", 0, "", "number of the tick, due at t0 + tick * period"),
+        Field("due_ns", "int64", 0, "ns", "due time on the loop's clock"),
+        Field("missed_own", "uint32", 0, "", "ticks missed by our own making, so far"),
+        Field("missed_host", "uint32", 0, "", "ticks missed by late wake-ups of the host, so far"),
+        Field("wakeup_us", "float32", 0, "us", "how late the tick started"),
+        Field("collect_us", "float32", 0, "us", "time in collect"),
+        Field("compute_us", "float32", 0, "us", "time in ControlCycle.step"),
+        Field("publish_us", "float32", 0, "us", "time in publish and in copying to the rings"),
+    ),
+    _topic(
+        "state",
+        "State",
+        "the state machine",
+        _f8("elapsed", 0, "s", "time in the present state"),
+        _f8("scenario_time", 0, "s", "time in ACTIVE as the reference sees it"),
+        Field("fault", "uint16", 0, "", "Fault that led here, 0 for none"),
+        Field("fault_where", "int16", 0, "", "axis, cell or bound of the fault, -1 for none"),
+        Field("state", "uint8", 0, "", "State"),
+        Field("operator", "uint8", 0, "", "operator command of this tick, 0 for none"),
+    ),
+    _topic(
+        "drives",
+        "Drives",
+        "inputs from the eight axes and what they were told",
+        _f8("angle", CABLES, "rad", "drum angle since switch-on, winding in positive"),
+        _f8("torque", CABLES, "N m", "the drive's own torque figure, at the drum"),
+        _f8("torque_command", CABLES, "N m", "commanded torque at the drum"),
+        _f8("rate", CABLES, "rad/s", "drum rate"),
+        Field("age", "uint16", CABLES, "ticks", "age of the measurement"),
+        Field("statusword", "uint16", CABLES, "", "CiA 402 statusword"),
+        Field("error_code", "uint16", CABLES, "", "error code of the last emergency"),
+        Field("state", "uint8", CABLES, "", "AxisState"),
+        Field("command", "uint8", CABLES, "", "AxisCommand"),
+    ),
+    _topic(
+        "force_cells",
+        "ForceCells",
+        "the eight cable cells and, last, the contact port's",
+        _f8("raw", CELLS, "N", "as reported"),
+        _f8("tare", CELLS, "N", "subtracted"),
+        _f8("filtered", CELLS, "N", "tared and low-passed"),
+        Field("age", "uint16", CELLS, "ticks", "age of the measurement"),
+        Field("status", "uint8", CELLS, "", "CiA 404 status, 0 good"),
+    ),
+    _topic(
+        "tracker",
+        "Tracker",
+        "the optical tracker's last pose",
+        _f8("position", 3, "m", "platform origin in the base frame"),
+        _f8("quaternion", 4, "", "w x y z"),
+        _f8("delay", 0, "s", "from the pose's timestamp to this tick"),
+        Field("sequence", "uint32", 0, "", "datagram number"),
+        Field("fresh", "uint8", 0, "", "1 when the pose arrived in this tick"),
+        Field("accepted", "uint8", 0, "", "1 when the estimator believed it"),
+    ),
+    _topic(
+        "pose",
+        "Pose",
+        "estimated and desired motion of the platform",
+        _f8("position", 3, "m", "estimate"),
+        _f8("quaternion", 4, "", "estimate, w x y z"),
+        _f8("velocity", 3, "m/s", "estimate"),
+        _f8("angular_velocity", 3, "rad/s", "estimate, base frame"),
+        _f8("desired_position", 3, "m", "reference"),
+        _f8("desired_velocity", 3, "m/s", "reference"),
+        _f8("desired_acceleration", 3, "m/s2", "reference"),
+        _f8("cable_position", 3, "m", "pose solved from the cables alone"),
+        _f8("bias", 3, "m", "estimated error of the cables' pose"),
+        _f8("residual", 0, "m", "disagreement of the eight cable lengths, RMS"),
+    ),
+    _topic(
+        "stiffness",
+        "Stiffness",
+        "the law, the envelope's cap and the limiter, in this order",
+        _f8("law", 0, "N/m", "eq. (3) or (10), clipped to its bounds"),
+        _f8("velocity_term", 0, "", "relative increase due to velocity"),
+        _f8("force_term", 0, "", "relative increase due to force"),
+        _f8("deviation_term", 0, "", "relative increase due to deviation"),
+        _f8("cap", 0, "N/m", "the envelope's upper bound in this tick"),
+        _f8("k_eq", 0, "N/m", "commanded equivalent stiffness"),
+    ),
+    _topic(
+        "wrench",
+        "Wrench",
+        "forces then moments on the platform, base frame",
+        _f8("commanded", 6, "N, N m", "asked of the cables"),
+        _f8("delivered", 6, "N, N m", "structure matrix times the tension reference"),
+        _f8("external", 6, "N, N m", "estimated external load"),
+        _f8("deficit", 0, "N", "norm of what was not delivered, moments scaled"),
+        _f8("contact", 0, "N", "contact port"),
+    ),
+    _topic(
+        "tension",
+        "Tension",
+        "reference and measurement of every cable",
+        _f8("reference", CABLES, "N", "distributed"),
+        _f8("co_contraction", CABLES, "N", "what the distribution was drawn towards"),
+        _f8("measured", CABLES, "N", "tared force cell, unfiltered"),
+        _f8("integral", CABLES, "N", "integral part of the tension loop"),
+        Field("iterations", "uint8", 0, "", "of the solver"),
+        Field("solver", "uint8", 0, "", "Solver"),
+    ),
+    _topic(
+        "envelope",
+        "Envelope",
+        "Dynamic Safety Envelope: margins as shares of their span, predicted over the horizon",
+        _f8("tension_high", 0, "", "smallest margin to T_max"),
+        _f8("tension_low", 0, "", "smallest margin to T_min"),
+        _f8("contact", 0, "", "margin to the contact limit"),
+        _f8("speed", 0, "", "margin to the speed limit"),
+        _f8("workspace", 0, "m", "distance to the nearest face of the box"),
+        _f8("progress", 0, "", "rate at which the reference is allowed to go on, 0 to 1"),
+        Field("grade", "uint8", 0, "", "Grade"),
+        Field("bound", "uint8", 0, "", "Bound that decided the grade"),
+    ),
+)
+
+CYCLE = record_dtype(TOPICS)
+
+
+class CycleRecord(SimpleNamespace):
+    """One preallocated record and, under ``topic.field``, a view into each of its fields.
+
+    A scalar's view has shape (), so it is written with ``view[...] = value``; an array's is written
+    with ``view[:] = values``.
+    """
+
+    def __init__(self) -> None:
+        self.data = np.zeros(1, CYCLE)
+        for topic in TOPICS:
+            short = topic.name.rsplit("/", 1)[1]
+            part = self.data[short]
+            views = {
+                f.name: part[f.name][0] if f.size else part[f.name].reshape(())
+                for f in topic.fields
+            }
+            setattr(self, short, SimpleNamespace(**views))

@@ -1,0 +1,64 @@
+"""The bio-inspired stiffness law and the limiter behind the envelope's cap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from config.schema.control import StiffnessLaw
+
+
+@dataclass
+class LawTerms:
+    """One evaluation: relative increases, and the stiffness they make (N/m)."""
+
+    deviation: float = 0.0
+    velocity: float = 0.0
+    force: float = 0.0
+    stiffness: float = 0.0
+
+
+class Law:
+    """Eq. (3) and eq. (10) in the normalised reading:
+
+    K = K0 (1 + g_e |e|/e_ref + g_v |v|/v_ref + g_F |F|/F_ref), each ratio clipped to 1,
+    K clipped to [K_min, K_max]. A profile is a named set of gains (docs/paper.md, rows 2 to 5):
+    eq. (3) has no deviation term, so the profile `table1_eq3` ignores that gain.
+    """
+
+    def __init__(self, config: StiffnessLaw) -> None:
+        self._config = config
+        self._deviation_gain = config.deviation_gain if config.profile == "eq10" else 0.0
+        self.terms = LawTerms()
+
+    def __call__(self, deviation: float, velocity: float, force: float) -> float:
+        """Stiffness (N/m) for the norms of deviation (m), velocity (m/s) and force (N)."""
+        c, terms = self._config, self.terms
+        terms.deviation = self._deviation_gain * min(deviation / c.deviation_reference, 1.0)
+        terms.velocity = c.velocity_gain * min(velocity / c.velocity_reference, 1.0)
+        terms.force = c.force_gain * min(force / c.force_reference, 1.0)
+        rise = terms.deviation + terms.velocity + terms.force
+        terms.stiffness = min(max(c.base * (1.0 + rise), c.minimum), c.maximum)
+        return terms.stiffness
+
+
+class Limiter:
+    """What reaches the platform: never above the cap, never outside the bounds, and rising no
+    faster than the configured rate (Kronander and Billard, IEEE T-RO 2016). Falling is free.
+
+    The output starts at the lower bound and is always inside the bounds, whatever comes in.
+    """
+
+    def __init__(self, config: StiffnessLaw, period: float) -> None:
+        self._minimum, self._maximum = config.minimum, config.maximum
+        self._rise = config.rise_rate * period
+        self.value = config.minimum
+
+    def reset(self) -> None:
+        self.value = self._minimum
+
+    def __call__(self, wanted: float, cap: float) -> float:
+        target = min(wanted, cap, self._maximum)
+        if not target >= self._minimum:  # also when it is not a number
+            target = self._minimum
+        self.value = min(target, self.value + self._rise)
+        return self.value

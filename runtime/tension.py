@@ -1,0 +1,93 @@
+"""The inner loop: from tension reference to drum torque (eq. 6 and 9, completed).
+
+Eq. (9) alone is proportional and has neither feed-forward nor damping; docs/paper.md, row 13, shows
+why that cannot reach half a per cent. Here
+
+    torque = r (T_ref + K_T (T_ref - T) + I) + C_d (rate_ref - rate)
+
+with the drum rate that the platform's motion asks for as its reference, so that the damping acts on
+the drive and not on the platform. Drum rate and tension are taken unfiltered: a filter's delay
+would cost the phase margin that `runtime.margin` computes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from config.schema.control import TensionLoop as Settings
+from config.schema.robot import CABLES, Robot
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def _torques(
+    reference: Array,
+    measured: Array,
+    rate_reference: Array,
+    rate: Array,
+    usable: NDArray[np.bool_],
+    gains: tuple[float, float, float, float, float, float],
+    integral: Array,
+    torque: Array,
+) -> None:
+    radius, proportional, integral_step, integral_limit, damping, limit = gains
+    for i in range(reference.shape[0]):
+        torque[i] = 0.0
+        if not usable[i]:
+            integral[i] = 0.0
+            continue
+        error = reference[i] - measured[i]
+        grown = integral[i] + integral_step * error
+        integral[i] = min(max(grown, -integral_limit), integral_limit)
+        wanted = radius * (reference[i] + proportional * error + integral[i])
+        wanted += damping * (rate_reference[i] - rate[i])
+        if math.isfinite(wanted):
+            torque[i] = min(max(wanted, -limit), limit)
+
+
+class TensionLoop:
+    """One tick of eight independent loops."""
+
+    def __init__(self, robot: Robot, settings: Settings, period: float) -> None:
+        motor, ratio = robot.motor, robot.gearbox.ratio
+        self._gains = (
+            robot.drum.radius,
+            settings.proportional,
+            settings.integral * period,
+            settings.integral_limit,
+            settings.rate_damping,
+            motor.current_limit * motor.torque_constant * ratio,
+        )
+        self._torque = np.zeros(CABLES)
+        self.integral = np.zeros(CABLES)
+        """N"""
+
+    def reset(self) -> None:
+        self.integral[:] = 0.0
+
+    def __call__(
+        self,
+        reference: Array,
+        measured: Array,
+        rate_reference: Array,
+        rate: Array,
+        usable: NDArray[np.bool_],
+    ) -> Array:
+        """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N,
+        rates in rad/s, winding in positive."""
+        _torques(
+            reference,
+            measured,
+            rate_reference,
+            rate,
+            usable,
+            self._gains,
+            self.integral,
+            self._torque,
+        )
+        return self._torque

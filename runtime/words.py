@@ -1,0 +1,78 @@
+"""Faults and places in words, for the log and for the last line a person reads."""
+
+from __future__ import annotations
+
+from config.schema.bus import CONTACT_CELL, CanopenBus
+from config.schema.root import Config
+from runtime.states import Fault
+
+_TEXT = {
+    Fault.NONE: "no fault",
+    Fault.DRIVE_LOST: "the drive stopped answering",
+    Fault.DRIVE_FAULT: "the drive left Operation Enabled by itself",
+    Fault.CELL_LOST: "the force cell stopped answering",
+    Fault.CELL_BAD: "the force cell reports a defect, or an offset no tare may hide",
+    Fault.ENABLE_TIMEOUT: "the drive did not reach Operation Enabled in time",
+    Fault.REFERENCING_FAILED: "cable lengths could not be referenced",
+    Fault.CONTACT_LIMIT: "the contact force met its limit",
+    Fault.SPEED_LIMIT: "the platform met its speed limit",
+    Fault.WORKSPACE_LIMIT: "the platform left its workspace",
+    Fault.OVER_TENSION: "the cable stayed above T_max",
+    Fault.SLACK_CABLE: "the cable went slack",
+    Fault.EMERGENCY_STOP: "emergency stop",
+    Fault.NOT_FINITE: "a computed value was not a number",
+}
+_OF_A_DRIVE = {
+    Fault.DRIVE_LOST,
+    Fault.DRIVE_FAULT,
+    Fault.ENABLE_TIMEOUT,
+    Fault.OVER_TENSION,
+    Fault.SLACK_CABLE,
+}
+_OF_A_CELL = {Fault.CELL_LOST, Fault.CELL_BAD}
+
+
+def reaction(fault: Fault, *, armed: bool) -> str:
+    """What the state machine does about it."""
+    if fault in (Fault.EMERGENCY_STOP, Fault.NOT_FINITE):
+        return "drives disabled at once"
+    return "controlled stop" if armed else "stays disarmed"
+
+
+def place(config: Config, fault: Fault, where: int) -> str:
+    """Channel, node and axis or cell a fault concerns; empty when it has no place."""
+    if where < 0:
+        return ""
+    if fault in _OF_A_DRIVE:
+        return _axis(config, where)
+    if fault in _OF_A_CELL:
+        return _cell(config, where)
+    return ""
+
+
+def describe(config: Config, fault: Fault, where: int, detail: str = "") -> str:
+    """One line: where, what and why."""
+    at = place(config, fault, where)
+    text = f"{at}: {_TEXT[fault]}" if at else _TEXT[fault]
+    return f"{text} ({detail})" if detail else text
+
+
+def _axis(config: Config, axis: int) -> str:
+    bus = config.fieldbus
+    if isinstance(bus, CanopenBus):
+        for channel in bus.channels:
+            for drive in channel.drives:
+                if drive.axis == axis:
+                    return f"{channel.name}/{drive.node_id} (axis {axis})"
+    return f"axis {axis}"
+
+
+def _cell(config: Config, cell: int) -> str:
+    name = "contact cell" if cell == CONTACT_CELL else f"cell {cell}"
+    bus = config.fieldbus
+    if isinstance(bus, CanopenBus):
+        for channel in bus.channels:
+            for node in channel.force_cells:
+                if node.cell == cell:
+                    return f"{channel.name}/{node.node_id} ({name})"
+    return name

@@ -1,0 +1,41 @@
+"""`tonus check`: everything that can be known about a configuration before a run."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+
+import click
+
+from config import load
+from tools import check as rules
+
+
+@click.command()
+@click.argument("config")
+@click.option("--scenario", metavar="NAME", help="Instead of the one that CONFIG names.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON list instead of a table.")
+def check(config: str, scenario: str | None, as_json: bool) -> None:
+    """Validate CONFIG: schema, bus load, identifiers, workspace, limits. Nothing is started."""
+    loaded, played = load(config, scenario=scenario)
+    findings = rules.check(loaded, played)
+    failed = [finding for finding in findings if not finding.ok]
+    if as_json:
+        click.echo(json.dumps([asdict(finding) for finding in findings], indent=2))
+    else:
+        for finding in findings:
+            click.echo(_line(finding))
+        verdict = f"{len(failed)} of {len(findings)} checks failed" if failed else (
+            f"all {len(findings)} checks passed"
+        )  # fmt: skip
+        click.echo(f"{config}, scenario {played.name}: {verdict}")
+    if failed:
+        sys.exit(1)
+
+
+def _line(finding: rules.Finding) -> str:
+    text = f"{'ok' if finding.ok else 'FAILED':<7} {finding.rule:<13} {finding.text}"
+    if not finding.ok:
+        text += f"; {finding.where}: {finding.remedy}"
+    return text

@@ -1,0 +1,122 @@
+"""`tonus run`: the daemon in the foreground, with its lab where the configuration has one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from config import Config, Scenario, load
+from drivers.fieldbus import Progress
+from runtime.states import Fault, State
+from tools.check import check
+from tools.errors import ToolError
+from tools.log import open as open_log
+from tools.report.overview import overview
+from tools.run import Order, Result
+from tools.run import run as carry_out
+from tools.summary import Summary, missed_in, summarise
+
+
+@click.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option("--scenario", help="Name of a scenario in config/scenarios, or a YAML file.")
+@click.option("--duration", type=click.FloatRange(min=0.1), help="Seconds in ACTIVE.")
+@click.option("--controller", help="Controller by name, instead of the configuration's.")
+@click.option("--virtual", is_flag=True, help="As fast as the processor allows, deterministic.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the lab's noise.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True)
+@click.option("--force", is_flag=True, help="Run even what `tonus check` refuses.")
+@click.option("--json", "as_json", is_flag=True, help="Print summary.json and nothing else.")
+def run(
+    config: Path,
+    scenario: str | None,
+    duration: float | None,
+    controller: str | None,
+    *,
+    virtual: bool,
+    seed: int | None,
+    out: Path,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Run CONFIG: bring the robot up, play a scenario, record everything, sum it up."""
+    overrides: dict[str, Any] = {}
+    if controller is not None:
+        overrides["control.controller"] = controller
+    settings, played = load(config, scenario, overrides)
+    if duration is not None:
+        played = played.model_copy(update={"duration": duration})
+    if seed is None:
+        seed = settings.lab.seed if settings.lab else 0
+    if not force:
+        _refuse(config, settings, played)
+    say: Progress = (lambda _: None) if as_json else _say
+    say(f"{settings.name}: {played.description}")
+    order = Order(settings, played, out, seed, virtual, say, live=not as_json)
+    result = carry_out(order)
+    summary = _summary(order, result)
+    picture = out / "overview.png"
+    overview(open_log(result.log), settings, picture)
+    if as_json:
+        click.echo(json.dumps(summary, indent=2))
+    else:
+        _tell(summary, result, [result.log, out / "summary.json", picture])
+    raise click.exceptions.Exit(0 if result.outcome.fault is Fault.NONE else 1)
+
+
+def _refuse(path: Path, config: Config, scenario: Scenario) -> None:
+    for finding in check(config, scenario):
+        if not finding.ok:
+            remedy = f"{finding.remedy}, or run all the same with --force"
+            raise ToolError(f"{path}: {finding.where}: {finding.text}; {remedy}")
+
+
+def _say(text: str) -> None:
+    click.echo(f"  {text}")
+
+
+def _summary(order: Order, result: Result) -> Summary:
+    log = open_log(result.log)
+    factor = result.realtime_factor(order.config.control.rates.period)
+    summary = summarise(
+        log,
+        realtime_factor=round(factor, 3),
+        steal_percent=result.steal_percent,
+        reason=result.outcome.reason,
+    )
+    own, host = missed_in(log, State.ACTIVE)
+    summary["active_missed_ticks"], summary["active_missed_by_host"] = own, host
+    summary["refused"] = [str(grant) for grant in result.grants if not grant.granted]
+    path = order.out / "summary.json"
+    path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return summary
+
+
+def _tell(summary: Summary, result: Result, files: list[Path]) -> None:
+    """What a newcomer wants to see, the verdict last."""
+
+    def span(key: str, unit: str) -> str:
+        low, high = summary[key]["min"], summary[key]["max"]
+        return f"{low:.0f} to {high:.0f} {unit}"
+
+    rows = [
+        ("time", f"{summary['ticks']} ticks at {summary['realtime_factor']:.2f} x real time"),
+        ("missed ticks", f"{summary['missed_ticks']} own, {summary['missed_by_host']} by the host"),
+    ]
+    if summary["tracking_rmse_m"] is not None:
+        rows.append(("position error", f"{summary['tracking_rmse_m'] * 1e3:.2f} mm RMS"))
+    if summary["tension_rmse_n"] is not None:
+        rows.append(("tension error", f"{summary['tension_rmse_n']:.2f} N RMS"))
+    if summary["k_eq_n_per_m"] is not None:
+        rows.append(("stiffness K_eq", span("k_eq_n_per_m", "N/m")))
+        rows.append(("tensions", span("tension_n", "N")))
+    if summary["contact_peak_n"] is not None:
+        rows.append(("contact peak", f"{summary['contact_peak_n']:.1f} N"))
+    click.echo()
+    for name, value in rows:
+        click.echo(f"  {name:<15} {value}")
+    click.echo(f"  {'files':<15} {'  '.join(str(file) for file in files)}")
+    click.echo(f"{result.outcome.state.name}: {result.outcome.reason}")

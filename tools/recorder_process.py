@@ -1,0 +1,117 @@
+"""The recorder as a process of its own, for runs in real time.
+
+    python -m tools.recorder_process RING_DIR OUT JOB
+
+JOB is a JSON file that `start` writes. The daemon holds the other end of this process's standard
+input: the byte "q" asks for the end of the recording, and a closed pipe without it means that the
+daemon is gone. Either way what is left in the rings is recorded and the file finished.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import select
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from config.schema.control import Recording
+from runtime.realtime import prepare
+from runtime.recorder import Recorder
+from runtime.taps import Level
+from tools.cli.live import Live
+
+_QUIT = b"q"
+_DRAIN_PERIOD_S = 0.05
+
+
+@dataclass
+class RecorderProcess:
+    """A recorder at work, seen from the daemon."""
+
+    process: subprocess.Popen[bytes]
+    out: Path
+
+    def stop(self, timeout_s: float = 30.0) -> int:
+        """Ask for the end, wait for the finished file, give the exit code."""
+        pipe = self.process.stdin
+        if pipe is not None and self.process.poll() is None:
+            try:
+                pipe.write(_QUIT)
+                pipe.close()
+            except BrokenPipeError:
+                pass  # it ended by itself; its exit code tells how
+        return self.process.wait(timeout_s)
+
+
+def start(
+    ring_dir: Path,
+    out: Path,
+    recording: Recording,
+    metadata: dict[str, str],
+    attachments: dict[str, bytes],
+    utc_offset_ns: int,
+    *,
+    priority: int = 0,
+    live_duration_s: float | None = None,
+) -> RecorderProcess:
+    """Start a recorder for the rings in ``ring_dir``. With ``live_duration_s`` it also shows the
+    live line on standard output."""
+    job = {
+        "recording": recording.model_dump(mode="json"),
+        "metadata": metadata,
+        "attachments": {
+            name: base64.b64encode(data).decode() for name, data in attachments.items()
+        },
+        "utc_offset_ns": utc_offset_ns,
+        "priority": priority,
+        "live_duration_s": live_duration_s,
+    }
+    path = ring_dir / "recorder.json"
+    path.write_text(json.dumps(job, sort_keys=True), encoding="utf-8")
+    command = [sys.executable, "-m", "tools.recorder_process", str(ring_dir), str(out), str(path)]
+    # A group of its own: Ctrl-C is for the daemon, which then decides when the recording ends.
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, process_group=0)
+    return RecorderProcess(process, out)
+
+
+def run(ring_dir: Path, out: Path, job: dict[str, Any]) -> None:
+    """Record until asked to stop or left alone."""
+    prepare(priority=job["priority"], processor=None, lock_memory=False)
+    duration = job["live_duration_s"]
+    live = Live(duration) if duration is not None else None
+    recorder = Recorder(
+        ring_dir,
+        out,
+        Recording.model_validate(job["recording"]),
+        job["metadata"],
+        {name: base64.b64decode(text) for name, text in job["attachments"].items()},
+        job["utc_offset_ns"],
+        live.update if live else None,
+    )
+    daemon = sys.stdin.fileno()
+    while not select.select([daemon], [], [], _DRAIN_PERIOD_S)[0]:
+        recorder.drain()
+    if sys.stdin.buffer.read(1) != _QUIT:
+        recorder.drain()
+        recorder.event(
+            Level.FATAL, "DAEMON_LOST", "daemon", "the daemon ended without a word; recorded so far"
+        )
+    recorder.finish()
+    if live is not None:
+        live.close()
+
+
+def main() -> None:
+    """The process that `start` starts."""
+    ring_dir, out, job = (Path(argument) for argument in sys.argv[1:4])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    run(ring_dir, out, json.loads(job.read_text(encoding="utf-8")))
+
+
+if __name__ == "__main__":
+    main()

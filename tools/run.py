@@ -1,0 +1,329 @@
+"""One run, composed: a daemon, a recorder, and a lab where the configuration has one.
+
+The only place that puts a runtime and a lab together. In virtual time all three share one loop; in
+real time each is a process of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import platform
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import yaml
+from sim.lab import Lab
+
+from config.places import runtime_dir
+from config.schema.bus import DirectBus
+from config.schema.root import Config
+from config.schema.scenario import Scenario
+from drivers.canopen.master import CanopenFieldbus
+from drivers.direct import DirectFieldbus
+from drivers.fieldbus import Fieldbus, FrameTap, Progress
+from drivers.process_image import ProcessImage
+from drivers.tracker import TrackerInput, TrackerSource, UdpTracker
+from runtime import clock
+from runtime.daemon import Daemon, Outcome
+from runtime.operator import Script
+from runtime.realtime import Grant, freeze_collector, prepare, stolen_jiffies, thaw_collector
+from runtime.recorder import Recorder
+from runtime.rehearsal import rehearse
+from runtime.ring import RingWriter
+from runtime.scheduler import TimerPacing, VirtualPacing
+from runtime.signals import CYCLE, SCHEMA_VERSION, TOPICS
+from runtime.taps import EventRing, FrameRing
+from runtime.topics import to_json
+from tools.cli.live import Live
+from tools.errors import ToolError
+from tools.lab_process import LabProcess, start_lab
+from tools.recorder_process import RecorderProcess, start
+from tools.truth import TruthRing
+
+DRAIN_S = 0.2
+"""s of virtual time between two looks of the in-process recorder"""
+FRAMES_PER_TICK = 64
+_LIBRARIES = ("clarabel", "filterpy", "mcap", "numba", "numpy", "python-can", "scipy", "tonus")
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is to be run, and how."""
+
+    config: Config
+    scenario: Scenario
+    out: Path
+    seed: int
+    virtual: bool
+    say: Progress
+    live: bool = True
+
+
+@dataclass
+class Result:
+    """What a run came to, beside its log."""
+
+    outcome: Outcome
+    log: Path
+    seconds: float
+    """s of wall time from the first tick to the last"""
+    steal_percent: float | None = None
+    grants: list[Grant] = field(default_factory=list)
+
+    def realtime_factor(self, period: float) -> float:
+        """Run time over wall time."""
+        return self.outcome.ticks * period / self.seconds if self.seconds else 0.0
+
+
+def run(order: Order) -> Result:
+    """Run to the end. Raises `DriverError` when a bus cannot be brought up."""
+    order.out.mkdir(parents=True, exist_ok=True)
+    log = order.out / "run.mcap"
+    log.unlink(missing_ok=True)
+    if not rehearse(order.config, order.scenario):
+        raise ToolError("the control cycle does not reach ACTIVE even with an obedient robot")
+    with _ring_directory() as rings, ExitStack() as cleanup:
+        stage = _Stage(order, rings, log, cleanup)
+        return stage.virtual() if order.virtual else stage.real()
+
+
+class _Stage:
+    """The parts of one run, and the order in which they come and go."""
+
+    def __init__(self, order: Order, rings: Path, log: Path, cleanup: ExitStack) -> None:
+        config = order.config
+        self._order, self._rings, self._log, self._cleanup = order, rings, log, cleanup
+        self._script = Script(order.scenario.duration)
+        self._image = ProcessImage()
+        ticks = int(config.recording.ring_s / config.control.rates.period)
+        meta = {"kind": "record", "topics": to_json(TOPICS)}
+        self._cycles = RingWriter.create(rings / "cycle.ring", CYCLE.itemsize, ticks, meta)
+        self._events = EventRing.open(rings / "events.ring")
+        self._tap: FrameTap | None = None
+        if config.recording.raw_frames and not isinstance(config.fieldbus, DirectBus):
+            channels = [channel.name for channel in config.fieldbus.channels]
+            frames = FrameRing.open(rings / "frames.ring", channels, ticks * FRAMES_PER_TICK)
+            self._tap = frames.tap
+        self._ticks = ticks
+        self._began = 0.0
+        self._grants: list[Grant] = []
+
+    def virtual(self) -> Result:
+        order = self._order
+        live = Live(order.scenario.duration) if order.live else None
+        recorder = Recorder(
+            self._rings,
+            self._log,
+            order.config.recording,
+            self._metadata({}),
+            self._attachments(),
+            0,
+            live.update if live else None,
+        )
+
+        async def main() -> Outcome:
+            lab = self._lab()
+            daemon = self._daemon(lab, clock.Stopwatch(running=False))
+            draining = _every(DRAIN_S, recorder.drain)
+            try:
+                return await daemon.run(VirtualPacing, order.say, self._begin)
+            finally:
+                draining()
+                if lab is not None:
+                    lab.close()
+
+        try:
+            with self._signals():
+                outcome = clock.run(main(), virtual=True)
+                seconds = clock.wall_seconds() - self._began
+        finally:
+            recorder.finish()
+            if live:
+                live.close()
+        return Result(outcome, self._log, seconds)
+
+    def real(self) -> Result:
+        order = self._order
+        realtime = order.config.realtime
+        lab = self._lab_process()
+        recorder = self._recorder_process()
+
+        async def main() -> Outcome:
+            daemon = self._daemon(None, clock.Stopwatch(running=True))
+            # Before the bring-up, since it takes longer than the drives wait for a heartbeat.
+            self._grants = prepare(
+                priority=realtime.daemon_priority,
+                processor=realtime.daemon_cpu,
+                lock_memory=realtime.lock_memory,
+            )
+            for grant in self._grants:
+                order.say(str(grant))
+            freeze_collector()
+            return await daemon.run(TimerPacing, order.say, self._begin)
+
+        before = stolen_jiffies()
+        try:
+            with self._signals():
+                outcome = clock.run(main(), virtual=False)
+            seconds = clock.wall_seconds() - self._began
+        finally:
+            thaw_collector()
+            recorder.stop()
+            if lab is not None:
+                lab.stop()
+        stolen, total = (now - then for now, then in zip(stolen_jiffies(), before, strict=True))
+        steal = 100.0 * stolen / total if total else 0.0
+        return Result(outcome, self._log, seconds, steal, self._grants)
+
+    def _begin(self) -> None:
+        self._began = clock.wall_seconds()
+
+    def _lab(self) -> Lab | None:
+        order = self._order
+        if order.config.lab is None:
+            raise ToolError("virtual time needs a lab: section in the configuration")
+        truth = TruthRing(self._rings / "truth.ring", self._ticks)
+        lab = Lab(
+            order.config,
+            order.scenario.lab,
+            seed=order.seed,
+            clock=clock.loop_clock(),
+            truth=truth.publish,
+        )
+        lab.open()
+        return lab
+
+    def _lab_process(self) -> LabProcess | None:
+        order = self._order
+        if order.config.lab is None:
+            return None
+        lab = start_lab(order.config, order.scenario, order.seed, self._rings, self._ticks)
+        self._cleanup.callback(lab.stop)
+        return lab
+
+    def _recorder_process(self) -> RecorderProcess:
+        order = self._order
+        recorder = start(
+            self._rings,
+            self._log,
+            order.config.recording,
+            self._metadata(_host()),
+            self._attachments(),
+            clock.utc_offset_ns(),
+            priority=order.config.realtime.recorder_priority,
+            live_duration_s=order.scenario.duration if order.live else None,
+        )
+        self._cleanup.callback(recorder.stop)
+        return recorder
+
+    def _daemon(self, lab: Lab | None, stopwatch: clock.Stopwatch) -> Daemon:
+        config, image = self._order.config, self._image
+        fieldbus: Fieldbus
+        if isinstance(config.fieldbus, DirectBus):
+            if lab is None:
+                raise ToolError("the direct fieldbus has no wires: it needs --virtual and a lab")
+            fieldbus = DirectFieldbus(config, image, lab.direct, clock.loop_clock())
+        else:
+            fieldbus = CanopenFieldbus(config, image, self._tap)
+        source: TrackerSource
+        if lab is not None:
+            source = lab.tracker
+        else:
+            source = UdpTracker(config.tracker.address, config.tracker.port)
+            self._cleanup.callback(source.close)
+        return Daemon(
+            config,
+            self._order.scenario,
+            fieldbus,
+            TrackerInput(image, source),
+            self._script,
+            ring=self._cycles,
+            events=self._events.write,
+            stopwatch=stopwatch,
+        )
+
+    @contextmanager
+    def _signals(self) -> Iterator[None]:
+        """The first SIGINT or SIGTERM asks for a controlled stop, the second disables at once."""
+        kept = {
+            number: signal.signal(number, lambda *_: self._script.stop())
+            for number in (signal.SIGINT, signal.SIGTERM)
+        }
+        try:
+            yield
+        finally:
+            for number, handler in kept.items():
+                signal.signal(number, handler)
+
+    def _metadata(self, host: dict[str, str]) -> dict[str, str]:
+        order = self._order
+        return {
+            **host,
+            **{f"version.{name}": version(name) for name in _LIBRARIES},
+            "version.python": platform.python_version(),
+            "config": order.config.name,
+            "controller": order.config.control.controller,
+            "scenario": order.scenario.name,
+            "schema_version": str(SCHEMA_VERSION),
+            "seed": str(order.seed),
+            "time": "virtual" if order.virtual else "real",
+        }
+
+    def _attachments(self) -> dict[str, bytes]:
+        order = self._order
+        return {
+            "config.yaml": _yaml(order.config.model_dump(mode="json")),
+            "scenario.yaml": _yaml(order.scenario.model_dump(mode="json")),
+        }
+
+
+@contextmanager
+def _ring_directory() -> Iterator[Path]:
+    """A place for the rings of this run; what a killed run left behind is cleared away."""
+    base = runtime_dir()
+    base.mkdir(parents=True, exist_ok=True)
+    for old in base.glob("run-*"):
+        if not Path("/proc", old.name.removeprefix("run-")).exists():
+            shutil.rmtree(old, ignore_errors=True)
+    rings = base / f"run-{os.getpid()}"
+    rings.mkdir()
+    try:
+        yield rings
+    finally:
+        shutil.rmtree(rings, ignore_errors=True)
+
+
+def _every(seconds: float, action: Callable[[], object]) -> Callable[[], None]:
+    """Do it again and again on the running loop; returns what ends that."""
+
+    async def repeat() -> None:
+        while True:
+            await asyncio.sleep(seconds)
+            action()
+
+    task = asyncio.get_running_loop().create_task(repeat())
+
+    def end() -> None:
+        task.cancel()
+
+    return end
+
+
+def _host() -> dict[str, str]:
+    """Facts about this machine, for logs in real time only."""
+    return {
+        "host.kernel": platform.release(),
+        "host.machine": platform.machine(),
+        "host.processors": str(os.cpu_count()),
+    }
+
+
+def _yaml(data: Any) -> bytes:
+    return yaml.safe_dump(data, sort_keys=True).encode()
