@@ -1,0 +1,252 @@
+"""One CAN channel in time: queues, arbitration, one frame at a time, delivery.
+
+A channel knows no clock. `run` brings it to a given time and stops early where a frame reaches a
+receiver whose answer may concern others (a SYNC samples the plant, which all channels share): that
+frame waits in ``wide_ns`` until the lab delivers it in the order of time over all channels.
+Everything else, which is most of the traffic, stays within the channel and is done at once.
+
+Rules of time: a frame enters its queue before the arbitration of the same instant, and an
+arbitration is decided only when time has moved past it. So it does not matter in which steps the
+lab is brought forward.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from heapq import heappop, heappush
+from math import ceil
+
+from sim.can.timing import INTERFRAME_BITS, LONGEST_FRAME_BITS, arbitration_key, frame_bits
+
+NEVER = 1 << 62
+_SECOND_NS = 1_000_000_000
+
+
+class Frame:
+    """What is on the wire; shared by all who receive it and never changed after its end."""
+
+    __slots__ = ("data", "dlc", "identifier", "key", "sender", "stamp_ns")
+
+    def __init__(
+        self, identifier: int, data: bytes, dlc: int | None = None, key: int | None = None
+    ) -> None:
+        """``identifier`` with the flags of `sim.can.timing`; ``dlc`` unless it is the length."""
+        self.identifier = identifier
+        self.data = data
+        self.dlc = len(data) if dlc is None else dlc
+        self.key = arbitration_key(identifier) if key is None else key
+        self.stamp_ns = 0
+        """time of the last bit of end of frame"""
+        self.sender: Port | None = None
+
+
+Narrow = Callable[[Frame], bool]
+"""Takes a frame whose effect stays within its receiver; False: it needs the order of time."""
+Wide = Callable[[Frame], None]
+
+
+class Port:
+    """One controller on a channel, with its transmit queue.
+
+    ``received`` is where frames of others arrive, or None for a device, which subscribes instead.
+    """
+
+    def __init__(self, channel: Channel, number: int, depth: int, listens: bool) -> None:
+        self.channel = channel
+        self.number = number
+        self.depth = depth
+        self.queue: deque[Frame] = deque()
+        self.received: deque[Frame] | None = deque() if listens else None
+        self.echo = False
+        """whether the controller receives what it sent itself"""
+        self.overflows = 0
+        """frames refused because the queue was full"""
+        self.plugged = True
+
+    @property
+    def room(self) -> int:
+        return self.depth - len(self.queue)
+
+
+class Channel:
+    """One bus. ``wide_ns`` is the time of a frame that waits for the lab, or `NEVER`."""
+
+    def __init__(self, name: str, bitrate: int, queue_depth: int, response_ns: int) -> None:
+        """``response_ns`` is how long a device takes until its answer is in its queue."""
+        self.name = name
+        self.wide_ns = NEVER
+        self.busy_ns = 0
+        """time spent on frames and the spaces behind them, since the start"""
+        self.frames = 0
+        self._depth = queue_depth
+        self._response_ns = response_ns
+        self._ports = 0
+        self._hosts: list[tuple[Port, deque[Frame]]] = []
+        self._heads: list[tuple[int, int, Frame, Port]] = []
+        self._since = NEVER  # when the oldest queued frame came
+        self._arrivals: deque[tuple[int, Frame, Port]] = deque()
+        self._frame: Frame | None = None
+        self._end_ns = 0
+        self._free_ns = 0
+        self._narrow: dict[int, list[tuple[Port, Narrow]]] = {}
+        self._wide: dict[int, list[tuple[Port, Wide]]] = {}
+        # A frame's time by its bits; a table, because this is asked for every frame.
+        self._durations = [ceil(n * _SECOND_NS / bitrate) for n in range(LONGEST_FRAME_BITS + 1)]
+        self._gap_ns = self._durations[INTERFRAME_BITS]
+        self._all_ports: list[Port] = []
+
+    @property
+    def overflows(self) -> int:
+        """Frames lost or refused at a full transmit queue, of all controllers."""
+        return sum(port.overflows for port in self._all_ports)
+
+    def attach(self, *, listens: bool) -> Port:
+        """A new controller; with ``listens`` it receives every frame of the others."""
+        port = Port(self, self._ports, self._depth, listens)
+        self._ports += 1
+        self._all_ports.append(port)
+        if port.received is not None:
+            self._hosts.append((port, port.received))
+        return port
+
+    def detach(self, port: Port) -> None:
+        """Take a controller away, with what it had queued. A frame on the wire is finished."""
+        self.drop(port)
+        self._all_ports.remove(port)
+        self._hosts = [host for host in self._hosts if host[0] is not port]
+
+    def drop(self, port: Port) -> None:
+        """Forget what a controller has queued or is about to queue."""
+        port.queue.clear()
+        self._heads = sorted(head for head in self._heads if head[3] is not port)
+        if not self._heads:
+            self._since = NEVER
+        self._arrivals = deque(item for item in self._arrivals if item[2] is not port)
+
+    def subscribe(self, port: Port, identifier: int, wide: Wide, narrow: Narrow | None) -> None:
+        """Hand frames of an identifier to a device: to ``narrow`` first where there is one."""
+        self._wide.setdefault(identifier, []).append((port, wide))
+        if narrow is not None:
+            self._narrow.setdefault(identifier, []).append((port, narrow))
+
+    def unsubscribe(self, port: Port, identifier: int) -> None:
+        wide = [item for item in self._wide.pop(identifier, []) if item[0] is not port]
+        if wide:
+            self._wide[identifier] = wide
+        narrow = [item for item in self._narrow.pop(identifier, []) if item[0] is not port]
+        if narrow:
+            self._narrow[identifier] = narrow
+
+    def send(self, port: Port, frame: Frame, now_ns: int) -> bool:
+        """Queue a frame now; False if the queue is full. The lab has been brought to now."""
+        queue = port.queue
+        if len(queue) >= port.depth:
+            port.overflows += 1
+            return False
+        if not queue:
+            heappush(self._heads, (frame.key, port.number, frame, port))
+            if now_ns < self._since:
+                self._since = now_ns
+        queue.append(frame)
+        return True
+
+    def answer(self, port: Port, frame: Frame, now_ns: int) -> None:
+        """Queue a device's frame after its response time; a full queue loses and counts it.
+
+        Calls come in the order of time.
+        """
+        if port.plugged:
+            self._arrivals.append((now_ns + self._response_ns, frame, port))
+
+    def next_ns(self) -> int:
+        """The next time at which something happens here on its own, or `NEVER`."""
+        if self._frame is not None:
+            return self._end_ns
+        return self._start_ns()
+
+    def _start_ns(self) -> int:
+        start = self._since
+        if self._arrivals and self._arrivals[0][0] < start:
+            start = self._arrivals[0][0]
+        return start if start > self._free_ns else self._free_ns if start < NEVER else NEVER
+
+    def run(self, to_ns: int) -> None:
+        """Let time pass up to ``to_ns``, or to the next frame that concerns others."""
+        if self.wide_ns <= to_ns:
+            return
+        arrivals = self._arrivals
+        while True:
+            frame = self._frame
+            if frame is None:
+                start = self._since
+                if arrivals and arrivals[0][0] < start:
+                    start = arrivals[0][0]
+                if start < self._free_ns:
+                    start = self._free_ns
+                if start >= to_ns:
+                    return
+                while arrivals and arrivals[0][0] <= start:
+                    due_ns, arrived, port = arrivals.popleft()
+                    self.send(port, arrived, due_ns)
+                if not self._heads:
+                    continue  # they were all lost at full queues
+                frame = self._begin(start)
+            end = self._end_ns
+            if end > to_ns:
+                return
+            if not self._finish(frame, end):
+                return
+
+    def _begin(self, start: int) -> Frame:
+        """Arbitration: the smallest head wins the bus."""
+        _, _, frame, port = heappop(self._heads)
+        queue = port.queue
+        queue.popleft()
+        if queue:
+            head = queue[0]
+            heappush(self._heads, (head.key, port.number, head, port))
+        if not self._heads:
+            self._since = NEVER
+        self._frame = frame
+        frame.sender = port
+        length = self._durations[frame_bits(frame.identifier, frame.dlc, frame.data)]
+        self._end_ns = end = start + length
+        self._free_ns = end + self._gap_ns
+        self.busy_ns += length + self._gap_ns
+        self.frames += 1
+        return frame
+
+    def _finish(self, frame: Frame, end: int) -> bool:
+        """The last bit is over. False if the frame has to wait for the lab."""
+        sender = frame.sender
+        frame.stamp_ns = end
+        if frame.identifier in self._wide:
+            narrow = self._narrow.get(frame.identifier)
+            handled = 0
+            if narrow is not None:
+                for port, take in narrow:
+                    if port is sender or take(frame):
+                        handled += 1
+            if handled < len(self._wide[frame.identifier]):
+                self.wide_ns = end
+                return False
+        self._frame = None
+        for listener, received in self._hosts:
+            if listener is not sender or listener.echo:
+                received.append(frame)
+        return True
+
+    def deliver(self) -> None:
+        """Deliver the frame that waited; the lab stands at its time."""
+        frame = self._frame
+        assert frame is not None
+        sender = frame.sender
+        self._frame = None
+        self.wide_ns = NEVER
+        for listener, received in self._hosts:
+            if listener is not sender or listener.echo:
+                received.append(frame)
+        for port, take in tuple(self._wide[frame.identifier]):
+            if port is not sender:
+                take(frame)

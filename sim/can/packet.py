@@ -1,0 +1,56 @@
+"""How frames travel between a lab's process and a bus in another: packets of 24-byte frames.
+
+One SOCK_SEQPACKET packet is a batch; a frame is little-endian: time (ns, u64), identifier with the
+flags of `sim.can.timing` (u32), DLC (u8), three zero bytes, eight data bytes.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from sim.can.bus import Frame
+from sim.can.timing import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE
+
+FRAME = struct.Struct("<QIB3x8s")
+FRAMES_PER_PACKET = 128
+PACKET_BYTES = FRAMES_PER_PACKET * FRAME.size
+_DIRECTORY = "TONUS_RUNTIME_DIR"
+
+
+def runtime_directory() -> Path:
+    """Where a lab's sockets lie."""
+    chosen = os.environ.get(_DIRECTORY)
+    if chosen:
+        return Path(chosen)
+    user = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(user) / "tonus" if user else Path("/run/tonus")
+
+
+def socket_path(directory: Path, channel: str) -> Path:
+    """A channel's socket in the directory of its lab."""
+    return directory / f"{channel}.sock"
+
+
+def encode(frames: Iterable[Frame]) -> bytes:
+    """At most `FRAMES_PER_PACKET` frames as one packet."""
+    pack = FRAME.pack
+    return b"".join([pack(f.stamp_ns, f.identifier, f.dlc, f.data) for f in frames])
+
+
+def decode(packet: bytes) -> Iterator[tuple[int, int, int, bytes]]:
+    """Time, identifier with flags, DLC and data of every whole frame of a packet."""
+    whole = len(packet) - len(packet) % FRAME.size
+    for stamp_ns, identifier, dlc, data in FRAME.iter_unpack(packet[:whole]):
+        length = 0 if identifier & REMOTE else min(dlc, 8)
+        yield stamp_ns, identifier, dlc, data[:length]
+
+
+def sound(identifier: int, dlc: int) -> bool:
+    """Whether a classic controller could send such a frame."""
+    number = identifier & EXTENDED_ID
+    if not identifier & EXTENDED and number > BASE_ID:
+        return False
+    return dlc <= 8 and not identifier & ERROR

@@ -1,0 +1,235 @@
+"""The lab's bus as a python-can interface: ``can.Bus(interface="tonus", channel="can0")``.
+
+A channel of a lab in this process is used directly; otherwise a running lab is joined through its
+socket. In this process time is the lab's, so nothing can be waited for: a blocking `recv` raises.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+from collections import deque
+from typing import Any, Self, cast
+
+import can
+from can.typechecking import CanFilters
+
+from sim.can import packet, registry
+from sim.can.bus import Frame
+from sim.can.timing import ERROR, EXTENDED, EXTENDED_ID, REMOTE, arbitration_key
+
+_SEND_BUFFER = 16384
+"""Bytes a socket holds of frames the lab has not taken yet: some forty, the host counts its own
+overhead with each. Like a controller's queue it must not hide a lab that has fallen behind."""
+
+
+class TonusBus(can.BusABC):
+    """A python-can bus on a channel of the lab; made as one of the two below."""
+
+    def __new__(cls, channel: str, *args: Any, **kwargs: Any) -> Self:
+        del args, kwargs
+        chosen: type[TonusBus] = cls
+        if cls is TonusBus:
+            chosen = SocketBus if registry.find(str(channel)) is None else LocalBus
+        return cast(Self, object.__new__(chosen))
+
+    def __init__(
+        self,
+        channel: str,
+        can_filters: CanFilters | None = None,
+        receive_own_messages: bool = False,
+        bitrate: int | None = None,
+        **kwargs: object,
+    ) -> None:
+        """``bitrate`` has to be the lab's, if it is given and can be known.
+
+        Raises `can.CanInitializationError`.
+        """
+        self._name = str(channel)
+        self.channel_info = f"tonus lab, channel {self._name}"
+        self._echo = bool(receive_own_messages)
+        self._connect(bitrate)
+        super().__init__(channel, can_filters, **kwargs)
+
+    def _connect(self, bitrate: int | None) -> None:
+        raise NotImplementedError
+
+
+def _checked(message: can.Message) -> int:
+    """Identifier with flags of a message to send. Raises `can.CanOperationError`."""
+    if message.is_fd or message.is_error_frame or message.dlc > 8:
+        raise can.CanOperationError("the lab's bus carries classic data and remote frames only")
+    identifier = message.arbitration_id
+    if message.is_extended_id:
+        identifier |= EXTENDED
+    if message.is_remote_frame:
+        identifier |= REMOTE
+    return identifier
+
+
+def _message(
+    stamp_ns: int, identifier: int, dlc: int, data: bytes, channel: str, received: bool
+) -> can.Message:
+    if identifier <= EXTENDED_ID:  # no flags: a base data frame, nearly always
+        return can.Message(
+            stamp_ns * 1e-9, identifier, False, False, False, channel, dlc, data, False, received
+        )
+    return can.Message(
+        stamp_ns * 1e-9,
+        identifier & EXTENDED_ID,
+        bool(identifier & EXTENDED),
+        bool(identifier & REMOTE),
+        bool(identifier & ERROR),
+        channel,
+        dlc,
+        data,
+        False,
+        received,
+    )
+
+
+class LocalBus(TonusBus):
+    """On a lab in this process."""
+
+    def _connect(self, bitrate: int | None) -> None:
+        door = registry.find(self._name)
+        if door is None:
+            raise can.CanInitializationError(f"no lab in this process has a channel {self._name}")
+        if bitrate is not None and bitrate != door.bitrate:
+            raise can.CanInitializationError(
+                f"channel {self._name} runs at {door.bitrate} bit/s, not {bitrate}"
+            )
+        self._lab = door.lab
+        self._clock = door.lab.clock
+        self._channel = door.channel
+        self._port = door.channel.attach(listens=True)
+        self._port.echo = self._echo
+        assert self._port.received is not None
+        self._received: deque[Frame] = self._port.received
+        self._keys: dict[int, int] = {}
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Queue a message now; the queue's room is known at once, so ``timeout`` has no effect.
+
+        Raises `can.CanOperationError` if the queue is full.
+        """
+        del timeout
+        identifier = _checked(msg)
+        key = self._keys.get(identifier)
+        if key is None:
+            key = self._keys[identifier] = arbitration_key(identifier)
+        lab = self._lab
+        lab.advance(self._clock())
+        frame = Frame(identifier, bytes(msg.data), msg.dlc, key)
+        if not self._channel.send(self._port, frame, lab.now_ns):
+            raise can.CanOperationError(f"the transmit queue of channel {self._name} is full")
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next message that has arrived by now, or None. ``timeout`` has to be 0.
+
+        Raises `can.CanOperationError` if it would have to wait.
+        """
+        received = self._received
+        if not received:
+            self._lab.advance(self._clock())
+        while received:
+            frame = received.popleft()
+            message = _message(
+                frame.stamp_ns,
+                frame.identifier,
+                frame.dlc,
+                frame.data,
+                self._name,
+                frame.sender is not self._port,
+            )
+            if self._filters is None or self._matches_filters(message):
+                return message
+        if timeout is None or timeout > 0:
+            raise can.CanOperationError(
+                f"recv on channel {self._name} would wait, but the lab's time passes only in this"
+                " process: poll with recv(timeout=0)"
+            )
+        return None
+
+    def flush_tx_buffer(self) -> None:
+        self._channel.drop(self._port)
+
+    def shutdown(self) -> None:
+        if not self._is_shutdown:
+            self._channel.detach(self._port)
+        super().shutdown()
+
+
+class SocketBus(TonusBus):
+    """On a lab in another process."""
+
+    def _connect(self, bitrate: int | None) -> None:
+        del bitrate
+        if self._echo:
+            raise can.CanInitializationError(
+                "receive_own_messages is only there for a lab in this process"
+            )
+        path = packet.socket_path(packet.runtime_directory(), self._name)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        try:
+            self._socket.connect(str(path))
+        except OSError as error:
+            self._socket.close()
+            raise can.CanInitializationError(
+                f"no lab answers at {path} ({error.strerror}); start one with: tonus lab CONFIG"
+            ) from error
+        self._socket.setblocking(False)
+        self._poll = select.poll()
+        self._poll.register(self._socket, select.POLLIN)
+        self._batch: deque[tuple[int, int, int, bytes]] = deque()
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Raises `can.CanOperationError` if the lab has not taken the frames before this one."""
+        identifier = _checked(msg)
+        data = packet.FRAME.pack(0, identifier, msg.dlc, bytes(msg.data))
+        try:
+            self._socket.send(data)
+        except BlockingIOError as error:
+            if timeout is not None and timeout > 0:
+                _, ready, _ = select.select([], [self._socket], [], timeout)
+                if ready:
+                    self.send(msg)
+                    return
+            raise can.CanOperationError(
+                f"the transmit queue of channel {self._name} is full"
+            ) from error
+        except OSError as error:
+            raise can.CanOperationError(f"the lab has closed {self._name}: {error}") from error
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if not self._batch and not self._fill(timeout):
+            return None, False
+        stamp_ns, identifier, dlc, data = self._batch.popleft()
+        if not self._batch:
+            # The packet stays in the socket until its last frame is out, so that the socket is
+            # readable for as long as there is a frame to be had.
+            self._socket.recv(1)
+        return _message(stamp_ns, identifier, dlc, data, self._name, True), False
+
+    def _fill(self, timeout: float | None) -> bool:
+        """Look at the next packet; False if none came in time."""
+        if timeout is None or timeout > 0:
+            self._poll.poll(None if timeout is None else timeout * 1e3)
+        try:
+            data = self._socket.recv(packet.PACKET_BYTES, socket.MSG_PEEK)
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            raise can.CanOperationError(f"cannot receive on {self._name}: {error}") from error
+        if not data:
+            raise can.CanOperationError(f"the lab has closed channel {self._name}")
+        self._batch.extend(packet.decode(data))
+        return bool(self._batch)
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self._socket.close()

@@ -1,0 +1,129 @@
+"""The SDO server of CiA 301: expedited and segmented transfers in both directions."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+from sim.devices.objects import AbortError, ObjectDictionary
+
+_HEADER = struct.Struct("<BHB")
+_HEADER_AND_WORD = struct.Struct("<BHBI")
+_WORD = struct.Struct("<I")
+_TOGGLE = 0x05030000
+_COMMAND = 0x05040001
+_LENGTH = 0x06070010
+_LONGEST = 1024
+"""Bytes a segmented download may bring."""
+_TOO_LONG = 0x05040005
+_EXPEDITED = 4
+_SEGMENT = 7
+
+
+class SdoServer:
+    """One client at a time. `request` returns the answer to a request, or None for silence."""
+
+    def __init__(self, objects: ObjectDictionary, changed: Callable[[int], None]) -> None:
+        """``changed`` is told the index of every object written."""
+        self._objects = objects
+        self._changed = changed
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget a transfer in progress."""
+        self._object = (0, 0)
+        self._upload: bytes | None = None
+        self._download: bytearray | None = None
+        self._announced: int | None = None
+        self._toggle = 0
+
+    def request(self, data: bytes) -> bytes | None:
+        """``data``: 8 bytes. A client's abort is obeyed and not answered."""
+        command = data[0]
+        service = command >> 5
+        if service == 4:
+            self.reset()
+            return None
+        try:
+            if service == 1:
+                return self._begin_download(command, data)
+            if service == 2:
+                return self._begin_upload(data)
+            if service == 0:
+                return self._download_segment(command, data)
+            if service == 3:
+                return self._upload_segment(command)
+            # Block transfer is not served.
+            self._object = _HEADER.unpack_from(data)[1:]
+            raise AbortError(_COMMAND)
+        except AbortError as abort:
+            index, subindex = self._object
+            self.reset()
+            return _HEADER_AND_WORD.pack(0x80, index, subindex, abort.code)
+
+    def _begin_upload(self, data: bytes) -> bytes:
+        _, index, subindex = _HEADER.unpack_from(data)
+        self.reset()
+        self._object = (index, subindex)
+        value = self._objects.read(index, subindex)
+        if 0 < len(value) <= _EXPEDITED:
+            head = 0x43 | (_EXPEDITED - len(value)) << 2
+            return _HEADER.pack(head, index, subindex) + value.ljust(_EXPEDITED, b"\0")
+        self._upload = value
+        return _HEADER_AND_WORD.pack(0x41, index, subindex, len(value))
+
+    def _upload_segment(self, command: int) -> bytes:
+        if self._upload is None:
+            raise AbortError(_COMMAND)
+        toggle = command >> 4 & 1
+        if toggle != self._toggle:
+            raise AbortError(_TOGGLE)
+        part, self._upload = self._upload[:_SEGMENT], self._upload[_SEGMENT:]
+        last = not self._upload
+        self._toggle ^= 1
+        if last:
+            self._upload = None
+        head = toggle << 4 | (_SEGMENT - len(part)) << 1 | last
+        return bytes((head,)) + part.ljust(_SEGMENT, b"\0")
+
+    def _begin_download(self, command: int, data: bytes) -> bytes:
+        _, index, subindex = _HEADER.unpack_from(data)
+        self.reset()
+        self._object = (index, subindex)
+        sized = bool(command & 1)
+        if command & 2:
+            length = _EXPEDITED - (command >> 2 & 3) if sized else self._size(index, subindex)
+            self._write(data[_EXPEDITED : _EXPEDITED + length])
+        else:
+            self._objects.find(index, subindex)
+            self._announced = _WORD.unpack_from(data, 4)[0] if sized else None
+            if self._announced is not None and self._announced > _LONGEST:
+                raise AbortError(_TOO_LONG)
+            self._download = bytearray()
+        return _HEADER.pack(0x60, index, subindex) + bytes(4)
+
+    def _size(self, index: int, subindex: int) -> int:
+        """What an expedited download of unstated length means."""
+        return min(self._objects.find(index, subindex).kind.size or _EXPEDITED, _EXPEDITED)
+
+    def _download_segment(self, command: int, data: bytes) -> bytes:
+        if self._download is None:
+            raise AbortError(_COMMAND)
+        toggle = command >> 4 & 1
+        if toggle != self._toggle:
+            raise AbortError(_TOGGLE)
+        self._toggle ^= 1
+        self._download += data[1 : 8 - (command >> 1 & 7)]
+        if len(self._download) > _LONGEST:
+            raise AbortError(_TOO_LONG)
+        if command & 1:
+            if self._announced is not None and self._announced != len(self._download):
+                raise AbortError(_LENGTH)
+            value = bytes(self._download)
+            self._download = None
+            self._write(value)
+        return bytes((0x20 | toggle << 4,)) + bytes(7)
+
+    def _write(self, value: bytes) -> None:
+        self._objects.write(*self._object, value)
+        self._changed(self._object[0])

@@ -1,0 +1,165 @@
+"""What all devices measure at one instant, in device units, computed once for all who ask.
+
+Encoder: floor of the motor angle in increments. Torque: motor current in per mille of the nominal
+one. Force: the cell behind its low-pass, with the noise and offset of its seed, clipped to its
+range, in integers with decimal digits.
+"""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from config.schema.bus import CELLS
+from config.schema.lab import CellNoise
+from config.schema.robot import CABLES, Motor
+from sim.plant.streams import Stream, generator
+
+Floats = NDArray[np.float64]
+
+_INTERVAL_NS = 1_000_000
+"""A cell converts once a millisecond (its maker's figure), so its noise is new that often."""
+_BLOCK = 1024
+"""Noise is drawn for so many conversions at once."""
+# Places in the parameter vector of `_sample`.
+_PER_RADIAN = 0
+_RANGE = 1
+_PER_AMPERE = 2
+_OFFSET = _PER_AMPERE + CABLES
+_DIGITS = _OFFSET + CELLS
+_ZERO = _DIGITS + CELLS
+_LENGTH = _ZERO + CABLES
+POSITION = 0
+TORQUE = CABLES
+CELL = 2 * CABLES
+"""Where each quantity begins in `Samples.words`."""
+_INT16 = 0x7FFF
+
+
+class Measured(Protocol):
+    """What the devices look at."""
+
+    @property
+    def now_ns(self) -> int: ...
+    @property
+    def motor_angle(self) -> Floats: ...
+    @property
+    def motor_rate(self) -> Floats: ...
+    @property
+    def current(self) -> Floats: ...
+    @property
+    def cell_force(self) -> Floats: ...
+    @property
+    def current_reference(self) -> Floats: ...
+    @property
+    def powered(self) -> NDArray[np.bool_]: ...
+    def advance(self, to_ns: int) -> None: ...
+
+
+@njit(
+    "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], int64,"
+    " int64[::1], float64[::1])",
+    cache=True,
+)
+def _sample(
+    angle: Floats,
+    current: Floats,
+    cell: Floats,
+    p: Floats,
+    noise: Floats,
+    row: int,
+    words: NDArray[np.int64],
+    force: Floats,
+) -> None:
+    for i in range(CABLES):
+        words[POSITION + i] = int(np.floor(angle[i] * p[_PER_RADIAN])) - int(p[_ZERO + i])
+        mille = np.rint(current[i] * p[_PER_AMPERE + i])
+        words[TORQUE + i] = int(min(max(mille, -_INT16 - 1), _INT16))
+    for i in range(CELLS):
+        value = cell[i] + p[_OFFSET + i] + noise[row, i]
+        force[i] = min(max(value, -p[_RANGE]), p[_RANGE])
+        words[CELL + i] = int(np.rint(force[i] * p[_DIGITS + i]))
+
+
+class Samples:
+    """Measured values of all axes and cells.
+
+    ``words``: positions (8), torques (8) and integer process values (9) of the last instant asked
+    for with `at`; see `POSITION`, `TORQUE`, `CELL`. Cell noise depends on seed and time alone, so
+    who asks and how often changes nothing.
+    """
+
+    def __init__(self, plant: Measured, motor: Motor, noise: CellNoise, seed: int) -> None:
+        self.plant = plant
+        self.force = np.zeros(CELLS)
+        """N, of the same instant"""
+        self._seed = seed
+        self._sigma = noise.sigma
+        self._begin_ns = plant.now_ns
+        self._words = np.zeros(2 * CABLES + CELLS, np.int64)
+        self.words: list[int] = self._words.tolist()
+        self._at_ns = plant.now_ns - 1
+        self._noise = np.zeros((_BLOCK, CELLS))
+        self._block = -1
+        self._p = np.zeros(_LENGTH)
+        self._p[_PER_RADIAN] = motor.increments_per_revolution / (2.0 * pi)
+        self._p[_RANGE] = noise.range
+        self._p[_DIGITS : _DIGITS + CELLS] = 1.0
+        offsets = generator(seed, Stream.CELLS).standard_normal(CELLS)
+        self._p[_OFFSET : _OFFSET + CELLS] = noise.offset_sigma * offsets
+        self._offsets = self._p[_OFFSET : _OFFSET + CELLS].copy()
+
+    def at(self, now_ns: int) -> list[int]:
+        """Bring the plant to this time and sample."""
+        if now_ns != self._at_ns:
+            plant = self.plant
+            plant.advance(now_ns)
+            conversion = (now_ns - self._begin_ns) // _INTERVAL_NS
+            if conversion // _BLOCK != self._block:
+                self._draw(conversion // _BLOCK)
+            _sample(
+                plant.motor_angle,
+                plant.current,
+                plant.cell_force,
+                self._p,
+                self._noise,
+                conversion % _BLOCK,
+                self._words,
+                self.force,
+            )
+            self.words = self._words.tolist()
+            self._at_ns = now_ns
+        return self.words
+
+    def _draw(self, block: int) -> None:
+        sequence = np.random.SeedSequence(self._seed, spawn_key=(int(Stream.CELLS), 1 + block))
+        random = np.random.Generator(np.random.PCG64(sequence))
+        self._noise = self._sigma * random.standard_normal((_BLOCK, CELLS))
+        self._block = block
+
+    def _changed(self) -> None:
+        self._at_ns = self._begin_ns - 1
+
+    def set_nominal_current(self, axis: int, ampere: float) -> None:
+        """Base of an axis' torque actual value; with 0 it reads 0."""
+        self._p[_PER_AMPERE + axis] = 1000.0 / ampere if ampere > 0.0 else 0.0
+        self._changed()
+
+    def set_decimal_digits(self, cell: int, digits: int) -> None:
+        self._p[_DIGITS + cell] = 10.0**digits
+        self._changed()
+
+    def zero_position(self, axis: int) -> None:
+        """Count increments from here on: an encoder counter at switch-on."""
+        place = float(self.plant.motor_angle[axis]) * self._p[_PER_RADIAN]
+        self._p[_ZERO + axis] = np.floor(place)
+        self._changed()
+
+    def break_cell(self, cell: int, *, broken: bool = True) -> None:
+        """An open bridge drives the amplifier to the end of its range."""
+        self._p[_OFFSET + cell] = np.inf if broken else self._offsets[cell]
+        self._changed()

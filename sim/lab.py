@@ -1,0 +1,301 @@
+"""The lab: plant, devices, buses, tracker and script, brought forward together in time.
+
+Nothing here runs by itself. Whoever touches the lab first calls `Lab.advance` with the present
+time; then everything that was to happen by then happens, in the order of time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from heapq import heappop, heappush
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.schema.bus import CELLS, CanopenBus
+from config.schema.lab import Fault, LabScript
+from config.schema.robot import CABLES
+from config.schema.root import Config
+from sim.can import registry
+from sim.can.bus import NEVER, Channel
+from sim.can.node import Node
+from sim.devices.epos4 import Epos4
+from sim.devices.epos4_errors import ERRORS
+from sim.devices.force_cell import ForceCell
+from sim.devices.samples import Samples
+from sim.devices.timers import Callback
+from sim.devices.tracker import Tracker
+from sim.direct import DirectPort
+from sim.errors import LabError
+from sim.plant import Plant
+from sim.truth import TRUTH, fill
+
+TRUTH_PERIOD_NS = 1_000_000
+_SECOND_NS = 1_000_000_000
+_FIRST_CELL = 17
+"""Node id of cell 0 where no bus names one."""
+Clock = Callable[[], int]
+TruthSink = Callable[[NDArray[Any], int], None]
+
+
+class TrackerFeed:
+    """The tracker as a source of datagrams that have arrived."""
+
+    def __init__(self, lab: Lab, tracker: Tracker) -> None:
+        self._lab = lab
+        self._tracker = tracker
+
+    @property
+    def blocked(self) -> bool:
+        """The platform is hidden from the tracker."""
+        return self._tracker.blocked
+
+    @blocked.setter
+    def blocked(self, blocked: bool) -> None:
+        self._tracker.blocked = blocked
+
+    def poll(self, now_ns: int) -> list[bytes]:
+        self._lab.advance(now_ns)
+        return self._tracker.poll(now_ns)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class Lab:
+    """One robot in software, on the buses that ``config`` names.
+
+    ``clock`` gives ns; lab time is its time. ``truth`` is called with the truth record (a
+    preallocated array of one, to be copied) and its time, once per millisecond from ``start_ns``.
+    The script's load and faults begin when all drives are first enabled. ``seed`` replaces the
+    configuration's. Raises `LabError` without a lab section or with a script that does not fit.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        script: LabScript,
+        *,
+        seed: int,
+        clock: Clock,
+        truth: TruthSink | None = None,
+        start_ns: int = 0,
+    ) -> None:
+        if config.lab is None:
+            raise LabError(f"configuration {config.name} has no lab section")
+        lab = config.lab
+        self.clock = clock
+        self.now_ns = start_ns
+        """time up to which everything has happened"""
+        self.start_ns = start_ns
+        self.plant = Plant(
+            config.robot,
+            lab,
+            seed=seed,
+            phantom=script.phantom or lab.phantom,
+            load=script.load,
+            start_ns=start_ns,
+        )
+        self.samples = Samples(self.plant, config.robot.motor, lab.noise.force_cell, seed)
+        self.channels: dict[str, Channel] = {}
+        self.nodes: dict[tuple[str, int], Node] = {}
+        self.drives: list[Epos4] = []
+        self.cells: list[ForceCell] = []
+        self._timers: list[tuple[int, int, Callback]] = []
+        self._timer_count = 0
+        self._truth = truth
+        self._record = np.zeros(1, TRUTH)
+        self._grid_ns = start_ns
+        self._script = script
+        self._started = False
+        self._tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
+        self.tracker = TrackerFeed(self, self._tracker)
+        self._build(config)
+        for fault in script.faults:
+            self._check(fault)
+        self.direct = DirectPort(self, config.fieldbus.force_cell)
+        self._order = list(self.channels.values())
+        for node in self.nodes.values():
+            node.boot()
+
+    def _build(self, config: Config) -> None:
+        bus, lab = config.fieldbus, config.lab
+        assert lab is not None
+        drive_ids = list(range(1, CABLES + 1))
+        cell_ids = list(range(_FIRST_CELL, _FIRST_CELL + CELLS))
+        self._bitrate = 0
+        if isinstance(bus, CanopenBus):
+            self._bitrate = bus.bitrate
+            for channel in bus.channels:
+                for drive in channel.drives:
+                    drive_ids[drive.axis] = drive.node_id
+                for cell in channel.force_cells:
+                    cell_ids[cell.cell] = cell.node_id
+        for axis, node_id in enumerate(drive_ids):
+            self.drives.append(Epos4(axis, node_id, self.samples, self))
+        for number, node_id in enumerate(cell_ids):
+            noise = lab.noise.force_cell
+            self.cells.append(ForceCell(number, node_id, self.samples, noise, self))
+        if not isinstance(bus, CanopenBus):
+            for device in self.drives:
+                device.set_operational(True)
+            return
+        response_ns = round(lab.bus.drive_response_us * 1e3)
+        for spec in bus.channels:
+            built = Channel(spec.name, bus.bitrate, lab.bus.queue_depth, response_ns)
+            self.channels[spec.name] = built
+            for drive in spec.drives:
+                device = self.drives[drive.axis]
+                node = Node(device, drive.node_id, built, self)
+                self.nodes[spec.name, drive.node_id] = node
+            for cell in spec.force_cells:
+                sensor = self.cells[cell.cell]
+                node = Node(sensor, cell.node_id, built, self)
+                self.nodes[spec.name, cell.node_id] = node
+
+    def _check(self, fault: Fault) -> Node:
+        """The node a fault is about, if it can have it. Raises `LabError`."""
+        node = self._node(fault.channel, fault.node)
+        if fault.kind == "drive_error":
+            if not isinstance(node.device, Epos4):
+                raise LabError(f"fault {fault.kind}: node {fault.node} is not a drive")
+            if fault.code not in ERRORS:
+                raise LabError(f"fault {fault.kind}: a drive has no error 0x{fault.code:04X}")
+        if fault.kind == "cell_break" and not isinstance(node.device, ForceCell):
+            raise LabError(f"fault {fault.kind}: node {fault.node} is not a force cell")
+        return node
+
+    def _node(self, channel: str, node: int) -> Node:
+        found = self.nodes.get((channel, node))
+        if found is None:
+            raise LabError(f"there is no node {node} on channel {channel!r}")
+        return found
+
+    # -- doors -----------------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Let buses of this process find the channels by name. Raises `LabError`."""
+        for name, channel in self.channels.items():
+            registry.enter(name, registry.Door(self, channel, self._bitrate))
+
+    def close(self) -> None:
+        for name, channel in self.channels.items():
+            door = registry.find(name)
+            if door is not None and door.channel is channel:
+                registry.leave(name)
+
+    def unplug(self, channel: str, node: int) -> None:
+        """Pull a node off its bus. Raises `LabError`."""
+        self._node(channel, node).unplug()
+
+    def replug(self, channel: str, node: int) -> None:
+        self._node(channel, node).replug()
+
+    def load(self, channel: str) -> float:
+        """Share of the time since the start in which a channel was busy, spaces included."""
+        passed = self.now_ns - self.start_ns
+        return self.channels[channel].busy_ns / passed if passed else 0.0
+
+    # -- time ------------------------------------------------------------------------------------
+
+    def call_at(self, at_ns: int, callback: Callback) -> None:
+        """Call in the order of time, equal times in the order of these calls."""
+        self._timer_count += 1
+        heappush(self._timers, (at_ns, self._timer_count, callback))
+
+    def next_event_ns(self) -> int:
+        """When next something happens that someone outside could notice; never later than that.
+
+        The truth record's millisecond does not count: it can be made up for.
+        """
+        due = min(channel.next_ns() for channel in self._order) if self._order else NEVER
+        if self._timers:
+            due = min(due, self._timers[0][0])
+        arrival = self._tracker.next_arrival_ns
+        return min(due, self._tracker.next_ns if arrival is None else arrival)
+
+    def _due(self) -> int:
+        """The next event that is not a channel's own."""
+        due = self._grid_ns
+        if self._tracker.next_ns < due:
+            due = self._tracker.next_ns
+        if self._timers and self._timers[0][0] < due:
+            due = self._timers[0][0]
+        return due
+
+    def advance(self, to_ns: int) -> None:
+        """Let everything happen that is due by ``to_ns``."""
+        if to_ns <= self.now_ns:
+            return
+        channels = self._order
+        while True:
+            due = self._due()
+            limit = min(due, to_ns)
+            for channel in channels:
+                channel.run(limit)
+            while True:
+                when = NEVER
+                first = None
+                for channel in channels:
+                    if channel.wide_ns < when:
+                        when = channel.wide_ns
+                        first = channel
+                if first is None or when > limit:
+                    break
+                self.now_ns = when
+                first.deliver()
+                # The frame may have set a timer before the limit.
+                if self._timers and self._timers[0][0] < limit:
+                    limit = self._timers[0][0]
+                first.run(limit)
+            due = self._due()
+            if due > to_ns:
+                break
+            self.now_ns = due
+            self._happen(due)
+        self.now_ns = to_ns
+
+    def _happen(self, now_ns: int) -> None:
+        """Timers, exposure and truth of one instant."""
+        timers = self._timers
+        while timers and timers[0][0] <= now_ns:
+            heappop(timers)[2](now_ns)
+        if self._tracker.next_ns == now_ns:
+            self.plant.advance(now_ns)
+            self._tracker.expose(now_ns)
+        if self._grid_ns == now_ns:
+            self._grid_ns = now_ns + TRUTH_PERIOD_NS
+            self.plant.advance(now_ns)
+            if not self._started:
+                self._start_script(now_ns)
+            if self._truth is not None:
+                fill(self._record, self.plant)
+                self._truth(self._record, now_ns)
+
+    # -- script ----------------------------------------------------------------------------------
+
+    def _start_script(self, now_ns: int) -> None:
+        for drive in self.drives:
+            if not drive.enabled:
+                return
+        self._started = True
+        self.plant.start_schedule(now_ns)
+        for fault in self._script.faults:
+            at_ns = now_ns + round(fault.at * _SECOND_NS)
+            self.call_at(at_ns, self._injection(fault))
+
+    def _injection(self, fault: Fault) -> Callback:
+        return lambda _: self.inject(fault)
+
+    def inject(self, fault: Fault) -> None:
+        """Make one fault happen now. Raises `LabError`."""
+        node = self._check(fault)
+        if fault.kind == "unplug":
+            node.unplug()
+        elif fault.kind == "replug":
+            node.replug()
+        elif fault.kind == "drive_error":
+            node.device.fail(fault.code)
+        elif isinstance(node.device, ForceCell):
+            node.device.break_sensor()

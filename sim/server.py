@@ -1,0 +1,216 @@
+"""A lab in real time: its channels as Unix sockets, its tracker as UDP datagrams.
+
+The lab itself is lazy. The server brings it forward when a client sends, and when something is due
+that a client would notice; frames that end within ``lab.bus.coalesce_us`` go out in one packet.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from config.schema.root import Config
+from sim.can.bus import Channel, Frame, Port
+from sim.can.packet import FRAMES_PER_PACKET, PACKET_BYTES, decode, encode, socket_path, sound
+from sim.errors import LabError
+from sim.lab import Lab
+from sim.timer import WakeUp
+
+_IDLE_NS = 5_000_000
+"""The longest the lab is left behind the present: the truth of a quiet lab keeps coming, and the
+work that has gathered stays small."""
+_BACKLOG = 16
+
+
+class _Client:
+    def __init__(self, connection: socket.socket, channel: Channel) -> None:
+        self.connection = connection
+        self.channel = channel
+        self.port: Port = channel.attach(listens=True)
+
+
+class _Server:
+    def __init__(self, lab: Lab, config: Config, directory: Path) -> None:
+        if config.lab is None:
+            raise LabError(f"configuration {config.name} has no lab section")
+        self._lab = lab
+        self._clock = lab.clock
+        self._coalesce_ns = config.lab.bus.coalesce_us * 1000
+        self._target = (config.tracker.address, config.tracker.port)
+        self._loop = asyncio.get_running_loop()
+        self._failed: asyncio.Future[None] = self._loop.create_future()
+        self._listeners: list[tuple[socket.socket, Path]] = []
+        self._clients: list[_Client] = []
+        self._stalled: list[_Client] = []
+        self._tracker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._tracker.setblocking(False)
+        self._wake = WakeUp(self._loop, self._work)
+        self._directory = directory
+        self.lost_batches = 0
+        """batches that a client did not take in time"""
+        self.unsound_frames = 0
+        """frames no classic controller could have sent, thrown away"""
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        self._loop.set_exception_handler(self._fail)
+        self._open()
+        self._work()
+        ready()
+        await self._failed
+
+    def _open(self) -> None:
+        try:
+            self._directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise LabError(f"{self._directory} cannot be made: {error.strerror}") from error
+        for name, channel in self._lab.channels.items():
+            path = socket_path(self._directory, name)
+            _remove_stale(path)
+            listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            listener.setblocking(False)
+            try:
+                listener.bind(str(path))
+            except OSError as error:
+                listener.close()
+                raise LabError(f"{path} cannot be opened: {error}") from error
+            self._listeners.append((listener, path))
+            listener.listen(_BACKLOG)
+            self._loop.add_reader(listener, self._accept, listener, channel)
+
+    def close(self) -> None:
+        self._loop.set_exception_handler(None)
+        self._wake.close()
+        for listener, path in self._listeners:
+            self._loop.remove_reader(listener)
+            listener.close()
+            path.unlink(missing_ok=True)
+        for client in tuple(self._clients):
+            self._leave(client)
+        self._tracker.close()
+
+    def _accept(self, listener: socket.socket, channel: Channel) -> None:
+        try:
+            connection, _ = listener.accept()
+        except BlockingIOError:
+            return
+        connection.setblocking(False)
+        self._lab.advance(self._clock())
+        client = _Client(connection, channel)
+        self._clients.append(client)
+        self._loop.add_reader(connection, self._receive, client)
+
+    def _leave(self, client: _Client) -> None:
+        self._loop.remove_reader(client.connection)
+        client.connection.close()
+        client.channel.detach(client.port)
+        self._clients.remove(client)
+        if client in self._stalled:
+            self._stalled.remove(client)
+
+    def _receive(self, client: _Client) -> None:
+        """Take what a client has sent, as far as its queue has room."""
+        lab, port = self._lab, client.port
+        try:
+            lab.advance(self._clock())
+            while port.room > 0:
+                packet = client.connection.recv(PACKET_BYTES)
+                if not packet:
+                    self._leave(client)
+                    break
+                for _, identifier, dlc, data in decode(packet):
+                    if sound(identifier, dlc):
+                        client.channel.send(port, Frame(identifier, data, dlc), lab.now_ns)
+                    else:
+                        self.unsound_frames += 1
+            else:
+                # The rest waits in the client's socket, where its own next send will find it full.
+                self._loop.remove_reader(client.connection)
+                self._stalled.append(client)
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._leave(client)
+        self._arm()
+
+    def _fail(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """An error in a callback ends the serving; the loop would only log it."""
+        error = context.get("exception")
+        if isinstance(error, Exception) and not self._failed.done():
+            self._failed.set_exception(error)
+        else:
+            loop.default_exception_handler(context)
+
+    def _work(self) -> None:
+        """Bring the lab to the present and hand out what came of it."""
+        lab = self._lab
+        now_ns = self._clock()
+        lab.advance(now_ns)
+        for client in tuple(self._clients):
+            if client.port.received:
+                self._send(client)
+        for datagram in lab.tracker.poll(now_ns):
+            try:
+                self._tracker.sendto(datagram, self._target)
+            except OSError:
+                # Nobody listens, or the way is full: a datagram may get lost.
+                continue
+        stalled, self._stalled = self._stalled, []
+        for client in stalled:
+            if client.port.room > 0:
+                self._loop.add_reader(client.connection, self._receive, client)
+            else:
+                self._stalled.append(client)
+        self._arm()
+
+    def _send(self, client: _Client) -> None:
+        received = client.port.received
+        assert received is not None
+        while received:
+            batch = [received.popleft() for _ in range(min(len(received), FRAMES_PER_PACKET))]
+            try:
+                client.connection.send(encode(batch))
+            except BlockingIOError:
+                self.lost_batches += 1  # as a controller's receive buffer that nobody empties
+            except OSError:
+                self._leave(client)
+                return
+
+    def _arm(self) -> None:
+        lab = self._lab
+        due_ns = min(lab.next_event_ns() + self._coalesce_ns, lab.now_ns + _IDLE_NS)
+        wake = self._wake
+        # What is due first is kept: later frames are taken along with it.
+        if not wake.due_ns or due_ns < wake.due_ns:
+            wake.at(due_ns)
+
+
+def _remove_stale(path: Path) -> None:
+    """Take away the socket of a lab that is gone. Raises `LabError` if it still answers."""
+    if not path.exists():
+        return
+    if not path.is_socket():
+        raise LabError(f"{path} is in the way and not a socket; remove it")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink()
+            return
+        except OSError as error:
+            raise LabError(f"{path} cannot be used: {error.strerror}") from error
+    raise LabError(f"a lab already runs at {path}; stop it, or choose another TONUS_RUNTIME_DIR")
+
+
+async def serve(lab: Lab, config: Config, runtime_dir: Path, ready: Callable[[], None]) -> None:
+    """Serve until cancelled; ``ready`` is called when clients can connect.
+
+    The lab's clock has to be CLOCK_MONOTONIC in ns, as the running loop's is. Raises `LabError`.
+    """
+    server = _Server(lab, config, runtime_dir)
+    try:
+        await server.run(ready)
+    finally:
+        server.close()
