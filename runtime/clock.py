@@ -115,10 +115,5 @@ def wall_seconds() -> float:
     return time.monotonic()
 
 
-def pause(seconds: float) -> None:
-    """Block this thread: for helper processes that poll, never for the tick's."""
-    time.sleep(seconds)
-
-
 def _zero() -> int:
     return 0

@@ -88,9 +88,13 @@ def rotation_between(start: Array, end: Array) -> Array:
 def correction(lengths: Array, matrix: Array, measured: Array) -> Array:
     """One Gauss-Newton step (6,) from a pose with these lengths and structure matrix towards the
     pose whose lengths are ``measured``: least squares over the eight cables."""
-    residual = lengths - measured
-    step = np.empty(6)
-    step[:] = np.linalg.solve(matrix @ matrix.T, matrix @ residual)
+    step = np.full(6, np.nan)
+    normal = matrix @ matrix.T
+    right = matrix @ (lengths - measured)
+    if np.isfinite(normal).all() and np.isfinite(right).all():
+        # Regular at every pose; the ridge, far below the last bit, only keeps a lost estimate from
+        # raising out of the tick.
+        step[:] = np.linalg.solve(normal + 1e-12 * np.eye(6), right)
     return step
 
 

@@ -69,13 +69,13 @@ class ControlCycle:
         self._robot, self._control, self._period = robot, control, period
         self.record = CycleRecord()
         self._kinematics = Kinematics(robot.geometry)
-        self._sensing = Sensing(control)
+        self._sensing = Sensing(robot, control)
         self._envelope = Envelope(
             control.envelope, control.tension, control.stiffness, robot, period
         )
         self._referencing = Referencing(robot, control.sequence, Kinematics(robot.geometry))
         self.sequence = Sequence(control, self._sensing, self._referencing, self._envelope)
-        self._guide = Guide(robot, control.sequence, reference, period)
+        self._guide = Guide(robot, control.sequence, control.envelope, reference, period)
         self._estimator = PoseEstimator(robot, control.estimator, tracker, self._kinematics, period)
         self._controller = CONTROLLERS[control.controller](robot, control)
         self._limiter = Limiter(control.stiffness, period)
@@ -131,6 +131,8 @@ class ControlCycle:
             wrench = self._kinematics.matrix @ tension
             self._estimator.start(reference.position, reference.quaternion, wrench, reference.poses)
             self._guide.start(reference.position)
+        elif state is State.SAFE_STOP:
+            self.sequence.plan_stop(self._guide.plan_stop())
 
     def _estimate(self, image: ProcessImage) -> Estimate:
         sensing, tracker = self._sensing, image.tracker

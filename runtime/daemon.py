@@ -21,6 +21,7 @@ from runtime.clock import Stopwatch, now_ns
 from runtime.cycle import ControlCycle
 from runtime.operator import Commander
 from runtime.scheduler import Misses, Pacing, Scheduler
+from runtime.sequence import MOVING
 from runtime.signals import Grade
 from runtime.states import ARMED, Fault, Operator, State
 from runtime.taps import Level
@@ -83,15 +84,22 @@ class Daemon:
         self._state = State.OFF
         self._grade = Grade.GREEN
         self._fault = Fault.NONE
+        self._short = False
         self._tracker_tick, self._tracker_silent = 0, False
         patience = config.tracker.maximum_age_ms * 1e-3 / config.control.rates.period
         self._tracker_patience = int(patience)
         self._text = ""
 
     async def run(
-        self, pacing: Callable[[], Pacing], progress: Progress, ready: Callable[[], None]
+        self,
+        pacing: Callable[[], Pacing],
+        progress: Progress,
+        ready: Callable[[], None],
+        *,
+        start_ns: int = 0,
     ) -> Outcome:
-        """Bring up, tick, bring down. ``ready`` is called between bring-up and the first tick.
+        """Bring up, tick, bring down. ``ready`` is called between bring-up and the first tick,
+        which comes no earlier than ``start_ns`` on the loop's clock.
 
         Raises a `DriverError` when the bus cannot be brought up; a fault in operation is an
         outcome, not an exception.
@@ -99,7 +107,7 @@ class Daemon:
         try:
             await self._fieldbus.start(progress)
             ready()
-            scheduler = self._schedule(pacing())
+            scheduler = self._schedule(pacing(), start_ns)
             try:
                 ticks = await self._tick_until_done(scheduler)
             finally:
@@ -115,11 +123,11 @@ class Daemon:
             scheduler.misses,
         )
 
-    def _schedule(self, pacing: Pacing) -> Scheduler:
+    def _schedule(self, pacing: Pacing, start_ns: int) -> Scheduler:
         """The first tick is due on a whole period, at least one from now."""
         period_ns = self._config.control.rates.period_ns
-        start_ns = (now_ns() // period_ns + 2) * period_ns
-        return Scheduler(period_ns, start_ns, pacing, self._stopwatch)
+        first_ns = (now_ns() // period_ns + 2) * period_ns
+        return Scheduler(period_ns, max(first_ns, start_ns), pacing, self._stopwatch)
 
     async def _tick_until_done(self, scheduler: Scheduler) -> int:
         ticks = 0
@@ -167,20 +175,32 @@ class Daemon:
             level = Level.INFO if grade is Grade.GREEN else Level.WARNING
             self._emit(tick, level, "envelope", "", f"grade {grade.name.lower()}")
         self._watch_tracker(tick)
+        self._watch_deficit(tick)
         for source in (self._fieldbus, self._tracker):
             for event in source.take_events():
                 self._emit(tick, Level.WARNING, event.name, event.where, event.text)
 
     def _watch_tracker(self, tick: int) -> None:
         """Without poses the estimator runs on the cables alone: a degraded mode, and said so."""
-        if self.cycle.record.tracker.fresh:
+        tracker = self.cycle.record.tracker
+        believed = tracker.accepted if self._state in MOVING else tracker.fresh
+        if believed:
             if self._tracker_silent:
-                self._emit(tick, Level.INFO, "tracker_back", "tracker", "poses arrive again")
+                self._emit(tick, Level.INFO, "tracker_back", "tracker", "poses are believed again")
             self._tracker_tick, self._tracker_silent = tick, False
         elif tick - self._tracker_tick > self._tracker_patience and not self._tracker_silent:
             self._tracker_silent = True
-            text = "no pose any more; the estimate rests on the cables alone"
+            text = "no pose that can be believed; the estimate rests on the cables alone"
             self._emit(tick, Level.WARNING, "tracker_lost", "tracker", text)
+
+    def _watch_deficit(self, tick: int) -> None:
+        """A wrench the cables cannot deliver inside their bounds: said once an episode."""
+        deficit = float(self.cycle.record.wrench.deficit)
+        short = deficit > self._config.control.distribution.deficit_limit
+        if short and not self._short:
+            text = f"{deficit:.1f} N of the commanded wrench cannot be delivered"
+            self._emit(tick, Level.WARNING, "wrench_deficit", "", text)
+        self._short = short
 
     def _report_fault(self, tick: int) -> None:
         sequence = self.cycle.sequence

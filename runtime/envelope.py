@@ -100,11 +100,12 @@ class Envelope:
         mask ``bearing`` (8,) of cables that ought to carry tension."""
         s, t = self._settings, self._tension
         horizon = s.horizon
-        swell = (contact - self._last_contact) / self._period
-        self._last_contact = contact
         if self._first:
             self._first = False
             self._last_tension[:] = tension
+            self._last_contact = contact
+        swell = (contact - self._last_contact) / self._period
+        self._last_contact = contact
         to_high, to_low = _tension_margins(
             tension,
             self._last_tension,

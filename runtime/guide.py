@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.control import Sequence
+from config.schema.control import Envelope, Sequence
 from config.schema.robot import Robot
 from config.schema.scenario import Reference
 from runtime.reference import Move, Sample, trajectory
@@ -19,51 +19,71 @@ class Guide:
     """Desired position, velocity and acceleration of each tick."""
 
     def __init__(
-        self, robot: Robot, sequence: Sequence, reference: Reference, period: float
+        self,
+        robot: Robot,
+        sequence: Sequence,
+        envelope: Envelope,
+        reference: Reference,
+        period: float,
     ) -> None:
         self._sequence, self._period = sequence, period
         self._slew = sequence.reference_slew * period
+        self._cruise = envelope.speed_limit * envelope.speed_warning
         self._trajectory = trajectory(reference)
         self._home, self._rest = np.array(robot.home), np.array(robot.rest)
-        self._still = np.zeros(3)
         self.start(self._rest)
 
     def start(self, position: Array) -> None:
         """From a referenced pose, ready to lift."""
         self._move = Move(position, self._home, self._sequence.lift_s)
-        self._on_scenario = False
-        self._lowering = False
+        self._move_time = 0.0
+        self._on_scenario = self._lowering = False
         self._rate = 0.0
         self.time = 0.0
         """s of scenario time"""
-        self.desired: Sample = (position, self._still, self._still)
+        self.desired: Sample = (position, np.zeros(3), np.zeros(3))
+
+    def plan_stop(self) -> float:
+        """How long lowering to the cradle will take (s): from far away long enough for the
+        minimum-jerk peak, 15/8 of the mean speed, to stay under the speed where amber begins."""
+        slowing = self._cruise * self._sequence.stop_s
+        distance = float(np.linalg.norm(self.desired[0] - self._rest)) + slowing
+        self._lower_s = max(self._sequence.lower_s, 1.875 * distance / self._cruise)
+        return self._lower_s
 
     def __call__(self, state: State, elapsed: float, progress: float) -> Sample:
         """``elapsed``: s in this state. ``progress``: rate the envelope allows, 0 to 1."""
-        sequence = self._sequence
         if state is State.PRETENSION:
-            self.desired = self._move(elapsed - sequence.pretension_s)
-        elif state is State.SAFE_STOP and elapsed >= sequence.stop_s:
-            if not self._lowering:
-                self._lowering = True
-                self._move = Move(self.desired[0], self._rest, sequence.lower_s)
-            self.desired = self._move(elapsed - sequence.stop_s)
-        elif state in (State.HOLD, State.ACTIVE) or self._on_scenario:
-            self._on_scenario = True
-            self.desired = self._along(progress if state is State.ACTIVE else 0.0)
+            lifting = elapsed >= self._sequence.pretension_s
+            self.desired = self._follow(1.0 if lifting else 0.0)
+        elif state is State.SAFE_STOP:
+            self.desired = self._stop(elapsed)
         else:
-            self.desired = (self.desired[0], self._still, self._still)
+            if not self._on_scenario:
+                self._on_scenario, self._rate = True, 0.0
+            self.desired = self._follow(progress if state is State.ACTIVE else 0.0)
         return self.desired
 
-    def _along(self, wanted: float) -> Sample:
+    def _stop(self, elapsed: float) -> Sample:
+        """To standstill along the way the platform is on, then straight down to the cradle."""
+        since = elapsed - self._sequence.stop_s
+        if since < 0.0:
+            return self._follow(0.0)
+        if not self._lowering:
+            self._lowering = True
+            self._move = Move(self.desired[0], self._rest, self._lower_s)
+        return self._move(since)
+
+    def _follow(self, wanted: float) -> Sample:
+        """The lift or the scenario at a rate that changes no faster than the slew allows."""
         before = self._rate
-        rate = min(max(wanted, before - self._slew), before + self._slew)
-        self._rate = rate
-        self.time += rate * self._period
-        offset, velocity, acceleration = self._trajectory(self.time)
+        rate = self._rate = min(max(wanted, before - self._slew), before + self._slew)
+        if self._on_scenario:
+            self.time += rate * self._period
+            offset, velocity, acceleration = self._trajectory(self.time)
+            position = self._home + offset
+        else:
+            self._move_time += rate * self._period
+            position, velocity, acceleration = self._move(self._move_time)
         bend = (rate - before) / self._period
-        return (
-            self._home + offset,
-            rate * velocity,
-            rate * rate * acceleration + bend * velocity,
-        )
+        return position, rate * velocity, rate * rate * acceleration + bend * velocity

@@ -143,7 +143,7 @@ class Recorder:
             earliest = self._earliest()
         for name, count in self.lost.items():
             if count:
-                self.event(Level.ERROR, "RECORDS_LOST", name, f"{count} records were overwritten")
+                self.event(Level.ERROR, "records_lost", name, f"{count} records were overwritten")
         self._file.chunk(self._noted())
         self._file.metadata("tonus.recorded", {name: str(n) for name, n in self.lost.items()})
         self._file.finish()

@@ -56,14 +56,14 @@ class Referencing:
         self.position = positions.mean(axis=0)
         self.quaternion = rotate(self._first, np.array(self._turns).mean(axis=0))
         spread = float(np.abs(positions - self.position).max())
-        if spread > sequence.referencing_spread:
+        if not spread <= sequence.referencing_spread:
             return f"the tracker's poses spread over {spread * 1e3:.1f} mm"
         distance = float(np.linalg.norm(self.position - np.array(robot.rest)))
-        if distance > sequence.referencing_distance:
+        if not distance <= sequence.referencing_distance:
             return f"the platform lies {distance * 1e3:.0f} mm from its cradle"
         angle, tension = self._angle / self._ticks, self._tension / self._ticks
         error = float(np.abs(tension - wanted_tension).max())
-        if error > sequence.referencing_tension_error:
+        if not error <= sequence.referencing_tension_error:
             return f"a cable's tension is {error:.1f} N away from {wanted_tension:.0f} N"
         self._kinematics.evaluate(self.position, self.quaternion)
         stretch = 1.0 + tension / robot.cable.axial_stiffness

@@ -3,13 +3,15 @@ have fresh measurements behind them."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from config.schema.bus import CELLS, CONTACT_CELL
 from config.schema.control import Control
-from config.schema.robot import CABLES
+from config.schema.robot import CABLES, Robot
 from drivers.process_image import NEVER, ProcessImage
 from runtime.filters import ButterworthBank
 
@@ -22,40 +24,74 @@ def _drum_rates(
     angle: Array,
     age: NDArray[np.uint16],
     tick: int,
-    period: float,
+    limits: tuple[float, float],
     last: Array,
     sampled: NDArray[np.int64],
     rate: Array,
+    implausible: NDArray[np.bool_],
 ) -> None:
-    """Difference of consecutive samples over the time between them; held while there is none."""
+    """Difference of consecutive samples over the time between them; held while there is none. A
+    step that no motor can make in that time is no sample. ``limits``: period, largest rate."""
+    period, fastest = limits
     for i in range(angle.shape[0]):
+        implausible[i] = False
         now = _MISSING if age[i] == NEVER else tick - age[i]
         apart = now - sampled[i]
-        if sampled[i] != _MISSING and apart > 0:
-            rate[i] = (angle[i] - last[i]) / (apart * period)
-        last[i] = angle[i]
-        sampled[i] = now
+        if now == _MISSING or apart <= 0:
+            continue
+        if sampled[i] == _MISSING:
+            implausible[i] = not math.isfinite(angle[i])
+        else:
+            change = (angle[i] - last[i]) / (apart * period)
+            implausible[i] = not abs(change) <= fastest
+            if not implausible[i]:
+                rate[i] = change
+        if not implausible[i]:
+            last[i] = angle[i]
+            sampled[i] = now
 
 
 @njit(cache=True)
-def _younger_than(
-    axis_age: NDArray[np.uint16],
-    cell_age: NDArray[np.uint16],
+def _tared(
+    reported: Array, tare: Array, largest: float, force: Array, implausible: NDArray[np.bool_]
+) -> None:
+    """Forces (9,) without their offsets; one that no cable can bear is no sample."""
+    for i in range(reported.shape[0]):
+        value = reported[i] - tare[i]
+        implausible[i] = not abs(value) <= largest
+        if not implausible[i]:
+            force[i] = value
+
+
+@njit(cache=True)
+def _count_silence(
+    age: NDArray[np.uint16], implausible: NDArray[np.bool_], silent: NDArray[np.int64]
+) -> None:
+    """Ticks in a row that brought nothing new, or nothing to believe."""
+    for i in range(age.shape[0]):
+        silent[i] = silent[i] + 1 if age[i] > 0 or implausible[i] else 0
+
+
+@njit(cache=True)
+def _trust(
+    ages: tuple[NDArray[np.uint16], NDArray[np.uint16]],
+    silences: tuple[NDArray[np.int64], NDArray[np.int64]],
+    implausible: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     limits: tuple[int, int],
     usable: NDArray[np.bool_],
     present: NDArray[np.bool_],
 ) -> None:
     fresh, stale = limits
-    for i in range(axis_age.shape[0]):
-        age = max(axis_age[i], cell_age[i])
-        usable[i] = age <= fresh
-        present[i] = age <= stale
+    for i in range(usable.shape[0]):
+        odd = implausible[0][i] or implausible[1][i]
+        usable[i] = not odd and max(ages[0][i], ages[1][i]) <= fresh
+        present[i] = max(silences[0][i], silences[1][i]) <= stale
 
 
 @njit(cache=True)
-def _first_older(age: NDArray[np.uint16], limit: int) -> int:
-    for i in range(age.shape[0]):
-        if age[i] > limit:
+def _first_beyond(silent: NDArray[np.int64], limit: int) -> int:
+    for i in range(silent.shape[0]):
+        if silent[i] > limit:
             return i
     return -1
 
@@ -63,11 +99,14 @@ def _first_older(age: NDArray[np.uint16], limit: int) -> int:
 class Sensing:
     """One tick of measurements. Arrays keep the last good value while a device is silent."""
 
-    def __init__(self, control: Control) -> None:
+    def __init__(self, robot: Robot, control: Control) -> None:
         rates, freshness = control.rates, control.freshness
         self._period = rates.period
         self._fresh_ticks = freshness.measurement_ticks
         self._stale_ticks = freshness.stale_stop_ticks
+        motor = robot.motor.nominal_speed_rpm * 2.0 * math.pi / 60.0
+        self._fastest = control.filters.plausible_speed * motor / robot.gearbox.ratio
+        self._largest = control.filters.plausible_force
         self.filter = ButterworthBank(CELLS, control.filters.force_cutoff_hz, 1.0 / rates.period)
         self.tare = np.zeros(CELLS)
         self.force = np.zeros(CELLS)
@@ -80,6 +119,10 @@ class Sensing:
         self.present = np.zeros(CABLES, dtype=bool)
         """neither is lost: it keeps its place in the distribution through a short silence"""
         self._sampled = np.full(CABLES, _MISSING, dtype=np.int64)
+        self.implausible_axes = np.zeros(CABLES, dtype=bool)
+        self.implausible_cells = np.zeros(CELLS, dtype=bool)
+        self._silent_axes = np.zeros(CABLES, dtype=np.int64)
+        self._silent_cells = np.zeros(CELLS, dtype=np.int64)
         self._sum = np.zeros(CELLS)
         self._samples = 0
 
@@ -99,31 +142,37 @@ class Sensing:
             axes["angle"],
             axes["age"],
             tick,
-            self._period,
+            (self._period, self._fastest),
             self.angle,
             self._sampled,
             self.rate,
+            self.implausible_axes,
         )
-        np.subtract(cells["force"], self.tare, out=self.force)
+        _tared(cells["force"], self.tare, self._largest, self.force, self.implausible_cells)
         self.filter.step(self.force)
-        _younger_than(
-            axes["age"],
-            cells["age"],
+        _count_silence(axes["age"], self.implausible_axes, self._silent_axes)
+        _count_silence(cells["age"], self.implausible_cells, self._silent_cells)
+        _trust(
+            (axes["age"], cells["age"]),
+            (self._silent_axes, self._silent_cells),
+            (self.implausible_axes, self.implausible_cells),
             (self._fresh_ticks, self._stale_ticks),
             self.usable,
             self.present,
         )
 
-    def lost_axis(self, image: ProcessImage) -> int:
-        """An axis that has been silent for too long, or -1."""
-        return int(_first_older(image.axes["age"], self._stale_ticks))
+    def lost_axis(self) -> int:
+        """An axis that left too many ticks in a row without an answer, or -1. Ticks the host let
+        pass do not count: nobody was asked."""
+        return int(_first_beyond(self._silent_axes, self._stale_ticks))
 
-    def lost_cell(self, image: ProcessImage) -> int:
-        return int(_first_older(image.cells["age"], self._stale_ticks))
+    def lost_cell(self) -> int:
+        """The same for the cells."""
+        return int(_first_beyond(self._silent_cells, self._stale_ticks))
 
     def collect_tare(self, image: ProcessImage) -> None:
         """Add this tick's readings of the unloaded cells to their mean."""
-        if image.cells["age"].max() > self._fresh_ticks:
+        if image.cells["age"].max() > self._fresh_ticks or self.implausible_cells.any():
             return
         self._sum += image.cells["force"]
         self._samples += 1

@@ -17,6 +17,14 @@ from runtime.sensing import Sensing
 from runtime.states import TRANSITIONS, Event, Fault, Operator, State
 
 _FAULTS = (int(AxisState.FAULT), int(AxisState.FAULT_REACTION_ACTIVE))
+_CABLE_GONE = (
+    Fault.DRIVE_LOST,
+    Fault.DRIVE_FAULT,
+    Fault.CELL_LOST,
+    Fault.CELL_BAD,
+    Fault.IMPLAUSIBLE_DRIVE,
+    Fault.IMPLAUSIBLE_CELL,
+)
 MOVING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 
 
@@ -77,8 +85,10 @@ class Sequence:
         self.enabled = False
         """every drive has been in Operation Enabled since arming"""
         self.referenced = False
-        self.stop_ends = 2.0 * self._settings.stop_s + self._settings.lower_s
-        """s from the start of a stop until the drives are disabled"""
+        self._lower_s = self._settings.lower_s
+        self._tightness = 0.0
+        self._straightness = 0.0
+        """how far tensions had grown when a stop came, 0 to 1, on the way to each level"""
 
     def step(
         self, image: ProcessImage, tick: int, operator: Operator, *, finite: bool = True
@@ -107,6 +117,15 @@ class Sequence:
             self.enabled = False
         return True
 
+    def plan_stop(self, lower_s: float) -> None:
+        """How long the way down to the cradle takes."""
+        self._lower_s = lower_s
+
+    @property
+    def stop_ends(self) -> float:
+        """s from the start of a stop until the drives are disabled."""
+        return 2.0 * self._settings.stop_s + self._lower_s
+
     @property
     def axis_command(self) -> AxisCommand:
         if self.state is State.SAFE_STOP:
@@ -130,9 +149,10 @@ class Sequence:
             return -1.0
         if self.state is State.REFERENCING:
             rise = 0.5 * self._settings.referencing_settle_s
-            return min(1.0, (self.elapsed - self._ready_at) / rise)
+            self._straightness = min(1.0, (self.elapsed - self._ready_at) / rise)
+            return self._straightness
         if self.state is State.SAFE_STOP:
-            return max(0.0, 1.0 - self.elapsed / self._settings.stop_s)
+            return self._straightness * max(0.0, 1.0 - self.elapsed / self._settings.stop_s)
         return -1.0
 
     @property
@@ -143,10 +163,17 @@ class Sequence:
         if self.state is State.PRETENSION:
             share = min(1.0, self.elapsed / settings.pretension_s)
         elif self.state is State.SAFE_STOP:
-            share = min(1.0, max(0.0, (self.stop_ends - self.elapsed) / settings.stop_s))
+            left = max(0.0, (self.stop_ends - self.elapsed) / settings.stop_s)
+            share = min(self._tightness, left)
+        if self.state is not State.SAFE_STOP:
+            self._tightness = share
+        # With a cable gone the others balance the weight better when they may hang loose.
+        lowest = tension.slack if self.fault in _CABLE_GONE else tension.min
         return Levels(
-            tension.slack + share * (tension.min - tension.slack),
-            tension.max,
+            tension.slack + share * (lowest - tension.slack),
+            tension.referencing + share * (tension.max - tension.referencing)
+            if self.state is State.SAFE_STOP
+            else tension.max,
             tension.referencing + share * (tension.pre - tension.referencing),
         )
 
@@ -156,7 +183,8 @@ class Sequence:
         law = self._control.stiffness
         if self.state is not State.SAFE_STOP:
             return law.maximum
-        return law.minimum if self.fault is Fault.CONTACT_LIMIT else law.base
+        soft = self.fault is Fault.CONTACT_LIMIT or self.fault in _CABLE_GONE
+        return law.minimum if soft else law.base
 
     @property
     def _give_up(self) -> float:
@@ -166,6 +194,8 @@ class Sequence:
     def _watch(self, image: ProcessImage, operator: Operator) -> Event | None:
         if operator is Operator.ESTOP:
             fault = Fault.NOT_FINITE if self._not_a_number else Fault.EMERGENCY_STOP
+            if self.state is State.FAULT:
+                return None
             return self._raise(fault, -1, Event.ESTOP)
         if self.state is not State.FAULT and self.fault is Fault.NONE:
             event = self._defect(image)
@@ -175,13 +205,15 @@ class Sequence:
 
     def _defect(self, image: ProcessImage) -> Event | None:
         sensing, axes, cells = self._sensing, image.axes, image.cells
-        if self.state is not State.OFF:
-            axis = sensing.lost_axis(image)
+        if self.state is not State.OFF or self.elapsed > self._settings.enable_timeout_s:
+            axis = sensing.lost_axis()
             if axis >= 0:
-                return self._raise(Fault.DRIVE_LOST, axis)
-            cell = sensing.lost_cell(image)
+                odd = sensing.implausible_axes[axis]
+                return self._raise(Fault.IMPLAUSIBLE_DRIVE if odd else Fault.DRIVE_LOST, axis)
+            cell = sensing.lost_cell()
             if cell >= 0:
-                return self._raise(Fault.CELL_LOST, cell)
+                odd = sensing.implausible_cells[cell]
+                return self._raise(Fault.IMPLAUSIBLE_CELL if odd else Fault.CELL_LOST, cell)
         armed = self.enabled and self.axis_command is AxisCommand.ENABLE
         axis = _broken_axis(
             axes["state"],
@@ -211,7 +243,8 @@ class Sequence:
         if self.state is State.REFERENCING:
             return self._reference(image)
         if self.state is State.PRETENSION:
-            done = self.elapsed >= settings.pretension_s + settings.lift_s
+            lifted = settings.lift_s + 1.0 / settings.reference_slew
+            done = self.elapsed >= settings.pretension_s + lifted
             return Event.TENSIONED if done else None
         if self.state is State.SAFE_STOP and self.elapsed >= self._give_up:
             silent = image.axes["age"] > self._control.freshness.stale_stop_ticks

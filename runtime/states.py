@@ -55,6 +55,8 @@ class Fault(IntEnum):
     SLACK_CABLE = 11
     EMERGENCY_STOP = 12
     NOT_FINITE = 13
+    IMPLAUSIBLE_DRIVE = 14
+    IMPLAUSIBLE_CELL = 15
 
 
 ARMED = frozenset({State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP})

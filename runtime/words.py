@@ -21,6 +21,8 @@ _TEXT = {
     Fault.SLACK_CABLE: "the cable went slack",
     Fault.EMERGENCY_STOP: "emergency stop",
     Fault.NOT_FINITE: "a computed value was not a number",
+    Fault.IMPLAUSIBLE_DRIVE: "the encoder reports what no motor can do",
+    Fault.IMPLAUSIBLE_CELL: "the force cell reports what no cable can bear",
 }
 _OF_A_DRIVE = {
     Fault.DRIVE_LOST,
@@ -28,8 +30,9 @@ _OF_A_DRIVE = {
     Fault.ENABLE_TIMEOUT,
     Fault.OVER_TENSION,
     Fault.SLACK_CABLE,
+    Fault.IMPLAUSIBLE_DRIVE,
 }
-_OF_A_CELL = {Fault.CELL_LOST, Fault.CELL_BAD}
+_OF_A_CELL = {Fault.CELL_LOST, Fault.CELL_BAD, Fault.IMPLAUSIBLE_CELL}
 
 
 def reaction(fault: Fault, *, armed: bool) -> str:

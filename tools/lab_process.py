@@ -16,14 +16,13 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.lab import Lab
-from sim.server import serve
-
 from config.places import runtime_dir
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 from runtime import clock
 from runtime.realtime import freeze_collector, prepare
+from sim.lab import Lab
+from sim.server import serve
 from tools.errors import ToolError
 from tools.truth import TruthRing
 

@@ -99,7 +99,7 @@ def run(ring_dir: Path, out: Path, job: dict[str, Any]) -> None:
     if sys.stdin.buffer.read(1) != _QUIT:
         recorder.drain()
         recorder.event(
-            Level.FATAL, "DAEMON_LOST", "daemon", "the daemon ended without a word; recorded so far"
+            Level.FATAL, "daemon_lost", "daemon", "the daemon ended without a word; recorded so far"
         )
     recorder.finish()
     if live is not None:

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from sim.lab import Lab
 
 from config.places import runtime_dir
 from config.schema.bus import DirectBus
@@ -41,6 +40,7 @@ from runtime.scheduler import TimerPacing, VirtualPacing
 from runtime.signals import CYCLE, SCHEMA_VERSION, TOPICS
 from runtime.taps import EventRing, FrameRing
 from runtime.topics import to_json
+from sim.lab import Lab
 from tools.cli.live import Live
 from tools.errors import ToolError
 from tools.lab_process import LabProcess, start_lab
@@ -64,6 +64,8 @@ class Order:
     virtual: bool
     say: Progress
     live: bool = True
+    start_ns: int = 0
+    """on the loop's clock, no tick before; so that runs of unlike bring-up can be compared"""
 
 
 @dataclass
@@ -133,7 +135,9 @@ class _Stage:
             daemon = self._daemon(lab, clock.Stopwatch(running=False))
             draining = _every(DRAIN_S, recorder.drain)
             try:
-                return await daemon.run(VirtualPacing, order.say, self._begin)
+                return await daemon.run(
+                    VirtualPacing, order.say, self._begin, start_ns=order.start_ns
+                )
             finally:
                 draining()
                 if lab is not None:

@@ -13,6 +13,10 @@ from config.schema.robot import Rates, Tension
 class Filters(Section):
     force_cutoff_hz: Positive
     """second-order Butterworth on every force cell (paper, section 3.4)"""
+    plausible_force: Positive
+    """N: a cell that reports more is not believed"""
+    plausible_speed: Positive
+    """times the motor's nominal speed: an encoder that reports more is not believed"""
 
 
 class Estimator(Section):
@@ -71,8 +75,6 @@ class Impedance(Section):
     """N m/rad"""
     rotational_damping: NonNegative
     """N m s/rad"""
-    geometric_feedforward: bool
-    """subtract the tension-induced stiffness so that the rendered stiffness is the law's"""
 
 
 class Pid(Section):

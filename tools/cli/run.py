@@ -7,17 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from config import Config, Scenario, load
 from drivers.fieldbus import Progress
 from runtime.states import Fault, State
 from tools.check import check
 from tools.errors import ToolError
+from tools.log import Log
 from tools.log import open as open_log
 from tools.report.overview import overview
 from tools.run import Order, Result
 from tools.run import run as carry_out
-from tools.summary import Summary, missed_in, summarise
+from tools.summary import Summary, missed_in, summarise, truth_at_cycles
 
 
 @click.command()
@@ -95,6 +97,21 @@ def _summary(order: Order, result: Result) -> Summary:
     return summary
 
 
+def _largest_load(log: Log) -> tuple[float, float] | None:
+    """Largest external force (N) in ACTIVE and the platform's distance from its reference then (m):
+    an impedance yields by force over stiffness, and that is no error."""
+    load, position = truth_at_cycles(log, "load"), truth_at_cycles(log, "position")
+    active = log["/tonus/state"]["state"] == State.ACTIVE
+    if load is None or position is None or not active.any():
+        return None
+    force = np.linalg.norm(load[active, :3], axis=1)
+    if force.max() == 0.0:
+        return None
+    away = position[active] - log["/tonus/pose"]["desired_position"][active]
+    at_most = force >= force.max() * (1.0 - 1e-9)
+    return float(force.max()), float(np.linalg.norm(away[at_most], axis=1).max())
+
+
 def _tell(summary: Summary, result: Result, files: list[Path]) -> None:
     """What a newcomer wants to see, the verdict last."""
 
@@ -108,6 +125,9 @@ def _tell(summary: Summary, result: Result, files: list[Path]) -> None:
     ]
     if summary["tracking_rmse_m"] is not None:
         rows.append(("position error", f"{summary['tracking_rmse_m'] * 1e3:.2f} mm RMS"))
+    load = _largest_load(open_log(result.log))
+    if load is not None:
+        rows.append(("under load", f"{load[1] * 1e3:.1f} mm away at {load[0]:.0f} N"))
     if summary["tension_rmse_n"] is not None:
         rows.append(("tension error", f"{summary['tension_rmse_n']:.2f} N RMS"))
     if summary["k_eq_n_per_m"] is not None:

@@ -1,0 +1,88 @@
+"""What the parts of a control tick cost."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from config import load
+from config.schema.control import Distribution
+from drivers.process_image import AxisState, ProcessImage
+from runtime.cycle import ControlCycle
+from runtime.distribution import TensionDistribution, closed_form
+from runtime.kinematics import Kinematics
+from runtime.states import Operator, State
+from tests.bench.measure import Figure, against, microseconds
+
+Array = NDArray[np.float64]
+
+
+def control() -> list[Figure]:
+    """Geometry, distribution, and the whole step in HOLD."""
+    config, scenario = load("config/can.yaml")
+    kinematics = Kinematics(config.robot.geometry)
+    position, quaternion = np.array([0.05, -0.03, 0.02]), np.array([1.0, 0.0, 0.0, 0.0])
+    figures = [
+        against(
+            "lengths and structure matrix",
+            lambda: kinematics.evaluate(position, quaternion),
+            "the same in numpy",
+            lambda: _geometry_in_numpy(kinematics, position),
+            "why runtime.kinematics is compiled",
+        )
+    ]
+    kinematics.evaluate(position, quaternion)
+    figures.append(_distribution(config.control.distribution, kinematics.matrix))
+    cycle, image = _holding_cycle()
+    counter = iter(range(10**6, 10**9))
+    step = microseconds(lambda: cycle.step(image, next(counter), Operator.NONE))
+    figures.append(Figure("ControlCycle.step in HOLD", step, "us", note="of 1000 us"))
+    del scenario
+    return figures
+
+
+def _geometry_in_numpy(kinematics: Kinematics, position: Array) -> tuple[Array, Array]:
+    arms = kinematics.platform
+    ways = kinematics.frame - position - arms
+    lengths = np.linalg.norm(ways, axis=1)
+    units = ways / lengths[:, None]
+    return lengths, np.concatenate([units.T, np.cross(arms, units).T])
+
+
+def _distribution(settings: Distribution, matrix: Array) -> Figure:
+    distribution = TensionDistribution(settings, 0.1)
+    wrench = np.array([-60.0, 10.0, 23.0, 0.1, 0.2, 0.0])
+    low, high, centre = np.full(8, 20.25), np.full(8, 200.0), np.full(8, 45.0)
+    scale = np.array([1.0] * 3 + [10.0] * 3)
+    root = np.sqrt(settings.wrench_weight)
+    system = np.vstack([np.eye(8), root * matrix * scale[:, None]])
+    target = np.concatenate([centre, root * wrench * scale])
+    unbounded = microseconds(lambda: closed_form(matrix, wrench, centre))
+    return against(
+        "tension distribution (Clarabel)",
+        lambda: distribution(matrix, wrench, centre, low, high),
+        "scipy lsq_linear",
+        lambda: lsq_linear(system, target, (low, high), method="bvls"),
+        f"closed form without bounds: {unbounded:.1f} us",
+    )
+
+
+def _holding_cycle() -> tuple[ControlCycle, ProcessImage]:
+    """A cycle in HOLD, played there by a robot that does as it is told."""
+    config, scenario = load("config/can.yaml", overrides={"control.envelope.enabled": False})
+    cycle = ControlCycle(config.robot, config.control, config.tracker, scenario.reference)
+    image = ProcessImage()
+    image.axes["age"] = image.cells["age"] = 0
+    image.tracker["position"], image.tracker["delay"] = config.robot.rest, 0.01
+    for tick in range(8000):
+        enabled = image.commands["command"] == 1
+        on, off = AxisState.OPERATION_ENABLED, AxisState.SWITCH_ON_DISABLED
+        image.axes["state"] = np.where(enabled, on, off)
+        image.tracker["fresh"] = tick % 8 == 0
+        image.cells["force"][:8] = cycle.record.tension.reference
+        standby = cycle.sequence.state is State.STANDBY
+        cycle.step(image, tick, Operator.ARM if standby else Operator.NONE)
+        if cycle.sequence.state is State.HOLD:
+            break
+    return cycle, image

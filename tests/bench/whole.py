@@ -1,0 +1,27 @@
+"""The whole thing in virtual time: how many times faster than the robot."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from config import load
+from tests.bench.measure import Figure
+from tools.run import Order, run
+
+SECONDS = 10.0
+
+
+def whole() -> list[Figure]:
+    """A load test on CAN with every frame emulated, and without frames."""
+    return [_virtual("config/can.yaml"), _virtual("config/direct.yaml")]
+
+
+def _virtual(path: str) -> Figure:
+    config, scenario = load(path)
+    scenario = scenario.model_copy(update={"duration": SECONDS})
+    with tempfile.TemporaryDirectory() as folder:
+        order = Order(config, scenario, Path(folder), 1, True, lambda _: None, live=False)
+        result = run(order)
+    factor = result.realtime_factor(config.control.rates.period)
+    return Figure(f"virtual time, {path}", factor, "x", "real time", 1.0, "recording included")

@@ -1,0 +1,150 @@
+"""The bus is real: what a listener sees on it, and what happens when a node or the master goes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from config.schema.bus import CanopenBus
+from drivers.canopen.master import CanopenFieldbus
+from drivers.process_image import ProcessImage
+from hil.runs import configured, virtual
+from runtime import clock
+from runtime.states import Fault, State
+from sim.lab import Lab
+from tools.log import Log
+
+DRIVES, CELLS = (1, 2), (17, 18)
+
+
+def _frames(log: Log, channel: str) -> np.ndarray:
+    return log[f"/can/{channel}"]
+
+
+def test_a_plain_listener_sees_the_documented_frames(tmp_path: Path) -> None:
+    """Boot-up, SDO configuration, SYNC, RPDO and TPDO with their COB-IDs, by python-can alone."""
+    config, scenario = configured(duration=0.1)
+    del tmp_path
+
+    async def listen() -> list[can.Message]:
+        lab = Lab(config, scenario.lab, seed=1, clock=clock.now_ns)
+        lab.open()
+        listener = can.Bus(interface="tonus", channel="can0")
+        master = CanopenFieldbus(config, ProcessImage())
+        await master.start(lambda _: None)
+        for tick in range(20):
+            master.collect(tick)
+            master.publish(tick)
+            await _milliseconds(1)
+        await master.stop()
+        await _milliseconds(5)
+        seen = []
+        while (message := listener.recv(timeout=0)) is not None:
+            seen.append(message)
+        listener.shutdown()
+        lab.close()
+        return seen
+
+    seen = clock.run(listen(), virtual=True)
+    identifiers = {message.arbitration_id for message in seen}
+    for node in (*DRIVES, *CELLS):
+        boots = [m for m in seen if m.arbitration_id == 0x700 + node and m.data == b"\x00"]
+        assert boots, f"no boot-up of node {node}"
+        assert {0x600 + node, 0x580 + node, 0x180 + node} <= identifiers
+    for node in DRIVES:
+        assert 0x200 + node in identifiers
+    syncs = [m.timestamp for m in seen if m.arbitration_id == 0x080 and m.dlc == 0]
+    assert len(syncs) >= 20
+    assert np.allclose(np.diff(syncs[:20]), 1e-3, atol=1e-9)
+    assert all(m.dlc == 8 for m in seen if m.arbitration_id == 0x181)
+
+
+def test_a_node_that_stops_answering_is_a_named_fault_and_a_controlled_stop(
+    tmp_path: Path,
+) -> None:
+    fault = {"at": 3.0, "kind": "unplug", "channel": "can1", "node": 3}
+    config, scenario = configured(duration=5.0, script={"faults": [fault]})
+    result, log = virtual(config, scenario, tmp_path)
+    outcome = result.outcome
+    assert (outcome.state, outcome.fault) == (State.FAULT, Fault.DRIVE_LOST)
+    assert "can1/3" in outcome.reason
+    assert "stopped answering" in outcome.reason
+    named = [event for event in log.events() if event.name == "drive_lost"]
+    assert len(named) == 1
+    assert named[0].where.startswith("can1/3")
+    state, drives = log["/tonus/state"]["state"], log["/tonus/drives"]
+    assert State.SAFE_STOP in state
+    old = drives["age"][:, 2] > config.control.freshness.measurement_ticks
+    assert old.any()
+    assert not drives["torque_command"][old, 2].any()
+
+
+def test_when_the_master_falls_silent_every_drive_leaves_operation_enabled(
+    tmp_path: Path,
+) -> None:
+    """By its own heartbeat consumer, within the configured time, and with the right emergency."""
+    del tmp_path
+    config, scenario = configured()
+    bus = config.fieldbus
+    assert isinstance(bus, CanopenBus)
+    timeout_ms = bus.drive.master_timeout_ms
+
+    async def go_silent() -> tuple[list[int], list[int], set[int]]:
+        lab = Lab(config, scenario.lab, seed=1, clock=clock.now_ns)
+        lab.open()
+        image = ProcessImage()
+        master = CanopenFieldbus(config, image)
+        listener = can.Bus(interface="tonus", channel="can0")
+        await master.start(lambda _: None)
+        image.commands["command"] = 1
+        for tick in range(40):
+            master.collect(tick)
+            master.publish(tick)
+            await _milliseconds(1)
+        enabled = [drive.statusword() & 0x6F for drive in lab.drives]
+        await _milliseconds(timeout_ms + 5)
+        lab.advance(clock.now_ns())
+        after = [drive.statusword() & 0x6F for drive in lab.drives]
+        codes = set()
+        while (message := listener.recv(timeout=0)) is not None:
+            if message.arbitration_id in (0x081, 0x082):
+                codes.add(int.from_bytes(message.data[:2], "little"))
+        listener.shutdown()
+        lab.close()
+        return enabled, after, codes
+
+    enabled, after, codes = clock.run(go_silent(), virtual=True)
+    assert enabled == [0x27] * 8
+    assert 0x27 not in after
+    assert 0x8130 in codes
+
+
+def test_one_channel_at_1_khz_visibly_overloads(tmp_path: Path) -> None:
+    config, scenario = configured("config/one_channel.yaml", duration=0.5)
+    result, log = virtual(config, scenario, tmp_path)
+    assert result.outcome.state is State.FAULT
+    ages = log["/tonus/drives"]["age"]
+    assert (ages > config.control.freshness.measurement_ticks).any()
+
+
+async def _milliseconds(count: int) -> None:
+    import asyncio
+
+    await asyncio.sleep(count * 1e-3)
+
+
+@pytest.mark.parametrize("channel", ["can0", "can3"])
+def test_the_log_holds_every_frame_of_a_channel(channel: str, tmp_path: Path) -> None:
+    """Per tick: one SYNC, an RPDO per drive, a TPDO per drive and cell."""
+    config, scenario = configured(duration=0.2)
+    result, log = virtual(config, scenario, tmp_path)
+    identifiers = _frames(log, channel)["id"]
+    syncs = int((identifiers == 0x080).sum())
+    assert abs(syncs - result.outcome.ticks) <= 2
+    nodes = {"can0": (1, 2, 17, 18), "can3": (7, 8, 23, 24, 25)}[channel]
+    for node in nodes:
+        answers = int((identifiers == 0x180 + node).sum())
+        assert abs(answers - syncs) <= 2

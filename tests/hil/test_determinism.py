@@ -1,0 +1,80 @@
+"""Virtual time: same seed, same bytes; and nothing of the machine reaches them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from hil.runs import configured, virtual
+
+SECONDS = "1.0"
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _start(out: Path, runtime: Path, seed: int = 3) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "tools.cli", "run", "config/can.yaml", "--virtual", "--json"]
+    arguments = ["--duration", SECONDS, "--seed", str(seed), "--out", str(out)]
+    environment = {**os.environ, "TONUS_RUNTIME_DIR": str(runtime)}
+    return subprocess.Popen([*command, *arguments], env=environment, stdout=subprocess.DEVNULL)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
+    out = tmp_path_factory.mktemp("undisturbed")
+    assert _start(out, out).wait() == 0
+    return _digest(out / "run.mcap")
+
+
+def test_another_seed_is_another_run(tmp_path: Path) -> None:
+    digests = []
+    for seed in (3, 4):
+        config, scenario = configured(duration=0.2)
+        result, _ = virtual(config, scenario, tmp_path / str(seed), seed=seed)
+        digests.append(_digest(result.log))
+    assert digests[0] != digests[1]
+
+
+def test_the_same_seed_twice_in_one_process_is_the_same_run(tmp_path: Path) -> None:
+    digests = []
+    for number in range(2):
+        config, scenario = configured(duration=0.2)
+        result, _ = virtual(config, scenario, tmp_path / str(number), seed=3)
+        digests.append(_digest(result.log))
+    assert digests[0] == digests[1]
+
+
+def test_a_stopped_and_continued_process_writes_the_same_bytes(
+    undisturbed: str, tmp_path: Path
+) -> None:
+    process = _start(tmp_path, tmp_path)
+    stops = 0
+    while process.poll() is None:
+        time.sleep(0.2)
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(0.15)
+        process.send_signal(signal.SIGCONT)
+        stops += 1
+    assert process.returncode == 0
+    assert stops > 2
+    assert _digest(tmp_path / "run.mcap") == undisturbed
+
+
+def test_beside_a_busy_machine_the_bytes_are_the_same(undisturbed: str, tmp_path: Path) -> None:
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(3)]
+    try:
+        assert _start(tmp_path, tmp_path).wait() == 0
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    assert _digest(tmp_path / "run.mcap") == undisturbed

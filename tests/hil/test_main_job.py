@@ -1,0 +1,145 @@
+"""The main job on the whole lab, every noise and friction on, judged against the plant's truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from config import Config
+from hil.runs import configured, virtual
+from runtime.states import Fault, State
+from tools.log import Log
+from tools.summary import summarise, truth_at_cycles
+
+
+@pytest.fixture(scope="module")
+def load_test(tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, Log]:
+    """The paper's third stage over real CAN frames."""
+    config, scenario = configured(scenario="load_test", duration=14.0)
+    result, log = virtual(config, scenario, tmp_path_factory.mktemp("load"))
+    assert result.outcome.fault is Fault.NONE, result.outcome.reason
+    assert result.outcome.state is State.STANDBY
+    return config, log
+
+
+def _active(log: Log) -> np.ndarray:
+    return np.asarray(log["/tonus/state"]["state"] == State.ACTIVE)
+
+
+def test_the_load_is_resisted_inside_every_tension_bound(load_test: tuple[Config, Log]) -> None:
+    config, log = load_test
+    active, tension = _active(log), truth_at_cycles(log, "tension")
+    assert tension is not None
+    bounds = config.control.tension
+    assert tension[active].min() > bounds.min
+    assert tension[active].max() < bounds.max
+    reference = log["/tonus/tension"]["reference"][active]
+    assert reference.min() >= bounds.min
+    assert reference.max() <= bounds.max
+
+
+def test_the_load_moves_the_platform_as_far_as_its_stiffness_lets_it(
+    load_test: tuple[Config, Log],
+) -> None:
+    """100 N over the commanded K_eq: the analytic deflection, to 5 %."""
+    _, log = load_test
+    load, position = truth_at_cycles(log, "load"), truth_at_cycles(log, "position")
+    assert load is not None
+    assert position is not None
+    held = _active(log) & (load[:, 0] > 99.9)
+    away = (position - log["/tonus/pose"]["desired_position"])[held, 0].mean()
+    stiffness = log["/tonus/stiffness"]["k_eq"][held].mean()
+    assert away == pytest.approx(100.0 / stiffness, rel=0.05)
+
+
+def test_the_stiffness_rises_with_the_load_and_returns(load_test: tuple[Config, Log]) -> None:
+    config, log = load_test
+    load = truth_at_cycles(log, "load")
+    assert load is not None
+    active, k_eq = _active(log), log["/tonus/stiffness"]["k_eq"]
+    loaded = active & (load[:, 0] > 99.9)
+    released = active & (np.arange(len(active)) > np.flatnonzero(loaded)[-1] + 1500)
+    law = config.control.stiffness
+    expected = law.base * (1.0 + law.force_gain)
+    assert k_eq[loaded].mean() == pytest.approx(expected, rel=0.02)
+    assert k_eq[released].mean() == pytest.approx(law.base, rel=0.02)
+
+
+def test_the_tension_error_in_hold_is_within_half_a_per_cent(
+    load_test: tuple[Config, Log],
+) -> None:
+    """The paper's claim for its drives; reference against truth, RMS over all cables."""
+    _, log = load_test
+    state = log["/tonus/state"]
+    load = truth_at_cycles(log, "load")
+    tension = truth_at_cycles(log, "tension")
+    assert load is not None
+    assert tension is not None
+    still = (state["state"] == State.ACTIVE) & (np.abs(load).sum(axis=1) == 0.0)
+    still &= np.arange(len(still)) < np.flatnonzero(np.abs(load).sum(axis=1))[0]
+    reference = log["/tonus/tension"]["reference"][still]
+    error = (tension[still] - reference) / reference
+    assert np.sqrt(np.mean(error**2)) <= 0.005
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_sine_is_followed_to_a_millimetre(axis: str, tmp_path: Path) -> None:
+    """30 mm at 0.5 Hz (paper: 2.6 mm)."""
+    config, scenario = configured("config/direct.yaml", f"sine_{axis}", duration=8.0)
+    result, log = virtual(config, scenario, tmp_path)
+    assert result.outcome.fault is Fault.NONE, result.outcome.reason
+    summary = summarise(log)
+    assert summary["tracking_rmse_m"] <= 1.0e-3
+    travelled = np.ptp(log["/tonus/pose"]["desired_position"][_active(log), "xyz".index(axis)])
+    assert travelled > 0.055
+
+
+def _contact_peak(tmp_path: Path, *, envelope: bool) -> float:
+    config, scenario = configured(
+        "config/direct.yaml",
+        "contact",
+        duration=8.0,
+        overrides={"control.envelope.enabled": envelope},
+    )
+    result, log = virtual(config, scenario, tmp_path)
+    assert result.outcome.fault is Fault.NONE, result.outcome.reason
+    force = truth_at_cycles(log, "contact_force")
+    assert force is not None
+    return float(force.max())
+
+
+def test_without_the_envelope_the_contact_exceeds_35_n(tmp_path: Path) -> None:
+    assert _contact_peak(tmp_path, envelope=False) > 35.0
+
+
+def test_with_the_envelope_the_contact_stays_within_25_n(tmp_path: Path) -> None:
+    assert _contact_peak(tmp_path, envelope=True) <= 25.0
+
+
+def test_the_summary_keeps_its_contract(load_test: tuple[Config, Log]) -> None:
+    _, log = load_test
+    summary = json.loads(json.dumps(summarise(log, realtime_factor=2.0, steal_percent=0.0)))
+    assert set(summary) >= {
+        "state",
+        "reason",
+        "ticks",
+        "missed_ticks",
+        "realtime_factor",
+        "wakeup_us",
+        "cycle_us",
+        "missed_by_host",
+        "steal_percent",
+        "tracking_rmse_m",
+        "tension_rmse_n",
+        "k_eq_n_per_m",
+        "tension_n",
+        "contact_peak_n",
+        "faults",
+        "seed",
+        "log",
+    }
+    assert summary["missed_ticks"] == 0
+    assert summary["faults"] == []

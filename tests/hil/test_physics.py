@@ -1,0 +1,127 @@
+"""What the robot achieves in the plant with all noise and friction on, measured against truth."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from loop import QUICK, ClosedLoop, Trace, configured, contact_of, rms
+
+from runtime.states import State
+
+CONFIG, _ = configured("hold")
+TENSION, LAW = CONFIG.control.tension, CONFIG.control.stiffness
+LIMIT = CONFIG.control.envelope.contact_limit
+
+
+@cache
+def run(scenario: str, duration: float | None = None, *, envelope: bool = True) -> Trace:
+    """A scenario from switch-on to rest; shared by the tests that look at it."""
+    overrides: dict[str, Any] = QUICK | {"control.envelope.enabled": envelope}
+    config, script = configured(scenario, overrides)
+    if duration is not None:
+        script = script.model_copy(update={"duration": duration})
+    return ClosedLoop(config, script).complete()
+
+
+def active(trace: Trace, after: float = 0.0) -> Trace:
+    return trace.during(State.ACTIVE, after=after)
+
+
+def ended_well(trace: Trace) -> bool:
+    return bool(trace.state[-1] == State.STANDBY and trace.cycle["state"]["fault"][-1] == 0)
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_sine_of_30_mm_is_followed_within_a_millimetre(axis: str) -> None:
+    trace = run(f"sine_{axis}", 6.0)
+    part = active(trace)
+    wanted, true = part.cycle["pose"]["desired_position"], part.truth["position"]
+    assert np.ptp(true[:, "xyz".index(axis)]) > 0.058, "it moved"
+    assert rms(np.linalg.norm(true - wanted, axis=1)) <= 1.0e-3
+    assert ended_well(trace)
+
+
+def test_the_estimate_is_where_the_platform_is_while_it_moves() -> None:
+    part = active(run("sine_x", 6.0))
+    assert rms(part.cycle["pose"]["position"] - part.truth["position"]) < 5.0e-5
+    assert rms(part.cycle["pose"]["velocity"] - part.truth["velocity"]) < 5.0e-3
+
+
+def test_tension_in_hold_is_within_half_a_per_cent_of_pretension() -> None:
+    part = active(run("hold", 3.0), after=0.5)
+    error = part.cycle["tension"]["reference"] - part.truth["tension"]
+    assert rms(error) <= 0.005 * TENSION.pre
+
+
+def test_the_load_test_keeps_every_bound() -> None:
+    trace = run("load_test")
+    part = active(trace)
+    assert np.abs(part.truth["load"][:, 0]).max() == pytest.approx(100.0)
+    reference, true = part.cycle["tension"]["reference"], part.truth["tension"]
+    assert reference.min() >= TENSION.min
+    assert reference.max() <= TENSION.max
+    assert true.min() > TENSION.slack
+    assert true.max() < TENSION.max
+    assert part.cycle["wrench"]["deficit"].max() < CONFIG.control.distribution.deficit_limit
+    assert ended_well(trace)
+
+
+def test_the_platform_gives_way_by_the_load_over_the_stiffness() -> None:
+    part = active(run("load_test"))
+    load = part.truth["load"][:, 0]
+    plateau = np.flatnonzero(load > 99.9)[1000:]
+    assert len(plateau) > 1000
+    given_way = part.truth["position"][plateau, 0] - CONFIG.robot.home[0]
+    stiffness = part.cycle["stiffness"]["k_eq"][plateau]
+    assert np.median(given_way * stiffness) == pytest.approx(100.0, rel=0.1)
+    assert np.abs(part.truth["position"][:, 0]).max() < 1.1 * 100.0 / LAW.base
+
+
+def test_stiffness_rises_with_the_load_and_comes_back() -> None:
+    part = active(run("load_test"))
+    load, stiffness = part.truth["load"][:, 0], part.cycle["stiffness"]["k_eq"]
+    first = int(np.argmax(load > 1.0))
+    before = np.median(stiffness[first - 500 : first])
+    loaded = np.median(stiffness[np.flatnonzero(load > 99.9)[500:]])
+    after = np.median(stiffness[-300:])
+    assert loaded > 1.1 * before
+    assert after == pytest.approx(before, rel=0.02)
+    growing = part.cycle["tension"]["reference"][load > 99.9].mean()
+    assert growing > part.cycle["tension"]["reference"][first - 500 : first].mean() + 5.0
+
+
+def test_the_estimated_load_is_the_true_one() -> None:
+    part = active(run("load_test"))
+    plateau = part.truth["load"][:, 0] > 99.9
+    estimated = np.median(part.cycle["wrench"]["external"][plateau, 0])
+    assert estimated == pytest.approx(100.0, abs=1.0)
+
+
+def test_contact_that_would_exceed_35_n_stays_within_the_limit() -> None:
+    without, with_it = run("contact", 7.5, envelope=False), run("contact", 7.5)
+    assert contact_of(without).max() > 35.0
+    assert 10.0 < contact_of(with_it).max() <= LIMIT
+    assert ended_well(with_it)
+
+
+def test_the_stiffness_gives_way_to_contact() -> None:
+    part = active(run("contact", 7.5))
+    pressed = contact_of(part) > 0.95 * contact_of(part).max()
+    assert np.median(part.cycle["stiffness"]["k_eq"][pressed]) < 0.5 * LAW.base
+    assert part.cycle["envelope"]["progress"].min() < 0.1
+    assert part.truth["tension"].min() > TENSION.slack
+
+
+def test_another_seed_is_another_run_and_the_same_seed_the_same() -> None:
+    config, script = configured("hold", QUICK)
+    traces = []
+    for seed in (1, 1, 2):
+        loop = ClosedLoop(config, script, seed=seed)
+        loop.until(State.PRETENSION)
+        traces.append(loop.trace)
+    first, same, other = (trace.cycle.tobytes() for trace in traces)
+    assert first == same
+    assert first != other

@@ -1,0 +1,332 @@
+"""The whole tick: what it does when devices fall silent, fail or lie, and that it is a function of
+its inputs alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from loop import QUICK, ClosedLoop, Trace, configured, not_finite
+from statue import CONFIG, CONTROL, REST, SCENARIO, Statue
+
+from drivers.process_image import AxisCommand, AxisState, ProcessImage
+from runtime.cycle import ControlCycle
+from runtime.signals import Solver
+from runtime.states import Fault, Operator, State
+
+FRESH, STALE = CONTROL.freshness.measurement_ticks, CONTROL.freshness.stale_stop_ticks
+TENSION, LAW = CONTROL.tension, CONTROL.stiffness
+MOTOR = CONFIG.robot.motor
+TORQUE_LIMIT = MOTOR.current_limit * MOTOR.torque_constant * CONFIG.robot.gearbox.ratio
+Spoil = Callable[[ProcessImage], None]
+
+
+def go_on(statue: Statue, spoil: Spoil, ticks: int = 1) -> Statue:
+    """Some ticks in which the devices say something else."""
+    for _ in range(ticks):
+        statue.report()
+        spoil(statue.image)
+        statue.step()
+    return statue
+
+
+def end(statue: Statue, spoil: Spoil, ticks: int = 300) -> tuple[State, Fault, int]:
+    go_on(statue, spoil, ticks)
+    sequence = statue.cycle.sequence
+    assert not statue.image.commands["torque"].any()
+    assert (statue.image.commands["command"] == AxisCommand.DISABLE).all()
+    return sequence.state, sequence.fault, sequence.where
+
+
+def aged(table: str, row: int, age: int) -> Spoil:
+    def spoil(image: ProcessImage) -> None:
+        getattr(image, table)["age"][row] = age
+
+    return spoil
+
+
+@pytest.mark.parametrize("table", ["axes", "cells"])
+def test_a_measurement_beyond_its_age_carries_no_torque(table: str) -> None:
+    statue = Statue().until(State.HOLD)
+    go_on(statue, aged(table, 3, FRESH))
+    assert (statue.image.commands["torque"] != 0.0).all()
+    go_on(statue, aged(table, 3, FRESH + 1), 3)
+    torque, reference = statue.image.commands["torque"], statue.record.tension.reference
+    assert torque[3] == 0.0
+    assert (np.delete(torque, 3) != 0.0).all()
+    assert (reference >= TENSION.min).all(), "a gap shifts no tension to the other cables"
+    assert statue.at(State.HOLD)
+    go_on(statue, lambda image: None)
+    assert statue.image.commands["torque"][3] != 0.0
+    assert statue.record.tension.reference[3] >= TENSION.min
+
+
+@pytest.mark.parametrize(
+    ("table", "row", "fault"),
+    [("axes", 5, Fault.DRIVE_LOST), ("cells", 2, Fault.CELL_LOST), ("cells", 8, Fault.CELL_LOST)],
+)
+def test_a_device_silent_for_too_long_stops_the_robot(table: str, row: int, fault: Fault) -> None:
+    statue = Statue().until(State.ACTIVE)
+    go_on(statue, aged(table, row, STALE), STALE)
+    assert statue.at(State.ACTIVE)
+    go_on(statue, aged(table, row, STALE + 1))
+    assert statue.at(State.SAFE_STOP)
+    others = np.delete(statue.image.commands["torque"], row if row < 8 else [])
+    assert (others != 0.0).all(), "the stop is controlled, not a collapse"
+    given_up = np.flatnonzero(statue.record.tension.reference == 0.0).tolist()
+    assert given_up == ([row] if row < 8 else [])
+    assert end(statue, aged(table, row, STALE + 1)) == (State.FAULT, fault, row)
+
+
+def test_an_emergency_stop_disables_everything_in_the_same_tick() -> None:
+    for state in (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP):
+        statue = Statue().until(state)
+        statue.report()
+        statue.step(Operator.ESTOP)
+        assert statue.at(State.FAULT)
+        assert statue.cycle.sequence.fault is Fault.EMERGENCY_STOP
+        assert (statue.image.commands["command"] == AxisCommand.DISABLE).all()
+        assert not statue.image.commands["torque"].any()
+
+
+@pytest.mark.parametrize("state", [AxisState.FAULT, AxisState.SWITCH_ON_DISABLED])
+def test_a_drive_that_leaves_operation_enabled_stops_the_robot(state: AxisState) -> None:
+    def spoil(image: ProcessImage) -> None:
+        image.axes["state"][6] = state
+
+    statue = go_on(Statue().until(State.HOLD), spoil)
+    assert statue.at(State.SAFE_STOP)
+    assert end(statue, spoil) == (State.FAULT, Fault.DRIVE_FAULT, 6)
+
+
+def test_a_cell_that_reports_a_defect_stops_the_robot() -> None:
+    def spoil(image: ProcessImage) -> None:
+        image.cells["status"][4] = 1
+
+    statue = go_on(Statue().until(State.HOLD), spoil)
+    assert end(statue, spoil) == (State.FAULT, Fault.CELL_BAD, 4)
+
+
+def test_contact_beyond_its_limit_stops_softly() -> None:
+    def spoil(image: ProcessImage) -> None:
+        image.cells["force"][8] = 30.0
+
+    statue = go_on(Statue().until(State.ACTIVE), spoil, 20)
+    assert statue.at(State.SAFE_STOP)
+    statue.rest(30)
+    assert float(statue.record.stiffness.k_eq) == LAW.minimum, "soft even when contact is gone"
+    assert end(statue, spoil)[:2] == (State.FAULT, Fault.CONTACT_LIMIT)
+
+
+def test_an_offset_too_large_to_tare_never_arms() -> None:
+    def spoil(image: ProcessImage) -> None:
+        image.cells["force"][1] = CONTROL.sequence.tare_limit + 1.0
+
+    assert end(Statue(), spoil, 50) == (State.FAULT, Fault.CELL_BAD, 1)
+
+
+def test_tare_takes_the_offset_out() -> None:
+    statue = Statue()
+    offset = np.linspace(-2.0, 2.0, 9)
+
+    def spoil(image: ProcessImage) -> None:
+        image.cells["force"] += offset
+
+    go_on(statue, spoil, 20)
+    assert statue.at(State.STANDBY)
+    np.testing.assert_allclose(statue.record.force_cells.tare, offset, atol=1e-12)
+    np.testing.assert_allclose(statue.record.tension.measured, 0.0, atol=1e-12)
+
+
+def test_a_drive_that_does_not_come_up_in_time_is_named() -> None:
+    statue = Statue().until(State.REFERENCING)
+
+    def spoil(image: ProcessImage) -> None:
+        image.axes["state"][7] = AxisState.SWITCHED_ON
+
+    go_on(statue, spoil, 40)
+    assert not statue.image.commands["torque"].any()
+    statue.rest(100)
+    assert statue.at(State.FAULT)
+    assert statue.cycle.sequence.fault is Fault.ENABLE_TIMEOUT
+    assert statue.cycle.sequence.where == 7
+
+
+def blind(image: ProcessImage) -> None:
+    image.tracker["fresh"] = 0
+
+
+def elsewhere(image: ProcessImage) -> None:
+    image.tracker["position"] = np.add(REST, (0.0, 0.2, 0.0))
+
+
+def restless(image: ProcessImage) -> None:
+    image.tracker["sequence"] += 1
+    image.tracker["position"][0] += 0.01 if image.tracker["sequence"] // 8 % 2 else -0.01
+
+
+def slack(image: ProcessImage) -> None:
+    image.cells["force"][3] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (blind, "tracker poses"),
+        (elsewhere, "from its cradle"),
+        (restless, "spread over"),
+        (slack, "away from"),
+    ],
+)
+def test_referencing_refuses_what_it_cannot_trust_and_says_why(spoil: Spoil, reason: str) -> None:
+    statue = go_on(Statue().until(State.REFERENCING), spoil, 60)
+    sequence = statue.cycle.sequence
+    assert sequence.fault is Fault.REFERENCING_FAILED
+    assert reason in sequence.reason
+    statue.rest(200)
+    assert statue.at(State.FAULT)
+    assert sequence.fault is Fault.REFERENCING_FAILED
+
+
+def test_a_reset_leads_back_to_standby_and_the_robot_may_be_armed_again() -> None:
+    statue = Statue().until(State.HOLD)
+    statue.report()
+    statue.step(Operator.ESTOP)
+    statue.report()
+    statue.step(Operator.ARM)
+    assert statue.at(State.FAULT), "a fault is not armed away"
+    statue.report()
+    statue.step(Operator.RESET)
+    assert statue.at(State.STANDBY)
+    assert (statue.image.commands["command"] == AxisCommand.RESET_FAULT).all()
+    statue.until(State.HOLD)
+    assert statue.cycle.sequence.fault is Fault.NONE
+
+
+def test_a_stop_without_a_fault_ends_in_standby_with_the_drives_off() -> None:
+    statue = Statue().until(State.HOLD)
+    statue.report()
+    statue.step(Operator.STOP)
+    assert statue.at(State.SAFE_STOP)
+    assert end(statue, lambda image: None) == (State.STANDBY, Fault.NONE, -1)
+
+
+def test_a_stop_during_pretension_does_not_tighten_the_cables_first() -> None:
+    statue = Statue().until(State.PRETENSION)
+    statue.rest(5)
+    before = statue.record.tension.reference.max()
+    statue.report()
+    statue.step(Operator.STOP)
+    highest = 0.0
+    for _ in range(50):
+        statue.rest(1)
+        highest = max(highest, float(statue.record.tension.reference.max()))
+    assert highest <= before + 2.0
+
+
+def test_an_impossible_step_of_one_encoder_does_not_wrench_the_other_cables() -> None:
+    """Five turns of the motor in a millisecond are a hundred times what its speed allows."""
+    statue = Statue().until(State.HOLD)
+    statue.rest(20)
+
+    def spoil(image: ProcessImage) -> None:
+        image.axes["angle"][3] += 2.5
+
+    go_on(statue, spoil)
+    assert np.abs(statue.image.commands["torque"]).max() < 0.5 * TORQUE_LIMIT
+
+
+@pytest.mark.parametrize(("table", "name"), [("cells", "force"), ("axes", "angle")])
+def test_a_measurement_that_is_not_a_number_stops_the_robot(table: str, name: str) -> None:
+    def spoil(image: ProcessImage) -> None:
+        getattr(image, table)[name][2] = np.nan
+
+    statue = go_on(Statue().until(State.HOLD), spoil)
+    assert statue.image.commands["torque"][2] == 0.0
+    go_on(statue, spoil, STALE)
+    assert statue.state in (State.SAFE_STOP, State.FAULT)
+    odd = (Fault.IMPLAUSIBLE_DRIVE, Fault.IMPLAUSIBLE_CELL)
+    assert statue.cycle.sequence.fault in odd
+    assert np.isfinite(statue.image.commands["torque"]).all()
+
+
+def test_the_solver_is_named_while_it_works_and_not_otherwise() -> None:
+    statue = Statue().until(State.STANDBY)
+    assert statue.record.tension.solver == Solver.NONE
+    statue.until(State.HOLD)
+    assert statue.record.tension.solver == Solver.OPTIMAL
+
+
+def test_the_pid_controller_keeps_its_stiffness() -> None:
+    control = CONTROL.model_copy(update={"controller": "pid"})
+    cycle = ControlCycle(CONFIG.robot, control, CONFIG.tracker, SCENARIO.reference)
+    statue = Statue(cycle).until(State.HOLD)
+    statue.rest(800)
+    assert float(statue.record.stiffness.k_eq) == CONTROL.pid.stiffness
+    assert statue.at(State.HOLD)
+
+
+# --- closed on the plant -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def hold() -> tuple[ClosedLoop, Trace]:
+    """A short run from switch-on to STANDBY, with everything the cycle was given."""
+    config, scenario = configured("hold", QUICK)
+    loop = ClosedLoop(config, scenario.model_copy(update={"duration": 1.0}))
+    loop.keep_inputs = True
+    return loop, loop.complete()
+
+
+def test_a_run_goes_through_its_states_and_ends_at_rest(hold: tuple[ClosedLoop, Trace]) -> None:
+    loop, trace = hold
+    changes = np.flatnonzero(np.diff(trace.state)) + 1
+    order = [State.STANDBY, State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE]
+    order += [State.SAFE_STOP, State.STANDBY]
+    assert [State(s) for s in trace.state[changes]] == order
+    assert loop.cycle.sequence.fault is Fault.NONE
+    lowest, last = trace.truth["position"][:, 2].min(), trace.truth["position"][-1]
+    assert lowest > REST[2] - 0.005
+    np.testing.assert_allclose(last, REST, atol=0.01)
+
+
+def test_commanded_tensions_keep_their_bounds_and_everything_is_finite(
+    hold: tuple[ClosedLoop, Trace],
+) -> None:
+    _, trace = hold
+    for state in (State.HOLD, State.ACTIVE):
+        cycle = trace.during(state).cycle
+        assert cycle["tension"]["reference"].min() >= TENSION.min
+        assert cycle["tension"]["reference"].max() <= TENSION.max
+        assert cycle["stiffness"]["k_eq"].min() >= LAW.minimum
+        assert cycle["stiffness"]["k_eq"].max() <= LAW.maximum
+    assert not_finite(trace.cycle) == []
+
+
+def test_equal_inputs_make_equal_records_bit_for_bit(hold: tuple[ClosedLoop, Trace]) -> None:
+    loop, trace = hold
+    config, scenario = configured("hold", QUICK)
+    again = ControlCycle(config.robot, config.control, config.tracker, scenario.reference)
+    image = ProcessImage()
+    for tick, given in enumerate(loop.inputs):
+        image.axes[:], image.cells[:] = given.axes, given.cells
+        image.tracker[...] = given.tracker
+        record = again.step(image, tick, given.operator)
+        assert record.data.tobytes() == trace.cycle[tick].tobytes(), tick
+
+
+def test_a_drive_lost_in_mid_air_is_named_and_the_platform_comes_down() -> None:
+    config, scenario = configured("hold", QUICK)
+    loop = ClosedLoop(config, scenario)
+    loop.until(State.ACTIVE)
+    loop.silent_axes.add(2)
+    loop.run(FRESH * 1e-3)
+    assert loop.image.commands["torque"][2] != 0.0
+    loop.run(2e-3)
+    assert loop.image.commands["torque"][2] == 0.0
+    loop.until(State.SAFE_STOP, within=0.02)
+    loop.until(State.FAULT)
+    sequence = loop.cycle.sequence
+    assert (sequence.fault, sequence.where) == (Fault.DRIVE_LOST, 2)
+    assert np.isfinite(loop.trace.cycle["drives"]["torque_command"]).all()
