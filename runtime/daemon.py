@@ -139,7 +139,7 @@ class Daemon:
     def _tick(self, tick: int, scheduler: Scheduler) -> None:
         wall, fieldbus, cycle = self._stopwatch.wall_ns, self._fieldbus, self.cycle
         self._due_ns = due_ns = scheduler.due_ns(tick)
-        began = wall()
+        began, used = wall(), self._stopwatch.processor_ns()
         fieldbus.collect(tick)
         self._tracker.collect(now_ns())
         collected = wall()
@@ -148,6 +148,7 @@ class Daemon:
         computed = wall()
         fieldbus.publish(tick)
         published = wall()
+        used = self._stopwatch.processor_ns() - used
         timing, misses = record.timing, scheduler.misses
         timing.due_ns[...] = due_ns
         timing.missed_own[...] = misses.own
@@ -156,6 +157,7 @@ class Daemon:
         timing.collect_us[...] = (collected - began) * 1e-3
         timing.compute_us[...] = (computed - collected) * 1e-3
         timing.publish_us[...] = (published - computed) * 1e-3
+        timing.processor_us[...] = used * 1e-3
         self._ring.publish(record.data, due_ns)
         self._report(tick, command)
 

@@ -67,7 +67,8 @@ TOPICS: tuple[Topic, ...] = (
         Field("wakeup_us", "float32", 0, "us", "how late the tick started"),
         Field("collect_us", "float32", 0, "us", "time in collect"),
         Field("compute_us", "float32", 0, "us", "time in ControlCycle.step"),
-        Field("publish_us", "float32", 0, "us", "time in publish and in copying to the rings"),
+        Field("publish_us", "float32", 0, "us", "time in publish"),
+        Field("processor_us", "float32", 0, "us", "processor time of these three together"),
     ),
     _topic(
         "state",

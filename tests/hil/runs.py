@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from config import Config, Scenario, load
 from loop import QUICK
+
+from config import Config, Scenario, load
 from tools.log import Log
 from tools.log import open as open_log
 from tools.run import Order, Result, run

@@ -7,11 +7,11 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from hil.runs import configured, virtual
 
 from config.schema.bus import CanopenBus
 from drivers.canopen.master import CanopenFieldbus
 from drivers.process_image import ProcessImage
-from hil.runs import configured, virtual
 from runtime import clock
 from runtime.states import Fault, State
 from sim.lab import Lab

@@ -11,7 +11,6 @@ import time
 from pathlib import Path
 
 import pytest
-
 from hil.runs import configured, virtual
 
 SECONDS = "1.0"

@@ -6,8 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-
 from hil.runs import configured, virtual
+
 from runtime.signals import TOPICS
 from sim.can.timing import frame_bits
 from tools.log import Log

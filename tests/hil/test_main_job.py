@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hil.runs import configured, virtual
 
 from config import Config
-from hil.runs import configured, virtual
 from runtime.states import Fault, State
 from tools.log import Log
 from tools.summary import summarise, truth_at_cycles

@@ -8,14 +8,15 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from loop import QUICK
 
 from config.loader import HERE
-from loop import QUICK
 from runtime.ring import RingReader
 from tools.log import open as open_log
 
@@ -43,8 +44,9 @@ def _quick_configuration(folder: Path, *, lab: bool = True, port: int = 47811) -
             continue
         name = line.rsplit("!include ", 1)[-1]
         if "!include" in line and name not in ("control.yaml", "tracker.yaml"):
-            line = line.replace(name, str(HERE / name))
-        lines.append(line)
+            lines.append(line.replace(name, str(HERE / name)))
+        else:
+            lines.append(line)
     path = folder / ("robot.yaml" if not lab else "can.yaml")
     path.write_text("\n".join(lines) + "\n")
     return path
@@ -91,7 +93,7 @@ def test_a_killed_daemon_leaves_every_published_cycle(
         [*TONUS, *command], cwd=ROOT, env=environment, stdout=subprocess.DEVNULL
     )
     rings = tmp_path / "runtime" / f"run-{daemon.pid}"
-    _wait_for(lambda: (rings / "cycle.ring").exists())
+    _wait_for((rings / "cycle.ring").exists)
     reader = RingReader.open(rings / "cycle.ring")
     _wait_for(lambda: reader.published > 1500)
     daemon.kill()
@@ -139,7 +141,7 @@ def test_drives_outlive_a_killed_daemon_only_as_long_as_their_watchdog(
         [*TONUS, "lab", str(shared)], cwd=ROOT, env=environment, stdout=subprocess.DEVNULL
     )
     try:
-        _wait_for(lambda: (tmp_path / "runtime" / "can0.sock").exists())
+        _wait_for((tmp_path / "runtime" / "can0.sock").exists)
         command = ["run", str(robot), "--scenario", "hold", "--duration", "30"]
         daemon = subprocess.Popen(
             [*TONUS, *command, "--out", str(tmp_path / "out")],
@@ -148,7 +150,7 @@ def test_drives_outlive_a_killed_daemon_only_as_long_as_their_watchdog(
             stdout=subprocess.DEVNULL,
         )
         rings = tmp_path / "runtime" / f"run-{daemon.pid}"
-        _wait_for(lambda: (rings / "cycle.ring").exists())
+        _wait_for((rings / "cycle.ring").exists)
         reader = RingReader.open(rings / "cycle.ring")
         _wait_for(lambda: reader.published > 1500)
         daemon.kill()
@@ -182,8 +184,7 @@ def _statusword(environment: dict[str, str]) -> int:
     return int.from_bytes(bytes.fromhex(result.stdout.strip()), "little")
 
 
-def _wait_for(condition: object, seconds: float = 40.0) -> None:
-    assert callable(condition)
+def _wait_for(condition: Callable[[], bool], seconds: float = 40.0) -> None:
     for _ in range(int(seconds / 0.05)):
         if condition():
             return

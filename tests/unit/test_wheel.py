@@ -27,7 +27,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _run(installed: Path, somewhere: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(installed)}
     return subprocess.run(
-        [sys.executable, *arguments], cwd=somewhere, env=environment, capture_output=True, text=True
+        [sys.executable, *arguments],
+        cwd=somewhere,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 

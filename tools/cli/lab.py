@@ -7,13 +7,13 @@ import signal
 from pathlib import Path
 
 import click
-from sim.lab import Lab
 
 from config import load
 from config.places import runtime_dir
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 from runtime import clock
+from sim.lab import Lab
 from tools.errors import ToolError
 from tools.lab_process import work
 
