@@ -13,15 +13,19 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from config.places import runtime_dir
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 from runtime import clock
 from runtime.realtime import freeze_collector, prepare
-from sim.lab import Lab
+from sim.errors import LabError
+from sim.lab import Lab, TruthSink
 from sim.server import serve
 from tools.errors import ToolError
 from tools.truth import TruthRing
@@ -72,51 +76,53 @@ def start_lab(
     return LabProcess(process)
 
 
-async def work(lab: Lab, config: Config, ready: bytes | None) -> None:
-    """Serve until standard input closes."""
-    ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    if ready is not None:
-        loop.add_reader(sys.stdin.fileno(), ended.set)
+async def work(
+    config: Config,
+    scenario: Scenario,
+    seed: int,
+    truth: TruthSink | None,
+    ready: Callable[[], None],
+) -> None:
+    """A lab on the configuration's buses, in real time, until cancelled. Raises `LabError`."""
+    realtime = config.realtime
+    prepare(priority=realtime.lab_priority, processor=realtime.lab_cpu, lock_memory=False)
+    now = clock.loop_clock()
+    lab = Lab(config, scenario.lab, seed=seed, clock=now, truth=truth, start_ns=now())
 
     def answer() -> None:
         freeze_collector()
-        if ready is not None:
-            sys.stdout.buffer.write(ready)
-            sys.stdout.buffer.flush()
+        ready()
 
-    serving = loop.create_task(serve(lab, config, runtime_dir(), answer))
-    ending = loop.create_task(ended.wait())
-    await asyncio.wait({serving, ending}, return_when=asyncio.FIRST_COMPLETED)
-    for task in (serving, ending):
-        task.cancel()
-    for result in await asyncio.gather(serving, ending, return_exceptions=True):
-        if isinstance(result, Exception):
-            raise result
+    await serve(lab, config, runtime_dir(), answer)
+
+
+async def _until_left_alone(job: dict[str, Any]) -> None:
+    """Serve until standard input closes."""
+    config = Config.model_validate(job["config"])
+    scenario = Scenario.model_validate(job["scenario"])
+    truth = TruthRing(Path(job["truth"]), job["truth_capacity"])
+    working = asyncio.get_running_loop().create_task(
+        work(config, scenario, job["seed"], truth.publish, lambda: _say(_READY))
+    )
+    asyncio.get_running_loop().add_reader(sys.stdin.fileno(), working.cancel)
+    with suppress(asyncio.CancelledError):
+        await working
+
+
+def _say(text: bytes) -> None:
+    sys.stdout.buffer.write(text)
+    sys.stdout.buffer.flush()
 
 
 def main() -> None:
     """The process that `start_lab` starts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     job = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    config = Config.model_validate(job["config"])
-    scenario = Scenario.model_validate(job["scenario"])
-    realtime = config.realtime
-    prepare(priority=realtime.lab_priority, processor=realtime.lab_cpu, lock_memory=False)
-
-    async def run() -> None:
-        truth = TruthRing(Path(job["truth"]), job["truth_capacity"])
-        lab = Lab(
-            config,
-            scenario.lab,
-            seed=job["seed"],
-            clock=clock.now_ns,
-            truth=truth.publish,
-            start_ns=clock.now_ns(),
-        )
-        await work(lab, config, _READY)
-
-    clock.run(run(), virtual=False)
+    try:
+        clock.run(_until_left_alone(job), virtual=False)
+    except (LabError, OSError) as error:
+        _say(f"{error}\n".encode())
+        sys.exit(2)
 
 
 if __name__ == "__main__":

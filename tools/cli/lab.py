@@ -13,7 +13,6 @@ from config.places import runtime_dir
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 from runtime import clock
-from sim.lab import Lab
 from tools.errors import ToolError
 from tools.lab_process import work
 
@@ -27,7 +26,6 @@ def lab(config: Path, scenario: str | None, seed: int | None) -> None:
     settings, played = load(config, scenario)
     if settings.lab is None:
         raise ToolError(f"{config}: has no lab: section; add one, see config/can.yaml")
-    click.echo(f"lab of {settings.name} on {runtime_dir()}; Ctrl-C ends it")
     clock.run(
         _until_interrupted(settings, played, settings.lab.seed if seed is None else seed),
         virtual=False,
@@ -35,11 +33,19 @@ def lab(config: Path, scenario: str | None, seed: int | None) -> None:
 
 
 async def _until_interrupted(config: Config, scenario: Scenario, seed: int) -> None:
-    now = clock.now_ns
-    built = Lab(config, scenario.lab, seed=seed, clock=now, truth=None, start_ns=now())
-    working = asyncio.get_running_loop().create_task(work(built, config, None))
+    where = runtime_dir()
+    loop = asyncio.get_running_loop()
+    working = loop.create_task(
+        work(
+            config,
+            scenario,
+            seed,
+            None,
+            lambda: click.echo(f"lab of {config.name} on {where}; Ctrl-C ends it"),
+        )
+    )
     for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, working.cancel)
+        loop.add_signal_handler(number, working.cancel)
     try:
         await working
     except asyncio.CancelledError:

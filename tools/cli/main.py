@@ -12,6 +12,7 @@ import click
 from config.errors import ConfigError
 from drivers.errors import DriverError
 from runtime.errors import DaemonError
+from sim.errors import LabError
 from tools.cli.check import check
 from tools.cli.lab import lab
 from tools.cli.log import log
@@ -39,7 +40,7 @@ def main() -> None:
     except click.ClickException as error:
         error.show()
         sys.exit(2)
-    except (ConfigError, ToolError) as error:
+    except (ConfigError, LabError, ToolError) as error:
         click.echo(f"tonus: {error}", err=True)
         sys.exit(2)
     except (DriverError, DaemonError) as error:
