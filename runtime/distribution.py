@@ -1,12 +1,17 @@
-"""Tension distribution: eight cables, six wrench components, one quadratic programme a tick.
+"""Tension distribution: eight cables, six wrench components, one quadratic programme.
 
 minimise  |T - T_c|^2 + weight |S (W T - w)|^2   subject to  low <= T <= high
 
 The wrench equality is soft, so a solution always exists; what was not delivered is reported as the
 deficit. S divides moments by a characteristic length. T_c carries the co-contraction: along the
-null space of W the cables pull against each other towards it. Eliminating the slack of the equality
-leaves eight unknowns and sixteen bounds, whose sparsity never changes: the problem is built once,
-from configuration alone (results then depend on no history), and updated each tick.
+null space of W the cables pull against each other towards it.
+
+The minimiser without bounds is one linear solve. Where it lies within the bounds it is the answer;
+where it does not, the programme finds the correction that the bounds demand. Posed for that
+correction its objective is zero at the free minimiser, so the solver's relative gap means
+millinewtons and not the size of the wrench. Its eight unknowns and sixteen bounds never change
+their sparsity: it is built once, from configuration alone (results then depend on no history),
+updated in each tick that needs it, and bounded by iterations, never by time.
 """
 
 from __future__ import annotations
@@ -27,28 +32,28 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True)
-def _assemble(
+def _free_minimiser(
     matrix: Array,
     wrench: Array,
-    centre: Array,
+    bounds: tuple[Array, Array, Array],
     weight: float,
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
+    triangle: tuple[NDArray[np.int64], NDArray[np.int64]],
     quadratic: Array,
-    linear: Array,
-) -> None:
-    """Cost of the programme: upper triangle of I + weight W^T W, and -T_c - weight W^T w."""
+    tensions: Array,
+) -> bool:
+    """Tensions without regard to the bounds, and whether they lie within them; ``quadratic``
+    becomes the upper triangle of I + weight W^T W. ``bounds``: low, high, centre."""
+    low, high, centre = bounds
+    rows, columns = triangle
+    normal = weight * (matrix.T @ matrix) + np.eye(len(centre))
     for k in range(rows.shape[0]):
-        i, j = rows[k], columns[k]
-        total = 0.0
-        for row in range(6):
-            total += matrix[row, i] * matrix[row, j]
-        quadratic[k] = weight * total + (1.0 if i == j else 0.0)
-    for i in range(centre.shape[0]):
-        total = 0.0
-        for row in range(6):
-            total += matrix[row, i] * wrench[row]
-        linear[i] = -centre[i] - weight * total
+        quadratic[k] = normal[rows[k], columns[k]]
+    right = centre + weight * (matrix.T @ wrench)
+    if not (np.isfinite(normal).all() and np.isfinite(right).all()):
+        tensions[:] = np.nan
+        return True
+    tensions[:] = np.linalg.solve(normal, right)
+    return bool(np.all((low <= tensions) & (tensions <= high)))
 
 
 @njit(cache=True)
@@ -84,8 +89,8 @@ class TensionDistribution:
         # Clarabel stores the upper triangle column by column.
         self._columns, self._rows = np.tril_indices(CABLES)
         self._quadratic = np.zeros(len(self._rows))
-        self._linear = np.zeros(CABLES)
-        self._bounds = np.zeros(2 * CABLES)
+        self._none = np.zeros(CABLES)
+        self._room = np.zeros(2 * CABLES)
         self._programme = self._build(settings)
 
     def _build(self, settings: Settings) -> clarabel.DefaultSolver:
@@ -96,6 +101,8 @@ class TensionDistribution:
         options.time_limit = float("inf")
         options.tol_gap_abs = options.tol_gap_rel = options.tol_feas = settings.tolerance
         options.max_threads = 1
+        # Eight well-scaled unknowns need neither, and they are a quarter of the time.
+        options.equilibrate_enable = options.iterative_refinement_enable = False
         cost = sparse.triu(np.ones((CABLES, CABLES)) + CABLES * np.eye(CABLES)).tocsc()
         eye = sparse.eye_array(CABLES, format="csc")
         constraints = sparse.csc_array(sparse.vstack([eye, -eye]))
@@ -116,31 +123,39 @@ class TensionDistribution:
         """
         scaled = matrix * self._column
         target = wrench * self._scale
-        _assemble(
+        tensions = np.empty(CABLES)
+        self.solver, self.iterations = Solver.INTERIOR, 0
+        if not _free_minimiser(
             scaled,
             target,
-            centre,
+            (low, high, centre),
             self._weight,
-            self._rows,
-            self._columns,
+            (self._rows, self._columns),
             self._quadratic,
-            self._linear,
-        )
-        self._bounds[:CABLES] = high
-        np.negative(low, out=self._bounds[CABLES:])
-        self._programme.update(P=self._quadratic, q=self._linear, b=self._bounds)
-        solution = self._programme.solve()
-        self.iterations = solution.iterations
-        if solution.status in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
-            self.solver = Solver.OPTIMAL
-            tensions: Array = np.array(solution.x)
-        else:
-            self.solver = Solver.FALLBACK
-            tensions = closed_form(scaled, target, centre)
+            tensions,
+        ):
+            tensions = self._bounded(tensions, scaled, target, centre, low, high)
         finite, self.deficit = _deliver(scaled, target, low, high, tensions)
         if not finite:
             self.solver, tensions = Solver.FALLBACK, np.clip(centre, low, high)
         return tensions
+
+    def _bounded(
+        self, free: Array, matrix: Array, wrench: Array, centre: Array, low: Array, high: Array
+    ) -> Array:
+        # A lost cable has no room at all, and no column in W: its correction is zero by itself, and
+        # room to be zero in keeps the programme's interior from vanishing.
+        lost = high <= low
+        self._room[:CABLES] = np.where(lost, 1.0, high - free)
+        self._room[CABLES:] = np.where(lost, 1.0, free - low)
+        self._programme.update(P=self._quadratic, q=self._none, b=self._room)
+        solution = self._programme.solve()
+        self.iterations = solution.iterations
+        if solution.status in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
+            self.solver = Solver.OPTIMAL
+            return np.asarray(free + np.array(solution.x))
+        self.solver = Solver.FALLBACK
+        return closed_form(matrix, wrench, centre)
 
 
 def closed_form(matrix: Array, wrench: Array, centre: Array) -> Array:

@@ -24,7 +24,11 @@ class Solver(IntEnum):
 
     NONE = 0
     OPTIMAL = 1
+    """the programme's solution, with bounds that matter"""
     FALLBACK = 2
+    """no solution within the iteration limit: closed form, clipped"""
+    INTERIOR = 3
+    """no bound mattered: the free minimiser itself"""
 
 
 class Grade(IntEnum):
