@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
@@ -10,7 +13,7 @@ from config import load
 from config.schema.control import Distribution
 from drivers.process_image import AxisState, ProcessImage
 from runtime.cycle import ControlCycle
-from runtime.distribution import TensionDistribution, closed_form
+from runtime.distribution import TensionDistribution
 from runtime.kinematics import Kinematics
 from runtime.states import Operator, State
 from tests.bench.measure import Figure, against, microseconds
@@ -20,7 +23,7 @@ Array = NDArray[np.float64]
 
 def control() -> list[Figure]:
     """Geometry, distribution, and the whole step in HOLD."""
-    config, scenario = load("config/can.yaml")
+    config, _ = load("config/can.yaml")
     kinematics = Kinematics(config.robot.geometry)
     position, quaternion = np.array([0.05, -0.03, 0.02]), np.array([1.0, 0.0, 0.0, 0.0])
     figures = [
@@ -33,12 +36,11 @@ def control() -> list[Figure]:
         )
     ]
     kinematics.evaluate(position, quaternion)
-    figures.append(_distribution(config.control.distribution, kinematics.matrix))
+    figures += _distribution(config.control.distribution, kinematics.matrix)
     cycle, image = _holding_cycle()
     counter = iter(range(10**6, 10**9))
     step = microseconds(lambda: cycle.step(image, next(counter), Operator.NONE))
     figures.append(Figure("ControlCycle.step in HOLD", step, "us", note="of 1000 us"))
-    del scenario
     return figures
 
 
@@ -50,22 +52,23 @@ def _geometry_in_numpy(kinematics: Kinematics, position: Array) -> tuple[Array, 
     return lengths, np.concatenate([units.T, np.cross(arms, units).T])
 
 
-def _distribution(settings: Distribution, matrix: Array) -> Figure:
+def _distribution(settings: Distribution, matrix: Array) -> list[Figure]:
+    """Without an active bound, and with some."""
     distribution = TensionDistribution(settings, 0.1)
-    wrench = np.array([-60.0, 10.0, 23.0, 0.1, 0.2, 0.0])
-    low, high, centre = np.full(8, 20.25), np.full(8, 200.0), np.full(8, 45.0)
+    low, high = np.full(8, 20.25), np.full(8, 200.0)
     scale = np.array([1.0] * 3 + [10.0] * 3)
     root = np.sqrt(settings.wrench_weight)
     system = np.vstack([np.eye(8), root * matrix * scale[:, None]])
-    target = np.concatenate([centre, root * wrench * scale])
-    unbounded = microseconds(lambda: closed_form(matrix, wrench, centre))
-    return against(
-        "tension distribution (Clarabel)",
-        lambda: distribution(matrix, wrench, centre, low, high),
-        "scipy lsq_linear",
-        lambda: lsq_linear(system, target, (low, high), method="bvls"),
-        f"closed form without bounds: {unbounded:.1f} us",
-    )
+    figures = []
+    for name, force, level in (("no bound active", -60.0, 45.0), ("bounds active", -90.0, 25.0)):
+        wrench, centre = np.array([force, 10.0, 23.0, 0.1, 0.2, 0.0]), np.full(8, level)
+        target = np.concatenate([centre, root * wrench * scale])
+        ours = partial(distribution, matrix, wrench, centre, low, high)
+        theirs = partial(lsq_linear, system, target, (low, high), method="bvls")
+        figure = against(f"tension distribution, {name}", ours, "scipy lsq_linear", theirs)
+        note = f"{distribution.solver.name}, {distribution.iterations} iterations"
+        figures.append(replace(figure, note=note))
+    return figures
 
 
 def _holding_cycle() -> tuple[ControlCycle, ProcessImage]:
