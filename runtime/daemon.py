@@ -27,6 +27,9 @@ from runtime.states import ARMED, Fault, Operator, State
 from runtime.taps import Level
 from runtime.words import describe, place, reaction
 
+_NOTICEABLE_S = 0.5
+"""Slowing at the start and at the end takes a tenth of a second; more was the envelope."""
+
 
 class TrackerDoor(Protocol):
     """Brings the tracker's poses into the image."""
@@ -80,6 +83,7 @@ class Daemon:
         self._fieldbus, self._tracker, self._commander = fieldbus, tracker, commander
         self._ring, self._events, self._stopwatch = ring, events, stopwatch
         self.cycle = ControlCycle(config.robot, config.control, config.tracker, scenario.reference)
+        self._duration = scenario.duration
         self._due_ns = 0
         self._state = State.OFF
         self._grade = Grade.GREEN
@@ -118,10 +122,22 @@ class Daemon:
         return Outcome(
             sequence.state,
             sequence.fault,
-            self._text or "scenario completed",
+            self._text or self._verdict(),
             ticks,
             scheduler.misses,
         )
+
+    def _verdict(self) -> str:
+        """What became of the scenario when nothing went wrong."""
+        if self._commander.interrupted:
+            return "stopped by the operator"
+        played, asked = float(self.cycle.record.state.scenario_time), self._duration
+        late = asked - played
+        if late > _NOTICEABLE_S:
+            return (
+                f"time is up at {played:.1f} of {asked:.1f} s: the envelope held the scenario back"
+            )
+        return "scenario completed"
 
     def _schedule(self, pacing: Pacing, start_ns: int) -> Scheduler:
         """The first tick is due on a whole period, at least one from now."""

@@ -16,6 +16,11 @@ class Commander(Protocol):
     @property
     def finished(self) -> bool: ...
 
+    @property
+    def interrupted(self) -> bool:
+        """Somebody asked for a stop."""
+        ...
+
     def stop(self) -> None:
         """A controlled stop, please; asked a second time, at once."""
 
@@ -32,6 +37,10 @@ class Script:
     @property
     def finished(self) -> bool:
         return self._over
+
+    @property
+    def interrupted(self) -> bool:
+        return self._asked > 0
 
     def stop(self) -> None:
         self._asked += 1

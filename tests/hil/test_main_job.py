@@ -108,6 +108,7 @@ def _contact_peak(tmp_path: Path, *, envelope: bool) -> float:
     assert result.outcome.fault is Fault.NONE, result.outcome.reason
     force = truth_at_cycles(log, "contact_force")
     assert force is not None
+    assert ("envelope held" in result.outcome.reason) is envelope
     return float(force.max())
 
 
