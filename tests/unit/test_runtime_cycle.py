@@ -325,7 +325,7 @@ def test_a_drive_lost_in_mid_air_is_named_and_the_platform_comes_down() -> None:
     assert loop.image.commands["torque"][2] != 0.0
     loop.run(2e-3)
     assert loop.image.commands["torque"][2] == 0.0
-    loop.until(State.SAFE_STOP, within=0.02)
+    loop.until(State.SAFE_STOP, within=(STALE + 2) * 1e-3)
     loop.until(State.FAULT)
     sequence = loop.cycle.sequence
     assert (sequence.fault, sequence.where) == (Fault.DRIVE_LOST, 2)
