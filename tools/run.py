@@ -86,8 +86,8 @@ class Result:
 
 def run(order: Order) -> Result:
     """Run to the end. Raises `DriverError` when a bus cannot be brought up."""
-    order.out.mkdir(parents=True, exist_ok=True)
     log = order.out / "run.mcap"
+    _make(order.out, "choose another with --out")
     log.unlink(missing_ok=True)
     if not rehearse(order.config, order.scenario):
         raise ToolError("the control cycle does not reach ACTIVE even with an obedient robot")
@@ -292,7 +292,7 @@ class _Stage:
 def _ring_directory() -> Iterator[Path]:
     """A place for the rings of this run; what a killed run left behind is cleared away."""
     base = runtime_dir()
-    base.mkdir(parents=True, exist_ok=True)
+    _make(base, "set TONUS_RUNTIME_DIR to a folder of your own")
     for old in base.glob("run-*"):
         if not Path("/proc", old.name.removeprefix("run-")).exists():
             shutil.rmtree(old, ignore_errors=True)
@@ -302,6 +302,16 @@ def _ring_directory() -> Iterator[Path]:
         yield rings
     finally:
         shutil.rmtree(rings, ignore_errors=True)
+
+
+def _make(folder: Path, remedy: str) -> None:
+    """A folder this process may write to. Raises `ToolError`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ToolError(f"{folder}: {error.strerror}; {remedy}") from error
+    if not os.access(folder, os.W_OK):
+        raise ToolError(f"{folder}: cannot be written; {remedy}")
 
 
 def _every(seconds: float, action: Callable[[], object]) -> Callable[[], None]:

@@ -1,0 +1,75 @@
+"""The command line: an error a user can mend is one line and exit code 2."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from tools.cli.main import main
+
+
+def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["tonus", *arguments])
+    with pytest.raises(SystemExit) as ending:
+        main()
+    code = ending.value.code
+    return code if isinstance(code, int) else 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "nope.yaml"], "there is no such file"),
+        (["run", "config/one_channel.yaml"], "2750 us"),
+        (["run", "config/can.yaml", "--scenario", "nope"], "choose one of"),
+        (["run", "config/can.yaml", "--controller", "nope"], "'bio' or 'pid'"),
+        (["run", "config/direct.yaml"], "--virtual"),
+        (["run", "config/can.yaml", "--virtual", "--out", "/dev/null/x"], "--out"),
+        (["log", "info", "nope.mcap"], "no such file"),
+        (["log", "info", "/dev/null"], "is empty"),
+        (["check", "config"], "config"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    arguments: list[str],
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path))
+    assert call(monkeypatch, *arguments) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert words in lines[0]
+
+
+def test_a_folder_that_cannot_be_had_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("TONUS_RUNTIME_DIR", "/dev/null/rings")
+    arguments = ["run", "config/can.yaml", "--virtual", "--out", str(tmp_path)]
+    assert call(monkeypatch, *arguments) == 2
+    assert "TONUS_RUNTIME_DIR" in capsys.readouterr().err
+
+
+def test_a_failed_check_is_exit_code_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(monkeypatch, "check", "config/one_channel.yaml") == 1
+    assert "FAILED" in capsys.readouterr().out
+
+
+def test_the_summary_alone_is_printed_as_json(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
+    arguments = ["config/direct.yaml", "--scenario", "hold", "--duration", "0.2", "--virtual"]
+    assert call(monkeypatch, "run", *arguments, "--json", "--out", str(tmp_path)) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    assert summary["state"] == "STANDBY"
+    assert summary["realtime_factor"] > 0.0
