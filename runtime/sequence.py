@@ -113,6 +113,8 @@ class Sequence:
             self._envelope.reset()
         elif self.state is State.PRETENSION:
             self.referenced = True
+        elif self.state is State.FAULT:
+            self._resetting = False
         if self.state in (State.REFERENCING, State.STANDBY, State.FAULT):
             self.enabled = False
         return True

@@ -79,6 +79,15 @@ def test_a_device_silent_for_too_long_stops_the_robot(table: str, row: int, faul
     assert end(statue, aged(table, row, STALE + 1)) == (State.FAULT, fault, row)
 
 
+def test_an_emergency_stop_ends_a_reset() -> None:
+    statue = Statue().until(State.STANDBY)
+    for operator in (Operator.ESTOP, Operator.RESET, Operator.ESTOP):
+        statue.report()
+        statue.step(operator)
+    assert statue.at(State.FAULT)
+    assert (statue.image.commands["command"] == AxisCommand.DISABLE).all()
+
+
 def test_an_emergency_stop_disables_everything_in_the_same_tick() -> None:
     for state in (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP):
         statue = Statue().until(state)
