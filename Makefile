@@ -27,7 +27,8 @@ check-types: setup
 	$(BIN)/mypy
 
 test: lint check-types
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
+	$(BIN)/python -m pytest -m realtime
 
 bench: setup
 	$(BIN)/python -m tests.bench

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.schema.bus import CELLS, CanopenBus
-from config.schema.lab import Fault, LabScript
+from config.schema.faults import CellBreak, DriveError, Fault, Replug, Unplug
+from config.schema.lab import LabScript
 from config.schema.robot import CABLES
 from config.schema.root import Config
 from sim.can import registry
@@ -156,13 +157,15 @@ class Lab:
 
     def _check(self, fault: Fault) -> Node:
         """The node a fault is about, if it can have it. Raises `LabError`."""
+        if not isinstance(fault, Unplug | Replug | DriveError | CellBreak):
+            raise LabError(f"fault {fault.kind}: this lab cannot play it yet")
         node = self._node(fault.channel, fault.node)
-        if fault.kind == "drive_error":
+        if isinstance(fault, DriveError):
             if not isinstance(node.device, Epos4):
                 raise LabError(f"fault {fault.kind}: node {fault.node} is not a drive")
             if fault.code not in ERRORS:
                 raise LabError(f"fault {fault.kind}: a drive has no error 0x{fault.code:04X}")
-        if fault.kind == "cell_break" and not isinstance(node.device, ForceCell):
+        if isinstance(fault, CellBreak) and not isinstance(node.device, ForceCell):
             raise LabError(f"fault {fault.kind}: node {fault.node} is not a force cell")
         return node
 
@@ -291,11 +294,11 @@ class Lab:
     def inject(self, fault: Fault) -> None:
         """Make one fault happen now. Raises `LabError`."""
         node = self._check(fault)
-        if fault.kind == "unplug":
+        if isinstance(fault, Unplug):
             node.unplug()
-        elif fault.kind == "replug":
+        elif isinstance(fault, Replug):
             node.replug()
-        elif fault.kind == "drive_error":
+        elif isinstance(fault, DriveError):
             node.device.fail(fault.code)
-        elif isinstance(node.device, ForceCell):
-            node.device.break_sensor()
+        elif isinstance(fault, CellBreak) and isinstance(node.device, ForceCell):
+            node.device.break_sensor(broken=fault.broken)

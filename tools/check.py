@@ -192,18 +192,24 @@ def _identifiers(bus: CanopenBus, channel: Channel) -> Iterator[Finding]:
 
 
 def _faults(bus: CanopenBus, scenario: Scenario) -> Iterator[Finding]:
-    """A fault injected into a node that is not there would never be seen."""
-    known = {(channel.name, drive.node_id) for channel in bus.channels for drive in channel.drives}
-    known |= {
+    """A fault injected where there is nothing would never be seen."""
+    channels = {channel.name for channel in bus.channels}
+    nodes = {(channel.name, drive.node_id) for channel in bus.channels for drive in channel.drives}
+    nodes |= {
         (channel.name, cell.node_id) for channel in bus.channels for cell in channel.force_cells
     }
     for index, fault in enumerate(scenario.lab.faults):
-        there = (fault.channel, fault.node) in known
+        node = getattr(fault, "node", None)
+        if node is not None:
+            there = (fault.channel, node) in nodes
+            what = f"{fault.kind} of node {node} on {fault.channel}"
+        else:
+            there = fault.channel is None or fault.channel in channels
+            what = f"{fault.kind} on {fault.channel or 'every channel'}"
         yield Finding(
             "faults",
             there,
             f"scenario {scenario.name}: lab.faults.{index}",
-            f"{fault.kind} of node {fault.node} on {fault.channel}"
-            + ("" if there else ", where there is no such node"),
+            what + ("" if there else ", which is not there"),
             "name a channel and a node id of the fieldbus",
         )

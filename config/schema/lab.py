@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from config.schema.base import Count, Direction, Finite, NonNegative, Positive, Section, Vector3
+from config.schema.faults import Fault
 
 
 class Plant(Section):
@@ -124,16 +125,6 @@ class Load(Section):
         if times != sorted(times):
             raise ValueError("the profile must run forward in time")
         return self
-
-
-class Fault(Section):
-    """One injected fault; ``node`` is a node id of the fieldbus."""
-
-    at: NonNegative
-    kind: Literal["unplug", "replug", "drive_error", "cell_break"]
-    channel: str
-    node: int
-    code: int = 0
 
 
 class LabScript(Section):

@@ -20,6 +20,8 @@ from config.loader import HERE
 from runtime.ring import RingReader
 from tools.log import open as open_log
 
+pytestmark = pytest.mark.realtime
+
 TONUS = [sys.executable, "-m", "tools.cli"]
 ROOT = HERE.parent
 

@@ -17,6 +17,8 @@ from canopen.sdo import SdoAbortedError
 
 from sim.can.plugin import TonusBus
 
+pytestmark = pytest.mark.realtime
+
 SERVE = """
 import asyncio, sys
 from pathlib import Path

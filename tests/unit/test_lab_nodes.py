@@ -8,7 +8,8 @@ import can
 import pytest
 from lab_bench import Bench
 
-from config.schema.lab import Fault, LabScript
+from config.schema.faults import CellBreak, DriveError, Unplug
+from config.schema.lab import LabScript
 from sim.devices.cia402 import State
 from sim.errors import LabError
 from sim.lab import Lab
@@ -217,9 +218,9 @@ def test_an_unplugged_node_is_silent_until_it_is_back() -> None:
 def test_the_script_begins_when_all_drives_are_enabled() -> None:
     script = LabScript(
         faults=(
-            Fault(at=0.05, kind="unplug", channel="can1", node=3),
-            Fault(at=0.10, kind="drive_error", channel="can0", node=2, code=0x4210),
-            Fault(at=0.10, kind="cell_break", channel="can3", node=25),
+            Unplug(at=0.05, kind="unplug", channel="can1", node=3),
+            DriveError(at=0.10, kind="drive_error", channel="can0", node=2, code=0x4210),
+            CellBreak(at=0.10, kind="cell_break", channel="can3", node=25),
         )
     )
     with Bench(script=script) as bench:
@@ -242,7 +243,7 @@ def test_the_script_begins_when_all_drives_are_enabled() -> None:
 
 
 def test_a_script_that_does_not_fit_is_refused() -> None:
-    script = LabScript(faults=(Fault(at=0.0, kind="unplug", channel="can0", node=99),))
+    script = LabScript(faults=(Unplug(at=0.0, kind="unplug", channel="can0", node=99),))
     with pytest.raises(LabError, match="no node 99"):
         Bench(script=script)
 

@@ -1,0 +1,155 @@
+"""Faults a lab can be asked for: in a scenario's ``lab: faults:``, at its door, or from a test.
+
+One kind, one class; a class holds what its fault needs and nothing else.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter
+
+from config.schema.base import Count, Fraction, NodeId, NonNegative, Positive, Section
+
+Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
+
+
+class _Fault(Section):
+    at: NonNegative = 0.0
+    """s after the lab saw every drive enabled; at the door, s from now"""
+
+
+class _OfNode(_Fault):
+    channel: str
+    node: NodeId
+
+
+class Unplug(_OfNode):
+    """The node's cable is pulled; the device runs on, unheard and deaf."""
+
+    kind: Literal["unplug"]
+
+
+class Replug(_OfNode):
+    kind: Literal["replug"]
+
+
+class PowerCycle(_OfNode):
+    """The node's supply is interrupted: it starts anew from its stored parameters."""
+
+    kind: Literal["power_cycle"]
+
+
+class DriveError(_OfNode):
+    """The drive raises an error of its own (CiA 402 error code)."""
+
+    kind: Literal["drive_error"]
+    code: Annotated[int, Field(ge=1, le=0xFFFF)]
+
+
+class DriveInput(_OfNode):
+    """Something wired to the drive changes its level."""
+
+    kind: Literal["drive_input"]
+    input: Literal["negative_limit", "positive_limit", "home", "quick_stop", "drive_enable", "sto"]
+    active: bool = True
+
+
+class CellBreak(_OfNode):
+    """The bridge of a force cell opens, or is mended."""
+
+    kind: Literal["cell_break"]
+    broken: bool = True
+
+
+class _OfFrames(_Fault):
+    """Happens to frames of one channel, until its count, its time or `ClearFaults` ends it."""
+
+    channel: str
+    identifier: Identifier | None = None
+    """only frames with this identifier; None: all"""
+    probability: Fraction = 1.0
+    frames: Count | None = None
+    """so many frames at most"""
+    duration: Positive | None = None
+    """s"""
+
+
+class Loss(_OfFrames):
+    """Nobody receives the frame, and its sender does not learn of it."""
+
+    kind: Literal["loss"]
+
+
+class Corruption(_OfFrames):
+    """A bit is flipped on the wire: error frame, error counters, and the frame is sent again."""
+
+    kind: Literal["corruption"]
+
+
+class Delay(_OfFrames):
+    """The frame enters its sender's queue later than it should."""
+
+    kind: Literal["delay"]
+    delay_us: Count
+
+
+class Duplicate(_OfFrames):
+    """The frame is sent twice, as after an acknowledge that its sender missed."""
+
+    kind: Literal["duplicate"]
+
+
+class Babble(_Fault):
+    """A controller gone mad sends one identifier without pause."""
+
+    kind: Literal["babble"]
+    channel: str
+    identifier: Identifier = 0
+    period_us: Count = 1
+    """between its frames; less than a frame takes: back to back"""
+    duration: Positive | None = None
+
+
+class StuckBus(_Fault):
+    """The bus is held dominant: nobody can send, and senders run into bus-off."""
+
+    kind: Literal["stuck"]
+    channel: str
+    duration: Positive | None = None
+
+
+class Disconnect(_Fault):
+    """The channel's cable is cut behind the daemon's controller: it is alone, nobody
+    acknowledges its frames; the devices go on among themselves."""
+
+    kind: Literal["disconnect"]
+    channel: str
+    duration: Positive | None = None
+
+
+class ClearFaults(_Fault):
+    """End every lasting fault of a channel, or of all."""
+
+    kind: Literal["clear"]
+    channel: str | None = None
+
+
+Fault = Annotated[
+    Unplug
+    | Replug
+    | PowerCycle
+    | DriveError
+    | DriveInput
+    | CellBreak
+    | Loss
+    | Corruption
+    | Delay
+    | Duplicate
+    | Babble
+    | StuckBus
+    | Disconnect
+    | ClearFaults,
+    Field(discriminator="kind"),
+]
+FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
