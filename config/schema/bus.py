@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -12,6 +12,9 @@ from config.schema.robot import CABLES
 CONTACT_CELL = CABLES
 """Row of the contact port's cell: the ninth, behind the eight cable cells."""
 CELLS = CABLES + 1
+AMPLIFIER_CHANNELS = 4
+"""Cells that one node carries at most: as many 16-bit values as a frame holds."""
+CellNumber = Annotated[int, Field(ge=0, lt=CELLS)]
 
 MappingEntry = Annotated[int, Field(ge=0x10000000, le=0xFFFFFFFF)]
 """A PDO mapping word of CiA 301: index << 16 | subindex << 8 | length in bits."""
@@ -64,8 +67,26 @@ class DriveNode(Section):
 
 
 class CellNode(Section):
-    cell: Annotated[int, Field(ge=0, lt=CELLS)]
+    """An amplifier with one cell (``cell: 0``) or several (``cells: [0, 1, 2, 3]``)."""
+
+    cells: Annotated[tuple[CellNumber, ...], Field(min_length=1, max_length=AMPLIFIER_CHANNELS)]
+    """the cell on each channel, in the order of the channels"""
     node_id: NodeId
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_is_several(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or "cell" not in given:
+            return given
+        if "cells" in given:
+            raise ValueError("names both cell and cells; keep one of them")
+        rest = {key: value for key, value in given.items() if key != "cell"}
+        return rest | {"cells": (given["cell"],)}
+
+    @property
+    def cell(self) -> int:
+        """The cell on the first channel."""
+        return self.cells[0]
 
 
 class Channel(Section):
@@ -97,7 +118,9 @@ class CanopenBus(Section):
     @classmethod
     def _every_device_once(cls, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
         axes = [drive.axis for channel in channels for drive in channel.drives]
-        cells = [cell.cell for channel in channels for cell in channel.force_cells]
+        cells = [
+            cell for channel in channels for node in channel.force_cells for cell in node.cells
+        ]
         for kind, found, wanted in (("axis", axes, CABLES), ("cell", cells, CELLS)):
             missing = sorted(set(range(wanted)) - set(found))
             twice = sorted({number for number in found if found.count(number) > 1})

@@ -24,6 +24,8 @@ class Plant(Section):
     mass_scale: Positive = 1.0
     anchor_sigma: NonNegative = 0.0
     """m, drawn once per seed for each frame anchor coordinate"""
+    holding_brake: bool = False
+    """every motor has a brake that its drive opens (0x3158) and that is closed without power"""
     slack_at_start: tuple[NonNegative, NonNegative]
     """m: range from which every cable's slack in the cradle is drawn; loose enough to lie still,
     short enough to be wound in during referencing"""
