@@ -134,7 +134,10 @@ class Lab:
                 for cell in channel.force_cells:
                     cell_ids[cell.cell] = cell.node_id
         for axis, node_id in enumerate(drive_ids):
-            self.drives.append(Epos4(axis, node_id, self.samples, self))
+            brake = lab.plant.holding_brake
+            self.drives.append(
+                Epos4(axis, node_id, self.samples, self, lab.drive, holding_brake=brake)
+            )
         for number, node_id in enumerate(cell_ids):
             noise = lab.noise.force_cell
             self.cells.append(ForceCell(number, node_id, self.samples, noise, self))

@@ -6,7 +6,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Count, Direction, Finite, NonNegative, Positive, Section, Vector3
+from config.schema.base import (
+    Count,
+    Direction,
+    Finite,
+    Fraction,
+    NonNegative,
+    Positive,
+    Section,
+    Vector3,
+)
 from config.schema.faults import Fault
 
 
@@ -98,12 +107,35 @@ class Timing(Section):
     """frames a node's transmit queue holds"""
 
 
+class PowerStage(Section):
+    """What the emulated drives' hardware does. Its limits are the drives' own objects; here is
+    where it lives and how far a value must come back before its error can be reset."""
+
+    supply: Positive = 48.0
+    """V"""
+    temperature: Finite = 30.0
+    """degrees C"""
+    undervoltage_recovery: NonNegative = 0.5
+    """V above 0x2201:1"""
+    overvoltage_recovery: NonNegative = 2.0
+    """V below 0x2201:2"""
+    thermal_recovery: NonNegative = 10.0
+    """K below 0x3201:4"""
+    continuous_current: Positive = 8.0
+    """A"""
+    thermal_time_constant: Positive = 15.0
+    """s, of the power stage's I2t"""
+    release_level: Fraction = 0.95
+    """I2t at which a limited current is given back, as a share of the level that limits it"""
+
+
 class Lab(Section):
     seed: Annotated[int, Field(ge=0)]
     plant: Plant
     noise: Noise
     cradle: Cradle
     bus: Timing
+    drive: PowerStage = PowerStage()
     phantom: Phantom | None = None
 
 

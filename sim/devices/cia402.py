@@ -57,6 +57,9 @@ class Actions(Protocol):
 
     def fault_cleared(self) -> None: ...
 
+    def may_enable(self) -> bool:
+        """Whether nothing at the terminals forbids it; a drive may fault instead."""
+
     def shutdown_ramp(self) -> bool:
         """0x605B: brake before the power goes."""
 
@@ -116,21 +119,27 @@ class Machine:
             return
         if reset or self.state in (State.FAULT_REACTION_ACTIVE, State.NOT_READY):
             return
-        key = (self.state, command(word))
-        if self._braking is not None and key[1] is not Command.DISABLE_VOLTAGE:
+        self.obey(command(word))
+
+    def obey(self, wanted: Command) -> None:
+        """A command of the controlword, or of an input with the same meaning."""
+        key = (self.state, wanted)
+        if self._braking is not None and wanted is not Command.DISABLE_VOLTAGE:
             # While it brakes for transition 5 or 8, only taking the power or stopping is heard.
-            if key[1] is not Command.QUICK_STOP:
+            if wanted is not Command.QUICK_STOP:
                 return
             self._braking = None
         if key in _BRAKED:
-            wanted = self._actions
-            ramp = wanted.shutdown_ramp() if key[1] is Command.SHUTDOWN else wanted.disable_ramp()
+            how = self._actions
+            ramp = how.shutdown_ramp() if wanted is Command.SHUTDOWN else how.disable_ramp()
             if ramp:
                 self._braking = _BRAKED[key]
                 self._actions.ramp_down(_BRAKED[key])
             else:
                 self._enter(_BRAKED[key])
         elif key in _DIRECT:
+            if _DIRECT[key] is State.OPERATION_ENABLED and not self._actions.may_enable():
+                return
             self._braking = None
             self._enter(_DIRECT[key])
 

@@ -1,4 +1,4 @@
-"""The EPOS4's errors: code, bit of the error register, and what the drive does, as its maker says.
+"""The EPOS4's errors: code, bits of the error register, what the drive does, and how it recovers.
 
 Reactions: "D" power off at once; "A" as 0x6007 says; "F" as 0x605E says; "W" only warns.
 """
@@ -6,41 +6,78 @@ Reactions: "D" power off at once; "A" as 0x6007 says; "F" as 0x605E says; "W" on
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
-HEARTBEAT_LOST = 0x8130
+OVERVOLTAGE = 0x3210
+UNDERVOLTAGE = 0x3220
+OVERHEATED = 0x4210
+MOTOR_OVERHEATED = 0x4380
 CAN_PASSIVE = 0x8120
+HEARTBEAT_LOST = 0x8130
 PDO_LENGTH = 0x8210
+PDO_TIMEOUT = 0x8250
+FOLLOWING = 0x8611
+NEGATIVE_LIMIT = 0x8A80
+POSITIVE_LIMIT = 0x8A81
+SOFTWARE_LIMIT = 0x8A82
+TORQUE_OFF = 0x8A88
 OVERLOADED = 0xFF01
 
-NEEDS_COMMUNICATION_RESET = frozenset({CAN_PASSIVE, HEARTBEAT_LOST})
-"""A fault reset is refused until NMT reset communication."""
+
+class Recovery(Enum):
+    """What a fault reset needs first."""
+
+    NONE = "nothing"
+    IN_RANGE = "the value back in its range"
+    COMMUNICATION = "NMT reset communication"
+    DEVICE = "a reset of the device"
+    HISTORY = "the history cleared"
 
 
 @dataclass(frozen=True)
 class Error:
     register: int
     reaction: str
+    recovery: Recovery = Recovery.NONE
+    loses_position: bool = False
+    """resetting it clears the position"""
 
 
 def _group(register: int, reaction: str, *codes: int) -> dict[int, Error]:
     return {code: Error(register, reaction) for code in codes}
 
 
+def _special(recovery: Recovery, register: int, reaction: str, *codes: int) -> dict[int, Error]:
+    return {code: Error(register, reaction, recovery) for code in codes}
+
+
+def _lost(register: int, *codes: int) -> dict[int, Error]:
+    return {code: Error(register, "D", loses_position=True) for code in codes}
+
+
 ERRORS: dict[int, Error] = {
-    **_group(0x01, "D", 0x1000, *range(0x1080, 0x1084), 0x1090),
+    **_group(0x01, "D", 0x1000, 0x1090),
+    **_special(Recovery.DEVICE, 0x01, "D", *range(0x1080, 0x1089)),
     **_group(0x02, "D", 0x2310, 0x2320),
-    **_group(0x04, "D", 0x3210, 0x3220, 0x5113),
-    **_group(0x08, "D", 0x4210, 0x4380),
-    **_group(0x01, "D", 0x5280, 0x5281, 0x5282, 0x5480, 0x5481, 0x5482, 0x5483),
+    **_special(Recovery.IN_RANGE, 0x04, "D", OVERVOLTAGE, UNDERVOLTAGE, 0x5113),
+    **_special(Recovery.IN_RANGE, 0x08, "D", OVERHEATED, MOTOR_OVERHEATED),
+    **_special(Recovery.DEVICE, 0x01, "D", 0x5280, 0x5281, 0x5282),
+    **_special(Recovery.DEVICE, 0x01, "D", 0x5480, 0x5481, 0x5482, 0x5483),
     **_group(0x01, "D", 0x6080, 0x6180, 0x61F0, 0x6380),
     **_group(0x01, "A", 0x6081),
     **_group(0x01, "F", 0x6320),
-    **_group(0x20, "D", 0x7320, 0x7380, 0x7381, 0x7382, 0x7388, 0x7389, 0x738A),
-    **_group(0x20, "D", 0x738C, 0x738D, 0x7390, 0x7391, 0x7392),
-    **_group(0x10, "A", 0x8110, 0x8111, CAN_PASSIVE, HEARTBEAT_LOST, 0x8150),
-    **_group(0x10, "A", 0x81FD, 0x81FE, 0x81FF, PDO_LENGTH, 0x8250),
-    **_group(0x80, "F", 0x8611, 0x8A80, 0x8A81, 0x8A82),
-    **_group(0x01, "D", 0x8A88, 0x8A8A, 0x8A8B, 0xFF02, 0xFF0B),
-    **_group(0x00, "W", OVERLOADED),
+    **_group(0x20, "D", 0x7320, 0x738C, 0x738D, 0x7390, 0x7391),
+    **_lost(0x20, 0x7380, 0x7381, 0x7382, 0x7388, 0x7389, 0x738A, 0x7392),
+    **_group(0x10, "A", 0x8110, 0x8111, 0x8150, 0x81FD, 0x81FE, 0x81FF, PDO_LENGTH, PDO_TIMEOUT),
+    **_special(Recovery.COMMUNICATION, 0x10, "A", CAN_PASSIVE, HEARTBEAT_LOST),
+    **_group(0x10, "A", 0x8180, 0x8182, 0x8183, 0x8184, 0x8280, 0x8281),
+    **_group(0x10, "D", 0x8181),
+    **_group(0x80, "F", FOLLOWING, NEGATIVE_LIMIT, POSITIVE_LIMIT, SOFTWARE_LIMIT),
+    **_group(0x01, "D", TORQUE_OFF, 0x8A8B, 0xFF0B),
+    **_group(0x01, "W", 0x8A8A),
+    **_special(Recovery.HISTORY, 0x00, "W", OVERLOADED),
+    **_lost(0x01, 0xFF02),
     **_group(0x20, "F", 0xFF10),
+    **_group(0x20, "D", *range(0xFF11, 0xFF18), 0xFF19, *range(0xFF20, 0xFF25)),
 }
+"""0x8A8A stands in the maker's table with the others of its group, but has a warning's effect."""

@@ -12,8 +12,11 @@ from enum import Enum
 
 Value = int | float | str
 
-READ_ONLY = 0x06010002
+TOGGLE = 0x05030000
+TIMEOUT = 0x05040000
+COMMAND = 0x05040001
 WRITE_ONLY = 0x06010001
+READ_ONLY = 0x06010002
 SUB0_FIRST = 0x06010003
 NO_OBJECT = 0x06020000
 NOT_MAPPABLE = 0x06040041
@@ -28,6 +31,9 @@ CANNOT_STORE = 0x08000020
 WRONG_STATE = 0x08000022
 
 _TEXT = {
+    TOGGLE: "the toggle bit did not change",
+    TIMEOUT: "the transfer took too long",
+    COMMAND: "the command is unknown",
     READ_ONLY: "the object is read only",
     WRITE_ONLY: "the object is write only",
     SUB0_FIRST: "subindex 0 must be 0 first",
@@ -84,13 +90,19 @@ class Kind(Enum):
         return 0, (1 << bits) - 1
 
 
+Row = tuple[int, int, str, Kind, str, int, int, int, str]
+"""Index, subindex, name, type, access, default, low, high (0, 0: the type's), mapping."""
+ALL = 0xFFFFFFFF
+
+
 @dataclass(slots=True)
 class Entry:
     """One subindex. ``access``: "ro", "rw", "wo" or "const".
 
     ``mapping``: "" not mappable, "r" into an RPDO, "t" into a TPDO, "rt" both.
-    ``read`` replaces the stored value; ``write`` is called with a checked value, before it is
-    stored, and may raise `AbortError`. ``allowed`` narrows a range to single values.
+    ``read`` replaces the value; ``write`` is called with a checked value, before it is taken over,
+    and may raise `AbortError`. ``allowed`` narrows a range to single values. ``relative``: the
+    value counts from the node's number. ``lasting``: saved with the parameters.
     """
 
     name: str
@@ -103,15 +115,30 @@ class Entry:
     allowed: tuple[int, ...] = ()
     read: Callable[[], Value] | None = None
     write: Callable[[int], None] | None = None
+    relative: bool = False
+    lasting: bool = True
     default: Value = 0
+    """as from the factory"""
+    stored: Value = 0
+    """as at the next switch-on"""
 
     def __post_init__(self) -> None:
-        self.default = self.value
+        self.default = self.stored = self.value
         if self.low == self.high == 0 and self.kind is not Kind.STRING:
             self.low, self.high = self.kind.limits
 
     def get(self) -> Value:
         return self.value if self.read is None else self.read()
+
+    def set(self, value: Value) -> None:
+        """A new default, of which no client knows."""
+        self.value = self.default = self.stored = value
+
+    def takes(self, value: float) -> bool:
+        # Written so that a NaN is refused as well.
+        if not self.low <= value <= self.high:
+            return False
+        return not self.allowed or value in self.allowed
 
     def encode(self) -> bytes:
         value = self.get()
@@ -121,10 +148,14 @@ class Entry:
 
 
 class ObjectDictionary:
-    """Entries by index and subindex. Every object has a subindex 0, given or made."""
+    """Entries by index and subindex. Every object has a subindex 0, given or made.
+
+    ``names``: those of arrays and records, by index.
+    """
 
     def __init__(self) -> None:
         self.entries: dict[tuple[int, int], Entry] = {}
+        self.names: dict[int, str] = {}
         self._indices: set[int] = set()
 
     def add(self, index: int, subindex: int, entry: Entry) -> Entry:
@@ -134,10 +165,10 @@ class ObjectDictionary:
         if subindex > 0:
             head = self.entries.get((index, 0))
             if head is None:
-                count = Entry("highest subindex", Kind.U8, "ro", subindex)
+                count = Entry("Highest sub-index supported", Kind.U8, "ro", subindex)
                 self.entries[index, 0] = count
             elif head.access == "ro":
-                head.value = head.default = max(int(head.value), subindex)
+                head.set(max(int(head.value), subindex))
         return entry
 
     def find(self, index: int, subindex: int) -> Entry:
@@ -172,17 +203,25 @@ class ObjectDictionary:
         if len(data) != kind.size:
             raise AbortError(LENGTH_LOW if len(data) < kind.size else TYPE_LENGTH)
         (value,) = struct.unpack("<" + kind.letter, data)
-        # Written so that a NaN is refused as well.
-        if not entry.low <= value <= entry.high:
-            raise AbortError(RANGE)
-        if entry.allowed and value not in entry.allowed:
+        if not entry.takes(value):
             raise AbortError(RANGE)
         if entry.write is not None:
             entry.write(value)
         entry.value = value
 
+    def save(self) -> None:
+        """Keep the present parameters over a reset."""
+        for entry in self.entries.values():
+            if entry.access == "rw" and entry.lasting:
+                entry.stored = entry.value
+
+    def forget(self) -> None:
+        """Have the parameters of the factory again after the next reset."""
+        for entry in self.entries.values():
+            entry.stored = entry.default
+
     def restore(self, low: int, high: int) -> None:
-        """Set objects of an index range (``high`` included) back to what they were at switch-on."""
+        """Set objects of an index range (``high`` included) to what they are at switch-on."""
         for (index, _), entry in self.entries.items():
             if low <= index <= high and entry.access == "rw":
-                entry.value = entry.default
+                entry.value = entry.stored

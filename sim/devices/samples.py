@@ -7,7 +7,7 @@ range, in integers with decimal digits.
 
 from __future__ import annotations
 
-from math import pi
+from math import floor, pi
 from typing import Protocol
 
 import numpy as np
@@ -38,6 +38,7 @@ TORQUE = CABLES
 CELL = 2 * CABLES
 """Where each quantity begins in `Samples.words`."""
 _INT16 = 0x7FFF
+_INT32 = 1 << 31
 
 
 class Measured(Protocol):
@@ -57,6 +58,8 @@ class Measured(Protocol):
     def current_reference(self) -> Floats: ...
     @property
     def powered(self) -> NDArray[np.bool_]: ...
+    @property
+    def locked(self) -> NDArray[np.bool_]: ...
     def advance(self, to_ns: int) -> None: ...
 
 
@@ -76,7 +79,8 @@ def _sample(
     force: Floats,
 ) -> None:
     for i in range(CABLES):
-        words[POSITION + i] = int(np.floor(angle[i] * p[_PER_RADIAN])) - int(p[_ZERO + i])
+        count = int(np.floor(angle[i] * p[_PER_RADIAN])) - int(p[_ZERO + i])
+        words[POSITION + i] = (count + _INT32) % (2 * _INT32) - _INT32
         mille = np.rint(current[i] * p[_PER_AMPERE + i])
         words[TORQUE + i] = int(min(max(mille, -_INT16 - 1), _INT16))
     for i in range(CELLS):
@@ -106,7 +110,10 @@ class Samples:
         self._noise = np.zeros((_BLOCK, CELLS))
         self._block = -1
         self._p = np.zeros(_LENGTH)
-        self._p[_PER_RADIAN] = motor.increments_per_revolution / (2.0 * pi)
+        self.per_revolution = motor.increments_per_revolution
+        self.per_radian = self.per_revolution / (2.0 * pi)
+        """increments of a motor's encoder"""
+        self._p[_PER_RADIAN] = self.per_radian
         self._p[_RANGE] = noise.range
         self._p[_DIGITS : _DIGITS + CELLS] = 1.0
         offsets = generator(seed, Stream.CELLS).standard_normal(CELLS)
@@ -153,10 +160,18 @@ class Samples:
         self._p[_DIGITS + cell] = 10.0**digits
         self._changed()
 
-    def zero_position(self, axis: int) -> None:
-        """Count increments from here on: an encoder counter at switch-on."""
-        place = float(self.plant.motor_angle[axis]) * self._p[_PER_RADIAN]
-        self._p[_ZERO + axis] = np.floor(place)
+    def count(self, axis: int) -> int:
+        """Increments of an axis' encoder since the plant's own zero, where an index pulse is; the
+        plant stands at the present."""
+        return floor(float(self.plant.motor_angle[axis]) * self.per_radian)
+
+    def position(self, axis: int) -> int:
+        """Increments as an axis' drive counts them; the plant stands at the present."""
+        return (self.count(axis) - int(self._p[_ZERO + axis]) + _INT32) % (2 * _INT32) - _INT32
+
+    def set_position(self, axis: int, position: int = 0) -> None:
+        """Count increments from this position on: 0 is an encoder counter at switch-on."""
+        self._p[_ZERO + axis] = self.count(axis) - position
         self._changed()
 
     def break_cell(self, cell: int, *, broken: bool = True) -> None:

@@ -50,6 +50,7 @@ class Stage:
         self.ramps = ramps
         self.cause = False
         self.cleared = 0
+        self.allowed = True
 
     def power(self, on: bool) -> None:
         self.on, self.braking = on, False
@@ -62,6 +63,9 @@ class Stage:
 
     def fault_cleared(self) -> None:
         self.cleared += 1
+
+    def may_enable(self) -> bool:
+        return self.allowed
 
     def shutdown_ramp(self) -> bool:
         return self.ramps
