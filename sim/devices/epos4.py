@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from config.schema.lab import PowerStage
 from sim.devices.cia402 import POWERED, Command, Machine, State
-from sim.devices.device import ErrorSink, PdoDefault, Reader, Writer
+from sim.devices.device import ErrorSink, Reader, Writer
 from sim.devices.epos4_errors import (
     ERRORS,
     NEGATIVE_LIMIT,
@@ -19,49 +19,35 @@ from sim.devices.epos4_errors import (
     TORQUE_OFF,
     Recovery,
 )
-from sim.devices.epos4_objects import POWER_OFF_ONLY, SENSORS, dictionary
+from sim.devices.epos4_objects import (
+    POWER_OFF_ONLY,
+    RECEIVE_PDOS,
+    SENSORS,
+    TRANSMIT_PDOS,
+    dictionary,
+)
 from sim.devices.epos4_values import connect, scale_speeds
 from sim.devices.error_memory import ErrorMemory
-from sim.devices.guard import Guard
-from sim.devices.holding_brake import HoldingBrake
-from sim.devices.homing import Homing
-from sim.devices.modes import CyclicPosition, CyclicVelocity, ProfilePosition, ProfileVelocity
-from sim.devices.motion import FOLLOWS_COMMAND, Braking, Motion, Task
 from sim.devices.objects import CANNOT_STORE, WRONG_STATE, AbortError
+from sim.devices.output import CYCLIC_POSITION, CYCLIC_TORQUE, CYCLIC_VELOCITY, HOMING, Output
 from sim.devices.samples import POSITION, TORQUE, Samples
-from sim.devices.servo import RPM, Servo
+from sim.devices.servo import RPM
+from sim.devices.set_points import SetPoints
 from sim.devices.terminals import Function, Terminals
 from sim.devices.timers import Timers
 
 VOLTAGE_ENABLED = 0x0010
 WARNING = 0x0080
 REMOTE = 0x0200
-INTERNAL_LIMIT = 0x0800
 REFERENCED = 0x8000
-PROFILE_POSITION, PROFILE_VELOCITY, HOMING, CYCLIC_POSITION, CYCLIC_VELOCITY, CYCLIC_TORQUE = (
-    1,
-    3,
-    6,
-    8,
-    9,
-    10,
-)
 _CYCLIC = (CYCLIC_POSITION, CYCLIC_VELOCITY, CYCLIC_TORQUE)
 _SAVE = 0x65766173
 _LOAD = 0x64616F6C
-_VALID_NO_REMOTE = 0x40000000
-_DISABLED = 0xC0000000
 _BUS_OBJECTS = (0x1000, 0x1FFF)
 _OWN_OBJECTS = (0x2000, 0xFFFF)
 _QUICK_STOP_RAMP = 0x6085
 _PROFILE_RAMP = 0x6084
 _QUICK_STOP = 3
-_LIFE = 255
-_MISSING = 2
-"""Periods of 0x60C2 without a PDO that are a time-out: one PDO did not come."""
-_MS_NS = 1_000_000
-_STO_RELEASED = 3
-"""0x3202: both channels have voltage"""
 
 
 def _no_sink(code: int, register: int) -> None:
@@ -71,18 +57,8 @@ def _no_sink(code: int, register: int) -> None:
 class Epos4:
     """One drive on one axis of the plant."""
 
-    receive_pdos: tuple[PdoDefault, ...] = (
-        PdoDefault(0x200, _LIFE, (0x60400010,)),
-        PdoDefault(0x300, _LIFE, (0x60400010, 0x60600008)),
-        PdoDefault(0x400, _LIFE, (0x60400010, 0x607A0020)),
-        PdoDefault(0x500, _LIFE, (0x60400010, 0x60FF0020)),
-    )
-    transmit_pdos: tuple[PdoDefault, ...] = (
-        PdoDefault(_VALID_NO_REMOTE | 0x180, _LIFE, (0x60410010,)),
-        PdoDefault(_DISABLED | 0x280, _LIFE, (0x60410010, 0x60610008)),
-        PdoDefault(_DISABLED | 0x380, _LIFE, (0x60410010, 0x60640020)),
-        PdoDefault(_DISABLED | 0x480, _LIFE, (0x60410010, 0x606C0020)),
-    )
+    receive_pdos = RECEIVE_PDOS
+    transmit_pdos = TRANSMIT_PDOS
     longest_mapping = 12
     consumers = 2
 
@@ -99,46 +75,34 @@ class Epos4:
         self.axis = axis
         self.objects = objects = dictionary(node_id)
         self.on_error: ErrorSink = _no_sink
-        stage = stage or PowerStage()
-        plant = samples.plant
         self._samples = samples
-        self._plant = plant
-        self._timers = timers
         self._machine = Machine(self)
-        self._servo = servo = Servo(axis, objects, samples)
-        self._motion = Motion(servo, plant, timers, self._show)
-        self._braking = Braking(servo, self._standstill)
         self._terminals = Terminals(objects)
-        self._guard = Guard(axis, servo, plant, timers, stage, self.fail, self._allowed)
-        self._brake = HoldingBrake(axis, objects, plant, timers, fitted=holding_brake)
+        self._output = Output(
+            axis,
+            objects,
+            samples,
+            timers,
+            stage or PowerStage(),
+            self._terminals,
+            holding_brake=holding_brake,
+            fail=self.fail,
+            changed=self._show,
+            standstill=self._standstill,
+            referenced=self._referenced,
+        )
+        self.target_torque: Writer = self._output.set_target
+        """0x6071, per mille of the rated torque"""
+        self._set_points = SetPoints(
+            timers, self._output.lines, self._cyclic, lambda: self.fail(PDO_TIMEOUT)
+        )
         self._errors = ErrorMemory(objects, self._show)
-        position = CyclicPosition(servo, self.fail, self._ampere)
-        velocity = CyclicVelocity(servo, self._ampere)
-        self._lines = (position.interpolation, velocity.interpolation)
-        self._tasks: dict[int, Task] = {
-            PROFILE_POSITION: ProfilePosition(servo, self.fail),
-            PROFILE_VELOCITY: ProfileVelocity(servo),
-            HOMING: Homing(servo, self._terminals, self._referenced),
-            CYCLIC_POSITION: position,
-            CYCLIC_VELOCITY: velocity,
-        }
         self._statusword = VOLTAGE_ENABLED
         self._operational = False
-        self._driving = False
-        self._limited = False
         self._reference = False
-        self._torque_off = False
-        self._target = 0
-        self._offset = 0
-        self._per_mille = 0.0
-        self._low = self._high = 0.0
         self._done: tuple[int, State] | None = None  # what changes nothing if it comes again
-        self._controlword = 0
-        self._interval_ns = 0
-        self._heard_ns = 0
-        self._expecting = False
-        self._fault_ramp = _QUICK_STOP_RAMP
         self._mode = objects.find(0x6060, 0)
+        self._timers = timers
         self._connect()
         self.reset()
 
@@ -146,16 +110,16 @@ class Epos4:
 
     def _connect(self) -> None:
         find = self.objects.find
-        connect(self.axis, self.objects, self._samples, self._timers, self._servo, self._guard)
+        output = self._output
+        connect(self.axis, self.objects, self._samples, self._timers, output.servo, output.guard)
         find(0x6041, 0).read = self.statusword
-        find(0x6040, 0).read = lambda: self._controlword
-        find(0x6071, 0).read = lambda: self._target
-        find(0x60B2, 0).read = lambda: self._offset
-        find(0x3202, 1).read = lambda: 0 if self._torque_off else _STO_RELEASED
+        find(0x6040, 0).read = lambda: output.word
+        find(0x6071, 0).read = lambda: output.target
+        find(0x60B2, 0).read = lambda: output.offset
         writes: dict[tuple[int, int], Writer] = {
             (0x6040, 0): self.controlword,
-            (0x6071, 0): self.target_torque,
-            (0x60B2, 0): self._set_offset,
+            (0x6071, 0): output.set_target,
+            (0x60B2, 0): output.set_offset,
             (0x1010, 1): self._store,
             (0x1011, 1): self._restore,
             (0x1011, 4): self._restore,
@@ -177,7 +141,7 @@ class Epos4:
             changed, entry.value = entry.value != value, value
             self._configure()
             if changed and entry is self._mode and self.enabled:
-                self._begin()
+                self._output.begin()
 
         entry.write = write
 
@@ -198,13 +162,10 @@ class Epos4:
         number = self.objects.number
         nominal = number(0x3001, 1) * 1e-3
         self._samples.set_nominal_current(self.axis, nominal)
+        self._set_points.set_period(number(0x60C2, 1))
+        self._output.servo.velocity_unit = RPM * scale_speeds(self.objects)
         # Torque is relative to the rated torque; without a torque constant there is none.
-        self._per_mille = nominal * 1e-3 if number(0x6076, 0) else 0.0
-        self._interval_ns = number(0x60C2, 1) * _MS_NS
-        self._servo.velocity_unit = RPM * scale_speeds(self.objects)
-        self._guard.limit()
-        if self._driving:
-            self._drive()
+        self._output.set_scale(nominal * 1e-3 if number(0x6076, 0) else 0.0)
 
     def _store(self, value: int) -> None:
         if value != _SAVE:
@@ -257,70 +218,22 @@ class Epos4:
 
     def received(self, now_ns: int) -> None:
         """A receive PDO has been applied."""
-        if not self._interval_ns:
-            return
-        self._heard_ns = now_ns
-        for line in self._lines:
-            line.received()
-        if not self._expecting and self.enabled:
-            self._expecting = True
-            self._timers.call_at(now_ns + _MISSING * self._interval_ns, self._overdue)
+        self._set_points.received(now_ns)
 
-    def _overdue(self, now_ns: int) -> None:
-        """0x60C2: the next PDO is due a period after the last."""
-        due_ns = self._heard_ns + _MISSING * self._interval_ns
-        self._expecting = False
-        if not (self._interval_ns and self.enabled and self._mode.value in _CYCLIC):
-            return
-        if now_ns >= due_ns:
-            self.fail(PDO_TIMEOUT)
-        else:
-            self._expecting = True
-            self._timers.call_at(due_ns, self._overdue)
+    def _cyclic(self) -> bool:
+        """Whether the drive follows set-points that come in every cycle."""
+        return self.enabled and self._mode.value in _CYCLIC
 
     def controlword(self, word: int) -> None:
         state = self._machine.state
         if (word, state) == self._done:
             return
-        self._controlword = word
+        self._output.word = word
         self._machine.controlword(word)
-        task = self._motion.task
-        if self.enabled and task is not None:
-            task.controlword(word)
+        if self.enabled:
+            self._output.obey(word)
         self._done = (word, state) if self._machine.state is state else None
         self._show()
-
-    def target_torque(self, mille: int) -> None:
-        if mille != self._target:
-            self._target = mille
-            if self._driving:
-                self._drive()
-
-    def _set_offset(self, mille: int) -> None:
-        self._offset = mille
-        if self._driving:
-            self._drive()
-
-    def _ampere(self, mille: int) -> float:
-        return mille * self._per_mille
-
-    def _allowed(self) -> None:
-        """Other currents are allowed from now on."""
-        self._low, self._high = self._guard.low, self._guard.high
-        if self._driving:
-            self._drive()
-
-    def _drive(self) -> None:
-        current = (self._target + self._offset) * self._per_mille
-        limited = not self._low <= current <= self._high
-        if limited:
-            current = min(max(current, self._low), self._high)
-        if limited is not self._limited:
-            self._limited = limited
-            self._show()
-        plant = self._plant
-        plant.advance(self._timers.now_ns)
-        plant.current_reference[self.axis] = current
 
     # -- state -----------------------------------------------------------------------------------
 
@@ -338,8 +251,8 @@ class Epos4:
 
     def _show(self) -> None:
         # Bit 5 of switch-on disabled and fault is open; ours is 0 as in the maker's default.
-        word = self._machine.state | self._motion.bits
-        if self._guard.supplied:
+        word = self._machine.state | self._output.bits
+        if self._output.guard.supplied:
             word |= VOLTAGE_ENABLED
         if self._operational:
             word |= REMOTE
@@ -347,62 +260,19 @@ class Epos4:
             word |= WARNING
         if self._reference:
             word |= REFERENCED
-        if self._driving:
-            word |= FOLLOWS_COMMAND
-        if self._limited or self._motion.limited:
-            word |= INTERNAL_LIMIT
         self._statusword = word
 
     def power(self, on: bool) -> None:
-        """Power stage on, in the chosen mode, or off."""
-        plant, axis = self._plant, self.axis
         if on:
-            plant.advance(self._timers.now_ns)
-            plant.powered[axis] = True
-            self._guard.start()
-            self._brake.open(self._begin)
-            return
-        self._driving = False
-        if self._brake.fitted and plant.powered[axis]:
-            # The motor is held until the brake does.
-            if self._motion.task is not self._braking:
-                self._motion.run(self._braking)
-            self._brake.close(self._cut)
+            self._output.on()
         else:
-            self._cut()
-
-    def _cut(self) -> None:
-        """Take the power at once; the brake follows."""
-        plant, axis = self._plant, self.axis
-        self._driving = self._limited = False
-        self._motion.stop()
-        self._guard.stop()
-        if plant.powered[axis]:
-            plant.advance(self._timers.now_ns)
-        plant.powered[axis] = False
-        plant.current_reference[axis] = 0.0
-        self._brake.close(self._show)
-
-    def _begin(self) -> None:
-        """Follow the set-points of the chosen mode."""
-        mode = int(self._mode.value)
-        self._driving = mode == CYCLIC_TORQUE
-        self._plant.advance(self._timers.now_ns)
-        if self._driving:
-            self._motion.stop()
-            self._drive()
-        else:
-            self._motion.run(self._tasks[mode], self._controlword)
-        self._show()
+            self._output.off()
 
     def ramp_down(self, then: State) -> None:
-        profile = then in (State.READY, State.SWITCHED_ON)
-        if then is State.FAULT:
-            profile = self._fault_ramp == _PROFILE_RAMP
-        self._braking.ramp = _PROFILE_RAMP if profile else _QUICK_STOP_RAMP
-        self._driving = self._limited = False
-        self._plant.advance(self._timers.now_ns)
-        self._motion.run(self._braking)
+        if then is not State.FAULT:
+            profile = then is not State.QUICK_STOP_ACTIVE
+            self._output.braking.ramp = _PROFILE_RAMP if profile else _QUICK_STOP_RAMP
+        self._output.ramp_down()
 
     def _standstill(self) -> None:
         self._machine.ramp_ended()
@@ -415,7 +285,7 @@ class Epos4:
         return self.objects.number(0x605C, 0) == 1
 
     def may_enable(self) -> bool:
-        if self._torque_off:
+        if self._terminals.torque_off:
             self.fail(TORQUE_OFF)
             return False
         terminals = self._terminals
@@ -429,9 +299,9 @@ class Epos4:
         errors = self._errors
         if errors.needs(Recovery.COMMUNICATION) or errors.needs(Recovery.DEVICE):
             return False
-        if self._torque_off and TORQUE_OFF in errors.present:
+        if self._terminals.torque_off and TORQUE_OFF in errors.present:
             return False
-        return self._guard.recovered(errors.present)
+        return self._output.guard.recovered(errors.present)
 
     def fault_cleared(self) -> None:
         if any(ERRORS[code].loses_position for code in self._errors.present):
@@ -456,20 +326,19 @@ class Epos4:
         if error.reaction != "W":
             ramp = self._brakes(error.reaction)
             if not ramp:
-                self._cut()
+                self._output.cut()
             self._machine.fault(ramp=ramp)
         self._done = None
         self._show()
         self.on_error(code, register)
 
     def _brakes(self, reaction: str) -> bool:
-        """Whether an error is answered with a ramp, and with which."""
-        self._fault_ramp = _QUICK_STOP_RAMP
+        """Whether an error is answered with a ramp, and the ramp chosen."""
         if reaction == "A":
+            self._output.braking.ramp = _QUICK_STOP_RAMP
             return self.objects.number(0x6007, 0) == _QUICK_STOP
         option = self.objects.number(0x605E, 0)
-        if option == 1:
-            self._fault_ramp = _PROFILE_RAMP
+        self._output.braking.ramp = _PROFILE_RAMP if option == 1 else _QUICK_STOP_RAMP
         return reaction == "F" and option != 0
 
     # -- the world -------------------------------------------------------------------------------
@@ -482,8 +351,8 @@ class Epos4:
         """
         terminals = self._terminals
         if name == "sto":
-            self._torque_off = active
-            if active and self._plant.powered[self.axis]:
+            terminals.torque_off = active
+            if active and self._output.powered:
                 self.fail(TORQUE_OFF)
         else:
             before = terminals.functions()
@@ -504,14 +373,14 @@ class Epos4:
         self._show()
 
     def set_supply(self, volt: float) -> None:
-        self._guard.supply = volt
-        self._guard.check(self._errors.present)
+        self._output.guard.supply = volt
+        self._output.guard.check(self._errors.present)
         self._show()
 
     def set_temperature(self, celsius: float) -> None:
         """Of the power stage."""
-        self._guard.temperature = celsius
-        self._guard.check(self._errors.present)
+        self._output.guard.temperature = celsius
+        self._output.guard.check(self._errors.present)
 
     def set_operational(self, operational: bool) -> None:
         self._operational = operational
@@ -523,12 +392,13 @@ class Epos4:
     def reset(self) -> None:
         """The stored parameters are loaded; the encoder counts from 0."""
         self._done = None
-        self._target = self._offset = self._controlword = 0
-        self._cut()
+        output = self._output
+        output.target = output.offset = output.word = 0
+        self._output.cut()
         self._machine.start()
         self.objects.restore(*_OWN_OBJECTS)
         self._errors.restart()
-        self._guard.restart()
+        self._output.guard.restart()
         self._lose_position()
         self._configure()
         self._show()

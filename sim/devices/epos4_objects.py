@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from sim.devices import epos4_axis_objects as axis
 from sim.devices import epos4_profile_objects as profile
+from sim.devices.device import PdoDefault
 from sim.devices.objects import Entry, Kind, ObjectDictionary, Row
 
 VENDOR = 0x000000FB
@@ -78,6 +79,22 @@ _FLEETING = frozenset(
     (0x1003, 0x1010, 0x1011, 0x6040, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60B8, 0x60FE, 0x60FF)
 )
 """Commands and process data, which saving leaves out."""
+
+_EVENT = 255
+_VALID = 0x40000000
+_DISABLED = 0xC0000000
+RECEIVE_PDOS = (
+    PdoDefault(0x200, _EVENT, (0x60400010,)),
+    PdoDefault(0x300, _EVENT, (0x60400010, 0x60600008)),
+    PdoDefault(0x400, _EVENT, (0x60400010, 0x607A0020)),
+    PdoDefault(0x500, _EVENT, (0x60400010, 0x60FF0020)),
+)
+TRANSMIT_PDOS = (
+    PdoDefault(_VALID | 0x180, _EVENT, (0x60410010,)),
+    PdoDefault(_DISABLED | 0x280, _EVENT, (0x60410010, 0x60610008)),
+    PdoDefault(_DISABLED | 0x380, _EVENT, (0x60410010, 0x60640020)),
+    PdoDefault(_DISABLED | 0x480, _EVENT, (0x60410010, 0x606C0020)),
+)
 
 
 def dictionary(node_id: int) -> ObjectDictionary:

@@ -49,6 +49,12 @@ class Guard:
         self._stage = stage
         self._fail = fail
         self._changed = changed
+        find = servo.find
+        self._limit = find(0x3001, 2)
+        self._nominal = find(0x3001, 1)
+        self._winding = find(0x3001, 4)
+        self._top = find(0x6080, 0)
+        self._fences = (find(0x607D, 1), find(0x607D, 2))
         self._run = 0  # number of the present run; a timer of an older one is stale
         self._at_ns = timers.now_ns
         self._powered = False
@@ -95,12 +101,12 @@ class Guard:
 
     def warm(self) -> None:
         """Bring the I2t levels to the present."""
-        now, value, stage = self._timers.now_ns, self._servo.value, self._stage
+        now, stage = self._timers.now_ns, self._stage
         seconds, self._at_ns = (now - self._at_ns) * 1e-9, now
         current, release = self._servo.current, stage.release_level
         if not self._powered:
             current = 0.0
-        nominal, winding = value(0x3001, 1) * 1e-3, value(0x3001, 4) * 0.1
+        nominal, winding = self._nominal.number * 1e-3, self._winding.number * 0.1
         self.motor.pass_current(current, nominal, winding, seconds, release)
         self.power_stage.pass_current(
             current, stage.continuous_current, stage.thermal_time_constant, seconds, release
@@ -108,18 +114,18 @@ class Guard:
 
     def limit(self) -> None:
         """Find anew what current may flow."""
-        value = self._servo.value
-        most = value(0x3001, 2) * 1e-3
+        most = self._limit.number * 1e-3
         if self.motor.hot:
-            most = min(most, value(0x3001, 1) * 1e-3)
+            most = min(most, self._nominal.number * 1e-3)
         if self.power_stage.hot:
             most = min(most, self._stage.continuous_current)
         low, high = -most, most
         speed = float(self._plant.motor_rate[self._axis])
-        top = value(0x6080) * self._servo.velocity_unit
+        top = self._top.number * self._servo.velocity_unit
         if abs(speed) > _BAND * top:
             # As its speed loop would: so much current as the distance to the limit is worth.
-            room = min(max(value(0x30A2, 1) * 1e-6 * (top - abs(speed)), 0.0), most)
+            gain = self._servo.value(0x30A2, 1) * 1e-6
+            room = min(max(gain * (top - abs(speed)), 0.0), most)
             low, high = (low, room) if speed > 0.0 else (-room, high)
         if (low, high) != (self.low, self.high):
             self.low, self.high = low, high
@@ -147,10 +153,11 @@ class Guard:
         self.motor, self.power_stage = Thermal(), Thermal()
 
     def _again(self, now_ns: int, run: int) -> None:
-        top = self._servo.value(0x6080) * self._servo.velocity_unit
+        top = self._top.number * self._servo.velocity_unit
         fast = abs(float(self._plant.motor_rate[self._axis])) > _NEAR * top
-        wait_ns = PERIOD_NS if fast else _SLOW_NS
-        self._timers.call_at(now_ns + wait_ns, lambda at_ns: self._step(at_ns, run))
+        # The slow watch of all drives falls on the same instants, so that the lab wakes once.
+        at_ns = now_ns + PERIOD_NS if fast else (now_ns // _SLOW_NS + 1) * _SLOW_NS
+        self._timers.call_at(at_ns, lambda at_ns: self._step(at_ns, run))
 
     def _step(self, now_ns: int, run: int) -> None:
         if run != self._run:
@@ -164,7 +171,7 @@ class Guard:
     def _fence(self) -> None:
         """Beyond a software limit and still moving away from it."""
         servo = self._servo
-        low, high = servo.value(0x607D, 1), servo.value(0x607D, 2)
+        low, high = (entry.number for entry in self._fences)
         if low == high == 0:
             return
         servo.measure()

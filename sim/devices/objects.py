@@ -127,6 +127,12 @@ class Entry:
         if self.low == self.high == 0 and self.kind is not Kind.STRING:
             self.low, self.high = self.kind.limits
 
+    @property
+    def number(self) -> int:
+        """The value of an integer object that nothing replaces."""
+        assert isinstance(self.value, int)
+        return self.value
+
     def get(self) -> Value:
         return self.value if self.read is None else self.read()
 

@@ -29,6 +29,7 @@ class Servo:
     def __init__(self, axis: int, objects: ObjectDictionary, samples: Samples) -> None:
         self._axis = axis
         self._objects = objects
+        self.find = objects.find
         self._samples = samples
         self._plant = samples.plant
         self._integral = 0.0

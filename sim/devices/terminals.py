@@ -13,6 +13,8 @@ from sim.devices.objects import ObjectDictionary
 INPUTS = 8
 """Digital inputs 1 to 4, then high-speed inputs 1 to 4, as in 0x3142."""
 OUTPUTS = 3
+_STO_RELEASED = 3
+"""0x3202: both channels have voltage"""
 WIRES = {"negative_limit": 0, "positive_limit": 1, "home": 2, "quick_stop": 4, "drive_enable": 5}
 """Which input each wire goes to, as places in 0x3141; those of the switches suit the defaults of
 0x3142, the other two do nothing until their inputs are given a function."""
@@ -30,6 +32,9 @@ class Terminals:
     def __init__(self, objects: ObjectDictionary) -> None:
         self._objects = objects
         self._levels = 0
+        self.torque_off = False
+        """what the safe torque off inputs ask for"""
+        objects.find(0x3202, 1).read = lambda: 0 if self.torque_off else _STO_RELEASED
         objects.find(0x3141, 1).read = self.logic
         objects.find(0x60FD, 0).read = self.functions
         objects.find(0x3150, 1).read = self._outputs
