@@ -44,7 +44,8 @@ class DirectPort:
         if not self._ready:
             self._ready = True
             for cell in lab.cells:
-                cell.objects.write(0x6132, 1, self._digits)
+                for number in range(1, len(cell.cells) + 1):
+                    cell.objects.write(0x6132, number, self._digits)
         lab.advance(at_ns)
         words = lab.samples.at(at_ns)
         statuswords = [drive.statusword() for drive in lab.drives]

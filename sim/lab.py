@@ -124,23 +124,26 @@ class Lab:
         bus, lab = config.fieldbus, config.lab
         assert lab is not None
         drive_ids = list(range(1, CABLES + 1))
-        cell_ids = list(range(_FIRST_CELL, _FIRST_CELL + CELLS))
+        amplifiers: list[tuple[tuple[int, ...], int]] = [
+            ((cell,), _FIRST_CELL + cell) for cell in range(CELLS)
+        ]
         self._bitrate = 0
         if isinstance(bus, CanopenBus):
             self._bitrate = bus.bitrate
             for channel in bus.channels:
                 for drive in channel.drives:
                     drive_ids[drive.axis] = drive.node_id
-                for cell in channel.force_cells:
-                    cell_ids[cell.cell] = cell.node_id
+            nodes = (node for channel in bus.channels for node in channel.force_cells)
+            amplifiers = [(node.cells, node.node_id) for node in nodes]
         for axis, node_id in enumerate(drive_ids):
             brake = lab.plant.holding_brake
             self.drives.append(
                 Epos4(axis, node_id, self.samples, self, lab.drive, holding_brake=brake)
             )
-        for number, node_id in enumerate(cell_ids):
-            noise = lab.noise.force_cell
-            self.cells.append(ForceCell(number, node_id, self.samples, noise, self))
+        sensors: dict[tuple[int, ...], ForceCell] = {}
+        for cells, node_id in amplifiers:
+            sensors[cells] = ForceCell(cells, node_id, self.samples, lab.noise.force_cell, self)
+        self.cells = list(sensors.values())
         if not isinstance(bus, CanopenBus):
             for device in self.drives:
                 device.set_operational(True)
@@ -154,8 +157,7 @@ class Lab:
                 node = Node(device, drive.node_id, built, self)
                 self.nodes[spec.name, drive.node_id] = node
             for cell in spec.force_cells:
-                sensor = self.cells[cell.cell]
-                node = Node(sensor, cell.node_id, built, self)
+                node = Node(sensors[cell.cells], cell.node_id, built, self)
                 self.nodes[spec.name, cell.node_id] = node
 
     def _check(self, fault: Fault) -> Node:

@@ -46,6 +46,9 @@ class Device(Protocol):
 
     def writer(self, index: int, subindex: int) -> Writer: ...
 
+    def received(self, now_ns: int) -> None:
+        """Process data have been written with `writer`s, all of one message."""
+
     def set_operational(self, operational: bool) -> None:
         """The bus has started, or no longer runs, process data."""
 
@@ -53,6 +56,9 @@ class Device(Protocol):
         """Raise an error, the device's own or one its bus has noticed."""
 
     def reset(self) -> None:
-        """As at switch-on."""
+        """As at switch-on, but for the objects of the bus."""
+
+    def power_cycle(self) -> None:
+        """The supply goes and comes back."""
 
     def communication_reset(self) -> None: ...

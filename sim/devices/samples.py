@@ -2,7 +2,7 @@
 
 Encoder: floor of the motor angle in increments. Torque: motor current in per mille of the nominal
 one. Force: the cell behind its low-pass, with the noise and offset of its seed, clipped to its
-range, in integers with decimal digits.
+range, scaled and tared as its amplifier is told, in integers with decimal digits.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ _RANGE = 1
 _PER_AMPERE = 2
 _OFFSET = _PER_AMPERE + CABLES
 _DIGITS = _OFFSET + CELLS
-_ZERO = _DIGITS + CELLS
+_GAIN = _DIGITS + CELLS
+_TARE = _GAIN + CELLS
+_ZERO = _TARE + CELLS
 _LENGTH = _ZERO + CABLES
 POSITION = 0
 TORQUE = CABLES
@@ -39,6 +41,7 @@ CELL = 2 * CABLES
 """Where each quantity begins in `Samples.words`."""
 _INT16 = 0x7FFF
 _INT32 = 1 << 31
+_EPSILON = 1e-9
 
 
 class Measured(Protocol):
@@ -85,8 +88,10 @@ def _sample(
         words[TORQUE + i] = int(min(max(mille, -_INT16 - 1), _INT16))
     for i in range(CELLS):
         value = cell[i] + p[_OFFSET + i] + noise[row, i]
-        force[i] = min(max(value, -p[_RANGE]), p[_RANGE])
-        words[CELL + i] = int(np.rint(force[i] * p[_DIGITS + i]))
+        clipped = min(max(value, -p[_RANGE]), p[_RANGE])
+        force[i] = clipped * p[_GAIN + i] + p[_TARE + i]
+        scaled = np.rint(force[i] * p[_DIGITS + i])
+        words[CELL + i] = int(min(max(scaled, -_INT32), _INT32 - 1))
 
 
 class Samples:
@@ -116,6 +121,7 @@ class Samples:
         self._p[_PER_RADIAN] = self.per_radian
         self._p[_RANGE] = noise.range
         self._p[_DIGITS : _DIGITS + CELLS] = 1.0
+        self._p[_GAIN : _GAIN + CELLS] = 1.0
         offsets = generator(seed, Stream.CELLS).standard_normal(CELLS)
         self._p[_OFFSET : _OFFSET + CELLS] = noise.offset_sigma * offsets
         self._offsets = self._p[_OFFSET : _OFFSET + CELLS].copy()
@@ -159,6 +165,19 @@ class Samples:
     def set_decimal_digits(self, cell: int, digits: int) -> None:
         self._p[_DIGITS + cell] = 10.0**digits
         self._changed()
+
+    def set_scaling(self, cell: int, gain: float, tare: float) -> None:
+        """Process value for a force: ``gain`` times the force plus ``tare``."""
+        self._p[_GAIN + cell] = gain
+        self._p[_TARE + cell] = tare
+        self._changed()
+
+    def at_the_end(self, cell: int) -> int:
+        """1 or -1 where a cell of the last sample is at the end of its range, else 0."""
+        gain, tare = float(self._p[_GAIN + cell]), float(self._p[_TARE + cell])
+        force = (float(self.force[cell]) - tare) / gain
+        reach = float(self._p[_RANGE]) * (1.0 - _EPSILON)
+        return int(force >= reach) - int(force <= -reach)
 
     def count(self, axis: int) -> int:
         """Increments of an axis' encoder since the plant's own zero, where an index pulse is; the
