@@ -85,19 +85,29 @@ class Node:
         self._beat = 0  # the same for the heartbeat producer
         self._add_objects()
         self._pdos = Pdos(device, node_id, lambda: self.state is Nmt.OPERATIONAL)
-        self._sdo = SdoServer(device.objects, self._changed)
+        self._sdo = SdoServer(device.objects, self._changed, timers, self._answer_sdo)
         device.on_error = self._emergency
 
     def _add_objects(self) -> None:
         add, node = self.device.objects.add, self.node_id
+        self.device.objects.names |= {
+            _CONSUMER: "Consumer heartbeat time",
+            _ON_ERROR: "Error behavior",
+            0x1200: "SDO server parameter",
+        }
+
+        def relative(name: str, base: int) -> Entry:
+            return Entry(name, Kind.U32, "ro", base + node, relative=True)
+
         add(0x1005, 0, Entry("COB-ID SYNC", Kind.U32, "const", SYNC))
-        add(0x1014, 0, Entry("COB-ID EMCY", Kind.U32, "ro", EMERGENCY + node))
+        add(0x1014, 0, relative("COB-ID EMCY", EMERGENCY))
         for number in range(1, self.device.consumers + 1):
-            add(_CONSUMER, number, Entry("heartbeat consumer", Kind.U32, "rw", 0, 0, 0x7FFFFF))
-        add(_PRODUCER, 0, Entry("heartbeat producer", Kind.U16, "rw", 0))
-        add(_ON_ERROR, 1, Entry("behaviour on error", Kind.U8, "rw", 0, 0, 2))
-        add(0x1200, 1, Entry("SDO request", Kind.U32, "ro", SDO_REQUEST + node))
-        add(0x1200, 2, Entry("SDO answer", Kind.U32, "ro", SDO_ANSWER + node))
+            name = f"Consumer {number} heartbeat time"
+            add(_CONSUMER, number, Entry(name, Kind.U32, "rw", 0, 0, 0x7FFFFF))
+        add(_PRODUCER, 0, Entry("Producer heartbeat time", Kind.U16, "rw", 0))
+        add(_ON_ERROR, 1, Entry("Communication error", Kind.U8, "rw", 0, 0, 2))
+        add(0x1200, 1, relative("COB-ID SDO client to server", SDO_REQUEST))
+        add(0x1200, 2, relative("COB-ID SDO server to client", SDO_ANSWER))
 
     # -- state -----------------------------------------------------------------------------------
 
@@ -199,7 +209,11 @@ class Node:
         if len(frame.data) == 8:
             answer = self._sdo.request(frame.data)
             if answer is not None:
-                self._answer(SDO_ANSWER + self.node_id, answer)
+                self._answer_sdo(answer)
+
+    def _answer_sdo(self, data: bytes) -> None:
+        if self.state in (Nmt.PRE_OPERATIONAL, Nmt.OPERATIONAL):
+            self._answer(SDO_ANSWER + self.node_id, data)
 
     def _on_sync(self, frame: Frame) -> None:
         """First take what is sent, then apply what was received before."""
@@ -216,6 +230,7 @@ class Node:
             if data is not None:
                 received.data = None
                 received.apply(data)
+                self.device.received(now)
 
     def _receiver(self, pdo: ReceivePdo) -> Wide:
         def receive(frame: Frame) -> None:
@@ -225,6 +240,7 @@ class Node:
                 pdo.data = frame.data
             else:
                 pdo.apply(frame.data)
+                self.device.received(frame.stamp_ns)
 
         return receive
 

@@ -116,25 +116,29 @@ class Pdos:
         self, number: int, default: PdoDefault, node_id: int, parameters: int, mapping: int
     ) -> None:
         add = self._objects.add
-        cob = Entry("COB-ID", Kind.U32, "rw", default.cob_id + node_id)
+        names = self._objects.names
+        kind_of = "Receive" if parameters == RPDO_PARAMETERS else "Transmit"
+        names[parameters + number] = f"{kind_of} PDO {number + 1} parameter"
+        names[mapping + number] = f"{kind_of} PDO {number + 1} mapping"
+        cob = Entry("COB-ID", Kind.U32, "rw", default.cob_id + node_id, relative=True)
         cob.write = lambda value: self._check_cob_id(cob, value)
         add(parameters + number, 1, cob)
-        kind = Entry("transmission type", Kind.U8, "rw", default.transmission)
+        kind = Entry("Transmission type", Kind.U8, "rw", default.transmission)
         kind.allowed = (*range(1, _LAST_SYNCHRONOUS + 1), *_EVENT)
         if parameters == RPDO_PARAMETERS:
             kind.allowed = (0, *kind.allowed)
         kind.write = self._check_state
         add(parameters + number, 2, kind)
         if parameters == TPDO_PARAMETERS:
-            add(parameters + number, 3, Entry("inhibit time", Kind.U16, "rw", _INHIBIT))
+            add(parameters + number, 3, Entry("Inhibit time", Kind.U16, "rw", _INHIBIT))
         longest = self._device.longest_mapping
-        count = Entry("number of entries", Kind.U8, "rw", len(default.mapping), 0, longest)
+        count = Entry("Number of mapped objects", Kind.U8, "rw", len(default.mapping), 0, longest)
         count.write = lambda value: self._check_count(mapping + number, cob, value)
         add(mapping + number, 0, count)
         way = "r" if mapping == RPDO_MAPPING else "t"
         for place in range(longest):
             word = default.mapping[place] if place < len(default.mapping) else 0
-            entry = Entry(f"entry {place + 1}", Kind.U32, "rw", word)
+            entry = Entry(f"Mapped object {place + 1}", Kind.U32, "rw", word)
             entry.write = lambda value: self._check_entry(count, way, value)
             add(mapping + number, place + 1, entry)
 

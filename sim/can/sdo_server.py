@@ -1,21 +1,32 @@
-"""The SDO server of CiA 301: expedited and segmented transfers in both directions."""
+"""The SDO server of CiA 301: expedited and segmented transfers in both directions.
+
+Block transfer is refused as an unknown command, a choice: the drive's EDS shows none. A length that
+does not fit has one code, whether too long or not as announced (the drive's list has no other).
+"""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable
 
-from sim.devices.objects import AbortError, ObjectDictionary
+from sim.devices.objects import (
+    COMMAND,
+    READ_ONLY,
+    TIMEOUT,
+    TOGGLE,
+    TYPE_LENGTH,
+    AbortError,
+    ObjectDictionary,
+)
+from sim.devices.timers import Timers
 
 _HEADER = struct.Struct("<BHB")
 _HEADER_AND_WORD = struct.Struct("<BHBI")
 _WORD = struct.Struct("<I")
-_TOGGLE = 0x05030000
-_COMMAND = 0x05040001
-_LENGTH = 0x06070010
 _LONGEST = 1024
 """Bytes a segmented download may bring."""
-_TOO_LONG = 0x05040005
+_PATIENCE_NS = 1_000_000_000
+"""How long a client may be silent in the middle of a transfer."""
 _EXPEDITED = 4
 _SEGMENT = 7
 
@@ -23,14 +34,26 @@ _SEGMENT = 7
 class SdoServer:
     """One client at a time. `request` returns the answer to a request, or None for silence."""
 
-    def __init__(self, objects: ObjectDictionary, changed: Callable[[int], None]) -> None:
-        """``changed`` is told the index of every object written."""
+    def __init__(
+        self,
+        objects: ObjectDictionary,
+        changed: Callable[[int], None],
+        timers: Timers,
+        send: Callable[[bytes], None],
+    ) -> None:
+        """``changed`` is told the index of every object written; ``send`` carries what is no
+        answer: the abort of a transfer that its client has left."""
         self._objects = objects
         self._changed = changed
+        self._timers = timers
+        self._send = send
+        self._transfer = 0  # number of the present transfer; a timer of an older one is stale
+        self._heard_ns = 0
         self.reset()
 
     def reset(self) -> None:
         """Forget a transfer in progress."""
+        self._transfer += 1
         self._object = (0, 0)
         self._upload: bytes | None = None
         self._download: bytearray | None = None
@@ -41,6 +64,7 @@ class SdoServer:
         """``data``: 8 bytes. A client's abort is obeyed and not answered."""
         command = data[0]
         service = command >> 5
+        self._heard_ns = self._timers.now_ns
         if service == 4:
             self.reset()
             return None
@@ -55,11 +79,29 @@ class SdoServer:
                 return self._upload_segment(command)
             # Block transfer is not served.
             self._object = _HEADER.unpack_from(data)[1:]
-            raise AbortError(_COMMAND)
+            raise AbortError(COMMAND)
         except AbortError as abort:
-            index, subindex = self._object
-            self.reset()
-            return _HEADER_AND_WORD.pack(0x80, index, subindex, abort.code)
+            return self._abort(abort.code)
+
+    def _abort(self, code: int) -> bytes:
+        index, subindex = self._object
+        self.reset()
+        return _HEADER_AND_WORD.pack(0x80, index, subindex, code)
+
+    def _wait(self) -> None:
+        """Expect the next segment in time."""
+        transfer = self._transfer
+
+        def look(at_ns: int) -> None:
+            if transfer != self._transfer or (self._upload is None and self._download is None):
+                return
+            due_ns = self._heard_ns + _PATIENCE_NS
+            if at_ns < due_ns:
+                self._timers.call_at(due_ns, look)
+            else:
+                self._send(self._abort(TIMEOUT))
+
+        self._timers.call_at(self._heard_ns + _PATIENCE_NS, look)
 
     def _begin_upload(self, data: bytes) -> bytes:
         _, index, subindex = _HEADER.unpack_from(data)
@@ -70,14 +112,15 @@ class SdoServer:
             head = 0x43 | (_EXPEDITED - len(value)) << 2
             return _HEADER.pack(head, index, subindex) + value.ljust(_EXPEDITED, b"\0")
         self._upload = value
+        self._wait()
         return _HEADER_AND_WORD.pack(0x41, index, subindex, len(value))
 
     def _upload_segment(self, command: int) -> bytes:
         if self._upload is None:
-            raise AbortError(_COMMAND)
+            raise AbortError(COMMAND)
         toggle = command >> 4 & 1
         if toggle != self._toggle:
-            raise AbortError(_TOGGLE)
+            raise AbortError(TOGGLE)
         part, self._upload = self._upload[:_SEGMENT], self._upload[_SEGMENT:]
         last = not self._upload
         self._toggle ^= 1
@@ -95,11 +138,13 @@ class SdoServer:
             length = _EXPEDITED - (command >> 2 & 3) if sized else self._size(index, subindex)
             self._write(data[_EXPEDITED : _EXPEDITED + length])
         else:
-            self._objects.find(index, subindex)
+            if self._objects.find(index, subindex).access in ("ro", "const"):
+                raise AbortError(READ_ONLY)
             self._announced = _WORD.unpack_from(data, 4)[0] if sized else None
             if self._announced is not None and self._announced > _LONGEST:
-                raise AbortError(_TOO_LONG)
+                raise AbortError(TYPE_LENGTH)
             self._download = bytearray()
+            self._wait()
         return _HEADER.pack(0x60, index, subindex) + bytes(4)
 
     def _size(self, index: int, subindex: int) -> int:
@@ -108,17 +153,17 @@ class SdoServer:
 
     def _download_segment(self, command: int, data: bytes) -> bytes:
         if self._download is None:
-            raise AbortError(_COMMAND)
+            raise AbortError(COMMAND)
         toggle = command >> 4 & 1
         if toggle != self._toggle:
-            raise AbortError(_TOGGLE)
+            raise AbortError(TOGGLE)
         self._toggle ^= 1
         self._download += data[1 : 8 - (command >> 1 & 7)]
         if len(self._download) > _LONGEST:
-            raise AbortError(_TOO_LONG)
+            raise AbortError(TYPE_LENGTH)
         if command & 1:
             if self._announced is not None and self._announced != len(self._download):
-                raise AbortError(_LENGTH)
+                raise AbortError(TYPE_LENGTH)
             value = bytes(self._download)
             self._download = None
             self._write(value)

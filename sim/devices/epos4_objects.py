@@ -114,7 +114,6 @@ def dictionary(node_id: int) -> ObjectDictionary:
     objects.add(0x1008, 0, Entry("Device name", Kind.STRING, "const", "EPOS4"))
     for key in ((0x1018, 4), (0x2100, 1)):
         objects.find(*key).set(_FIRST_SERIAL + node_id)
-        objects.find(*key).relative = True
     node = objects.find(0x2000, 0)
     node.set(node_id)
     node.relative = True

@@ -151,7 +151,7 @@ class Channel:
 
 
 class ForceCell:
-    """The amplifier of one or more of the nine cells; subindex n is the channel of ``cells[n-1]``."""
+    """The amplifier of one or more of the nine cells; subindex n is that of ``cells[n-1]``."""
 
     receive_pdos: tuple[PdoDefault, ...] = ()
     longest_mapping = 4
@@ -199,7 +199,7 @@ class ForceCell:
         add(0x1018, 1, Entry("Vendor-ID", Kind.U32, "ro", VENDOR))
         add(0x1018, 2, Entry("Product code", Kind.U32, "ro", PRODUCT))
         add(0x1018, 3, Entry("Revision number", Kind.U32, "ro", REVISION))
-        add(0x1018, 4, Entry("Serial number", Kind.U32, "ro", node_id, relative=True))
+        add(0x1018, 4, Entry("Serial number", Kind.U32, "ro", node_id))
         rate = add(0x2100, 0, Entry("Bit rate", Kind.U8, "rw", _BIT_RATE))
         rate.allowed = tuple(range(8))
         for number, channel in enumerate(self.channels, start=1):

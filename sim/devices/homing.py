@@ -92,6 +92,7 @@ class Homing:
         number = value(0x6098)
         self.bits = 0
         if number == HERE:
+            self._target = self._servo.position
             self._finish()
             return
         self._method = METHODS[number]
@@ -106,8 +107,10 @@ class Homing:
             self._phase = _Phase.SEARCH
 
     def _leave(self) -> None:
+        """Back over the mark, which the motor may have run past while it slowed down."""
         self._phase = _Phase.LEAVE
         self._direction = self._method.back
+        self._on_mark = False
 
     def _to_index(self) -> None:
         self._phase = _Phase.INDEX
@@ -121,9 +124,10 @@ class Homing:
     def _finish(self) -> None:
         self._phase = _Phase.DONE
         self.bits = ATTAINED | TARGET_REACHED
-        self._referenced(self._servo.value(0x30B0))
+        shift = self._servo.value(0x30B0) - self._target
+        self._referenced(self._servo.position + shift)
         self._servo.measure()
-        self._profile.place(float(self._servo.position))
+        self._profile.place(self._profile.position + shift, self._profile.speed)
 
     def step(self) -> None:
         profile = self._profile
@@ -155,17 +159,21 @@ class Homing:
             elif active(_P if self._direction > 0 else _N):
                 self._direction = -self._direction  # the home switch is the other way
         elif self._phase is _Phase.LEAVE:
-            if method.mark is not None and not active(method.mark):
-                if method.index:
-                    self._to_index()
-                else:
-                    self._found()
+            if method.mark is not None and self._servo.speed * self._direction > 0.0:
+                left = self._on_mark and not active(method.mark)
+                self._on_mark = active(method.mark)
+                if left:
+                    self._passed()
         elif self._servo.encoder // self._servo.revolution != self._turn:
             self._found()
 
     def _at_the_stop(self) -> None:
         self._profile.place(float(self._servo.position))
         self._direction = self._method.back
+        self._passed()
+
+    def _passed(self) -> None:
+        """Off the switch, or at the stop."""
         if self._method.index:
             self._to_index()
         else:

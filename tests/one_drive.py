@@ -1,0 +1,65 @@
+"""One emulated drive on a drum without a cable, and its owner's few words for it."""
+
+from __future__ import annotations
+
+from config import load
+from config.schema.lab import LabScript
+from sim.devices.cia402 import State
+from sim.lab import Lab
+
+MS = 1_000_000
+CONFIG = load("config/direct.yaml")[0]
+SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP = 0x06, 0x07, 0x0F, 0x00, 0x02
+TORQUE_CONSTANT = 71000
+
+
+class OneDrive:
+    """``errors``: code and register of every emergency, in order."""
+
+    def __init__(self, *, holding_brake: bool = False, cable: bool = False) -> None:
+        assert CONFIG.lab is not None
+        plant = CONFIG.lab.plant.model_copy(update={"holding_brake": holding_brake})
+        lab = CONFIG.lab.model_copy(update={"plant": plant})
+        config = CONFIG.model_copy(update={"lab": lab})
+        self.lab = Lab(config, LabScript(), seed=1, clock=lambda: 0)
+        self.drive = self.lab.drives[0]
+        self.errors: list[tuple[int, int]] = []
+        self.drive.on_error = lambda code, register: self.errors.append((code, register))
+        if not cable:
+            self.lab.plant.cut_cable(0)
+        self.write(0x3001, 5, TORQUE_CONSTANT)
+
+    def write(self, index: int, sub: int, value: int) -> None:
+        size = self.drive.objects.find(index, sub).kind.size
+        data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
+        self.drive.objects.write(index, sub, data)
+
+    def read(self, index: int, sub: int = 0) -> int:
+        return self.drive.objects.number(index, sub)
+
+    def wait(self, ms: float) -> None:
+        self.lab.advance(self.lab.now_ns + round(ms * MS))
+
+    def enable(self, mode: int | None = None) -> None:
+        if mode is not None:
+            self.write(0x6060, 0, mode)
+        for word in (SHUTDOWN, ENABLE):
+            self.drive.controlword(word)
+        assert self.drive.enabled
+
+    def reset_fault(self) -> State:
+        for word in (0x00, 0x80):
+            self.drive.controlword(word)
+        return self.drive.state
+
+    @property
+    def word(self) -> int:
+        return self.drive.statusword()
+
+    @property
+    def powered(self) -> bool:
+        return bool(self.lab.plant.powered[0])
+
+    @property
+    def rpm(self) -> float:
+        return float(self.lab.plant.motor_rate[0]) * 30.0 / 3.141592653589793
