@@ -1,10 +1,12 @@
-"""Every state times every command against the published table."""
+"""Every state times every command against the published table: the machine, then a whole drive."""
 
 from __future__ import annotations
 
 import pytest
+from one_drive import OneDrive
 
 from sim.devices.cia402 import Machine, State
+from sim.devices.objects import RANGE, AbortError
 
 S = State
 SHUTDOWN, SWITCH_ON, ENABLE, VOLTAGE, QUICK = 0x06, 0x07, 0x0F, 0x00, 0x02
@@ -142,3 +144,124 @@ def test_with_a_ramp_the_drive_brakes_before_it_leaves(word: int, end: State) ->
     machine.ramp_ended()
     assert machine.state is end
     assert not stage.on
+
+
+def test_what_the_terminals_forbid_is_not_enabled() -> None:
+    for state in (S.READY, S.SWITCHED_ON, S.QUICK_STOP_ACTIVE):
+        machine, stage = machine_in(state)
+        stage.allowed = False
+        machine.controlword(ENABLE)
+        assert machine.state is state
+
+
+# -- the whole drive -----------------------------------------------------------------------------
+
+COMMANDS = (SHUTDOWN, SWITCH_ON, ENABLE, VOLTAGE, QUICK)
+BITS = {
+    # The maker's values under the mask 0x6F.
+    S.SWITCH_ON_DISABLED: 0x40,
+    S.READY: 0x21,
+    S.SWITCHED_ON: 0x23,
+    S.OPERATION_ENABLED: 0x27,
+    S.QUICK_STOP_ACTIVE: 0x07,
+    S.FAULT_REACTION_ACTIVE: 0x0F,
+    S.FAULT: 0x08,
+}
+RAMP = 5000
+"""rpm/s"""
+POWERED = (S.OPERATION_ENABLED, S.QUICK_STOP_ACTIVE, S.FAULT_REACTION_ACTIVE)
+
+
+def drive_in(state: State) -> OneDrive:
+    """A drive in cyclic synchronous torque whose motor, where it has power, turns."""
+    bench = OneDrive()
+    bench.write(0x6060, 0, 10)
+    bench.write(0x6084, 0, RAMP)
+    bench.write(0x6085, 0, RAMP)
+    bench.drive.controlword(0)
+    bench.drive.target_torque(60)
+    if state in POWERED:
+        bench.enable()
+        bench.wait(200)
+        assert bench.rpm > 150.0
+    if state is S.QUICK_STOP_ACTIVE:
+        bench.drive.controlword(QUICK)
+    elif state is S.FAULT_REACTION_ACTIVE:
+        bench.drive.fail(0x8611)
+    elif state is S.FAULT:
+        bench.drive.fail(0x1000)
+    elif state not in POWERED:
+        for word in WAY[state] or ():
+            bench.drive.controlword(word)
+    assert bench.drive.state is state
+    return bench
+
+
+@pytest.mark.parametrize("ramps", [False, True], ids=["at once", "with ramps"])
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("state", BITS, ids=lambda state: state.name)
+def test_a_drive_answers_every_command_in_every_state(
+    state: State, command: int, ramps: bool
+) -> None:
+    bench = drive_in(state)
+    bench.write(0x605B, 0, ramps)
+    bench.write(0x605C, 0, ramps)
+    before = bench.rpm
+    wanted = TABLE[state][COMMANDS.index(command)] or state
+    leaves = state is S.OPERATION_ENABLED and wanted in (S.READY, S.SWITCHED_ON)
+    bench.drive.controlword(command)
+    at_once = state if leaves and ramps else wanted
+    assert bench.drive.state is at_once
+    assert bench.word & 0x6F == BITS[at_once]
+    assert bench.powered is (at_once in POWERED)
+    bench.wait(20)
+    if wanted is S.OPERATION_ENABLED:
+        assert bench.rpm > before, "it follows its torque"
+    elif bench.powered:
+        assert bench.read(0x606B) == pytest.approx(before - 0.02 * RAMP, abs=15), "it brakes"
+    bench.wait(600)
+    end = {S.FAULT_REACTION_ACTIVE: S.FAULT}.get(wanted, wanted)
+    assert bench.drive.state is end
+    assert bench.word & 0x6F == BITS[end]
+    assert bench.powered is (end in POWERED)
+    if end is S.QUICK_STOP_ACTIVE:
+        assert abs(bench.rpm) < 3.0, "held"
+
+
+@pytest.mark.parametrize("state", BITS, ids=lambda state: state.name)
+def test_a_fault_reset_does_nothing_but_in_fault(state: State) -> None:
+    bench = drive_in(state)
+    bench.drive.controlword(0x80)
+    assert bench.drive.state is (S.SWITCH_ON_DISABLED if state is S.FAULT else state)
+
+
+@pytest.mark.parametrize(
+    ("index", "taken", "refused"),
+    [
+        (0x605A, (6,), (-1, 0, 1, 2, 3, 4, 5, 7)),
+        (0x605B, (0, 1), (-1, 2)),
+        (0x605C, (0, 1), (-1, 2)),
+        (0x605E, (0, 1, 2), (-1, 3, 4)),
+        (0x6007, (2, 3), (-1, 0, 1, 4)),
+    ],
+)
+def test_option_codes_are_those_of_the_drive(
+    index: int, taken: tuple[int, ...], refused: tuple[int, ...]
+) -> None:
+    bench = OneDrive()
+    for value in taken:
+        bench.write(index, 0, value)
+        assert bench.read(index) == value
+    for value in refused:
+        with pytest.raises(AbortError) as abort:
+            bench.write(index, 0, value)
+        assert abort.value.code == RANGE
+    assert bench.read(index) == taken[-1]
+
+
+def test_holding_bit_7_does_not_reset_the_next_fault() -> None:
+    bench = drive_in(S.FAULT)
+    bench.drive.controlword(0x80)
+    bench.drive.fail(0x1000)
+    bench.drive.controlword(0x80)
+    assert bench.drive.state is S.FAULT

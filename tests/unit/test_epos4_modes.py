@@ -217,7 +217,7 @@ def test_cyclic_velocity_follows_its_set_points_and_offset() -> None:
         bench.write(0x60FF, 0, round(wanted))
         bench.wait(1)
         if n > 200:
-            assert bench.rpm == pytest.approx(wanted, abs=25.0)
+            assert bench.rpm == pytest.approx(wanted, abs=40.0), "friction at standstill included"
     bench.write(0x60FF, 0, 100)
     bench.write(0x60B1, 0, 50)
     bench.wait(600)
@@ -302,7 +302,7 @@ def test_method_35_is_refused() -> None:
     assert refused.value.code == RANGE
 
 
-NEGATIVE, HOME, POSITIVE = -9000, (3000, 5000), 12000
+NEGATIVE, HOME, POSITIVE = -5000, (2000, 4000), 8000
 """Where the switches act, in increments from where the drive starts."""
 
 
@@ -311,7 +311,7 @@ def home(method: int, start: int = 0) -> tuple[OneDrive, float]:
     bench = servo(HMM)
     per_radian = bench.lab.samples.per_radian
     begin = float(bench.lab.plant.motor_angle[0]) * per_radian - start
-    for sub, speed in ((1, 300), (2, 40)):
+    for sub, speed in ((1, 400), (2, 120)):
         bench.write(0x6099, sub, speed)
     bench.write(0x6098, 0, method)
 
@@ -345,17 +345,17 @@ def home(method: int, start: int = 0) -> tuple[OneDrive, float]:
         (17, NEGATIVE, 0),
         (18, POSITIVE, 0),
         (23, HOME[0], 0),
-        (23, HOME[0], 4000),
-        (23, HOME[0], 8000),
-        (27, HOME[1], 8000),
-        (27, HOME[1], 4000),
+        (23, HOME[0], 3000),
+        (23, HOME[0], 6000),
+        (27, HOME[1], 6000),
+        (27, HOME[1], 3000),
         (27, HOME[1], 0),
     ],
 )
 def test_homing_finds_the_edge_of_its_switch(method: int, edge: int, start: int) -> None:
     bench, zero = home(method, start)
-    # Found within one loop at the low speed, and seen by the wires every 0.4 ms.
-    assert zero == pytest.approx(edge, abs=15)
+    # Found within a loop and a look at the wires, 0.4 ms each, at 400 rpm or less.
+    assert zero == pytest.approx(edge, abs=22)
     assert abs(bench.rpm) < 3.0
 
 
@@ -364,8 +364,8 @@ def test_homing_finds_the_edge_of_its_switch(method: int, edge: int, start: int)
     [(1, 1, NEGATIVE), (2, -1, POSITIVE), (7, -1, HOME[0]), (11, 1, HOME[1])],
 )
 def test_homing_goes_on_to_the_next_index_pulse(method: int, side: int, edge: int) -> None:
-    bench, zero = home(method, 8000 if method == 11 else 0)
-    assert 0 <= side * (zero - edge) <= REVOLUTION + 15
+    bench, zero = home(method, 6000 if method == 11 else 0)
+    assert 0 <= side * (zero - edge) <= REVOLUTION + 22
     count = bench.lab.samples.count(0) - bench.read(0x6064)
     off = (count + REVOLUTION // 2) % REVOLUTION - REVOLUTION // 2
     assert abs(off) <= 4, "an index pulse is at every whole revolution"
