@@ -236,7 +236,8 @@ class ForceCell:
         digits.write = lambda value: self._samples.set_decimal_digits(channel.cell, value)
         for base, kind in ((0x7000, Kind.I16), (0x9000, Kind.I32)):
             for place, name in _SCALING:
-                self._add_integer(add(base + 0x120 + place, name, kind, "rw", 0), channel, place, n)
+                entry = add(base + 0x120 + place, name, kind, "rw", 0)
+                self._add_integer(entry, channel, place, digits)
             add(base + 0x125, "autozero", Kind.U32, "wo", 0).write = channel.zero
         for index, name, kind, read in (
             (0x6130, "process value", Kind.REAL32, channel.newton),
@@ -251,13 +252,13 @@ class ForceCell:
     def _changes(self, channel: Channel, place: int) -> Writer:
         return lambda value: channel.change(place, value)
 
-    def _add_integer(self, entry: Entry, channel: Channel, place: int, n: int) -> None:
+    def _add_integer(self, entry: Entry, channel: Channel, place: int, digits: Entry) -> None:
         """The integer form of a setting: another view of the float one."""
 
         def scale() -> float:
             if place in (0, 2):
                 return _MICRO
-            return float(10 ** self.objects.number(0x6132, n))
+            return float(10**digits.number)
 
         def read() -> Value:
             low, high = entry.kind.limits
@@ -266,6 +267,7 @@ class ForceCell:
         entry.read = read
         entry.write = lambda value: channel.change(place, value / scale())
         entry.lasting = False
+        entry.set(read())
 
     def _store(self, value: int) -> None:
         if value != _SAVE:
