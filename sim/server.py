@@ -28,7 +28,6 @@ _BACKLOG = 16
 class _Client:
     def __init__(self, connection: socket.socket, channel: Channel) -> None:
         self.connection = connection
-        self.channel = channel
         self.port: Port = channel.attach(listens=True)
 
 
@@ -105,7 +104,7 @@ class _Server:
     def _leave(self, client: _Client) -> None:
         self._loop.remove_reader(client.connection)
         client.connection.close()
-        client.channel.detach(client.port)
+        client.port.channel.detach(client.port)
         self._clients.remove(client)
         if client in self._stalled:
             self._stalled.remove(client)
@@ -122,7 +121,7 @@ class _Server:
                     break
                 for _, identifier, dlc, data in decode(packet):
                     if sound(identifier, dlc):
-                        client.channel.send(port, Frame(identifier, data, dlc), lab.now_ns)
+                        port.channel.send(port, Frame(identifier, data, dlc), lab.now_ns)
                     else:
                         self.unsound_frames += 1
             else:

@@ -101,7 +101,6 @@ class LocalBus(TonusBus):
             )
         self._lab = door.lab
         self._clock = door.lab.clock
-        self._channel = door.channel
         self._port = door.channel.attach(listens=True)
         self._port.echo = self._echo
         assert self._port.received is not None
@@ -121,7 +120,7 @@ class LocalBus(TonusBus):
         lab = self._lab
         lab.advance(self._clock())
         frame = Frame(identifier, bytes(msg.data), msg.dlc, key)
-        if not self._channel.send(self._port, frame, lab.now_ns):
+        if not self._port.channel.send(self._port, frame, lab.now_ns):
             raise can.CanOperationError(f"the transmit queue of channel {self._name} is full")
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
@@ -152,11 +151,11 @@ class LocalBus(TonusBus):
         return None
 
     def flush_tx_buffer(self) -> None:
-        self._channel.drop(self._port)
+        self._port.channel.drop(self._port)
 
     def shutdown(self) -> None:
         if not self._is_shutdown:
-            self._channel.detach(self._port)
+            self._port.channel.detach(self._port)
         super().shutdown()
 
 

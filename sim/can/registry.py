@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from sim.can.bus import Channel
+from sim.can.faulty import FaultyChannel
 from sim.errors import LabError
 
 
@@ -25,7 +25,7 @@ class Door:
     """A channel and the lab that brings it forward."""
 
     lab: Advancing
-    channel: Channel
+    channel: FaultyChannel
     bitrate: int
 
 
