@@ -22,9 +22,10 @@ from math import ceil
 
 from sim.can.confinement import Counters
 from sim.can.latency import Latency
-from sim.can.timing import INTERFRAME_BITS, LONGEST_FRAME_BITS, arbitration_key, frame_bits
+from sim.can.timing import INTERFRAME_BITS, LONGEST_FRAME_BITS, arbitration_key, stuffed_bits
 
 NEVER = 1 << 62
+from_bytes = int.from_bytes
 _SECOND_NS = 1_000_000_000
 
 
@@ -32,6 +33,14 @@ class Frame:
     """What is on the wire; shared by all who receive it and never changed after its end."""
 
     __slots__ = ("data", "dlc", "identifier", "key", "queued_ns", "sender", "stamp_ns")
+
+    # Set on the way, and not before: a frame is made for every frame sent.
+    queued_ns: int
+    """when it entered its sender's queue"""
+    sender: Port | None
+    """set with its first bit"""
+    stamp_ns: int
+    """time of the last bit of end of frame"""
 
     def __init__(
         self, identifier: int, data: bytes, dlc: int | None = None, key: int | None = None
@@ -41,11 +50,6 @@ class Frame:
         self.data = data
         self.dlc = len(data) if dlc is None else dlc
         self.key = arbitration_key(identifier) if key is None else key
-        self.queued_ns = 0
-        """when it entered its sender's queue"""
-        self.stamp_ns = 0
-        """time of the last bit of end of frame"""
-        self.sender: Port | None = None
 
 
 Narrow = Callable[[Frame], bool]
@@ -93,9 +97,8 @@ class Port:
         """frames refused because the queue was full"""
         self.overflowing = False
         """since a refusal the queue has not been empty"""
-        self.receive_depth = NEVER
         self.missed = 0
-        """frames not received because ``receive_depth`` of them waited"""
+        """frames that somebody did not take in time"""
         self.retransmissions = 0
 
     @property
@@ -116,6 +119,7 @@ class Channel:
         self.latency: Latency | None = None
         self.detour: Detour | None = None
         self._bitrate = bitrate
+        self._calm = True
         self._depth = queue_depth
         self._response_ns = response_ns
         self._ports = 0
@@ -204,9 +208,6 @@ class Channel:
         """Queue a frame now; False if the queue is full. The lab has been brought to now."""
         if self.detour is not None and self.detour(port, frame, now_ns):
             return True
-        return self._enter(port, frame, now_ns)
-
-    def _enter(self, port: Port, frame: Frame, now_ns: int) -> bool:
         queue = port.queue
         if len(queue) >= port.depth:
             port.overflows += 1
@@ -220,21 +221,17 @@ class Channel:
         return True
 
     def answer(self, port: Port, frame: Frame, now_ns: int) -> None:
-        """Queue a device's frame after its response time; a full queue loses and counts it.
-
-        Calls come in the order of time.
-        """
+        """Queue a device's frame after its response time; a full queue loses and counts it."""
         due_ns = now_ns + self._response_ns
-        if self.detour is None or not self.detour(port, frame, due_ns):
+        arrivals = self._arrivals
+        if arrivals and arrivals[-1][0] > due_ns:
             self._arrive(due_ns, frame, port)
+        else:
+            arrivals.append((due_ns, frame, port))
 
     def _arrive(self, due_ns: int, frame: Frame, port: Port) -> None:
         """Let a frame enter its queue then; of equal times the first come is the first."""
-        arrivals = self._arrivals
-        if arrivals and arrivals[-1][0] > due_ns:
-            insort(arrivals, (due_ns, frame, port), key=_due)
-        else:
-            arrivals.append((due_ns, frame, port))
+        insort(self._arrivals, (due_ns, frame, port), key=_due)
 
     def next_ns(self) -> int:
         """The next time at which something happens here on its own, or `NEVER`."""
@@ -252,6 +249,10 @@ class Channel:
         """Let time pass up to ``to_ns``, or to the next frame that concerns others."""
         if self.wide_ns <= to_ns:
             return
+        if not self._calm:
+            self._run_slowly(to_ns)
+            if not self._calm:
+                return
         arrivals = self._arrivals
         while True:
             frame = self._frame
@@ -265,7 +266,7 @@ class Channel:
                     return
                 while arrivals and arrivals[0][0] <= start:
                     due_ns, arrived, port = arrivals.popleft()
-                    if not self._enter(port, arrived, due_ns) and self._lost(port, start):
+                    if not self.send(port, arrived, due_ns) and self._lost(port, start):
                         return
                 if not self._heads:
                     continue  # they were all lost at full queues
@@ -275,6 +276,10 @@ class Channel:
                 return
             if not self._finish(frame, end):
                 return
+
+    def _run_slowly(self, to_ns: int) -> None:
+        """Let time pass where something is wrong; sets ``_calm`` when nothing is."""
+        raise NotImplementedError
 
     def _lost(self, port: Port, now_ns: int) -> bool:
         """A device's frame met a full queue. True if the lab has to tell the device first."""
@@ -299,7 +304,8 @@ class Channel:
             self._since = NEVER
         self._frame = frame
         frame.sender = port
-        length = self._durations[frame_bits(frame.identifier, frame.dlc, frame.data)]
+        bits = stuffed_bits(frame.identifier, frame.dlc, from_bytes(frame.data, "big", signed=True))
+        length = self._durations[bits]
         self._end_ns = end = start + length
         self._free_ns = end + self._gap_ns
         self.busy_ns += length + self._gap_ns
@@ -321,20 +327,12 @@ class Channel:
                 self.wide_ns = end
                 return False
         self._frame = None
-        self._hand_out(frame)
-        return True
-
-    def _hand_out(self, frame: Frame) -> None:
-        """To the hosts."""
-        sender = frame.sender
         for listener, received in self._hosts:
             if listener is not sender or listener.echo:
-                if len(received) < listener.receive_depth:
-                    received.append(frame)
-                else:
-                    listener.missed += 1
+                received.append(frame)
         if self.latency is not None:
-            self.latency.add(frame.identifier, frame.stamp_ns - frame.queued_ns)
+            self.latency.add(frame.identifier, end - frame.queued_ns)
+        return True
 
     def deliver(self) -> None:
         """Deliver the frame, or tell the notices, that waited; the lab stands at their time."""
@@ -350,7 +348,11 @@ class Channel:
             if frame is None:
                 return
         sender = frame.sender
-        self._hand_out(frame)
+        for listener, received in self._hosts:
+            if listener is not sender or listener.echo:
+                received.append(frame)
+        if self.latency is not None:
+            self.latency.add(frame.identifier, now_ns - frame.queued_ns)
         # Timers may have come first and ended a subscription.
         for port, take in tuple(self._wide.get(frame.identifier, ())):
             if port is not sender:

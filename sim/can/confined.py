@@ -84,14 +84,7 @@ class ConfinedChannel(Channel):
             return super().next_ns()
         return min(super().next_ns(), self._change_ns())
 
-    def run(self, to_ns: int) -> None:
-        if not self._calm:
-            self._run_slowly(to_ns)
-        if self._calm:
-            super().run(to_ns)
-
     def _run_slowly(self, to_ns: int) -> None:
-        """Until then, or until all is well."""
         while self.wide_ns == NEVER:
             frame = self._frame
             if frame is not None:
@@ -119,7 +112,7 @@ class ConfinedChannel(Channel):
         arrivals = self._arrivals
         while arrivals and arrivals[0][0] <= start:
             due_ns, frame, port = arrivals.popleft()
-            if not self._enter(port, frame, due_ns) and self._lost(port, start):
+            if not self.send(port, frame, due_ns) and self._lost(port, start):
                 return False
         return True
 

@@ -75,6 +75,7 @@ def report(
     )
     frame = Frame(ERROR | kind, data, _LENGTH, 0)
     frame.stamp_ns = stamp_ns
+    frame.sender = None
     return frame
 
 

@@ -47,6 +47,7 @@ class FaultyChannel(ConfinedChannel):
         self._struck: Port | None = None  # who was sending when it stuck
         self._faults: list[FrameFault] = []
         self._delays: list[FrameFault] = []
+        self._underway: set[Frame] = set()  # they have been delayed
         self._babblers: list[Babbler] = []
         self._lost_frame = False
         self._twice = False
@@ -135,6 +136,7 @@ class FaultyChannel(ConfinedChannel):
         self._delays = [other for other in self._delays if other is not fault]
         if not self._delays:
             self.detour = None
+            self._underway.clear()
 
     def babble(self, fault: Babble, now_ns: int) -> Port:
         """Start a babbling controller; `hush` ends it."""
@@ -177,8 +179,9 @@ class FaultyChannel(ConfinedChannel):
         self._stuck = None
         self._dominant_ns = NEVER
         self._free_ns = max(self._free_ns, now_ns + self._sequence_ns)
+        self._suspended.clear()
         for port in self._all_ports:
-            if port.held and port not in self._off and port not in self._suspended:
+            if port.held and port not in self._off:
                 self._let_go(port, now_ns)
 
     # -- what they do ----------------------------------------------------------------------------
@@ -246,10 +249,14 @@ class FaultyChannel(ConfinedChannel):
                 self._refill(babbler, end)
 
     def _delay(self, port: Port, frame: Frame, now_ns: int) -> bool:
+        if frame in self._underway:
+            self._underway.remove(frame)
+            return False
         wait_ns = 0
         for fault in self._delays:
             if isinstance(fault.fault, Delay) and fault.strikes(frame):
                 wait_ns += fault.fault.delay_us * 1000
         if wait_ns:
+            self._underway.add(frame)
             self._arrive(now_ns + wait_ns, frame, port)
         return wait_ns > 0
