@@ -68,6 +68,21 @@ class Notice(Enum):
     """from bus-off"""
 
 
+class Inbox(deque[Frame]):
+    """A host's receive queue of finite depth: what does not fit is missed, and counted."""
+
+    def __init__(self, port: Port, depth: int) -> None:
+        super().__init__()
+        self._port = port
+        self._depth = depth
+
+    def append(self, frame: Frame) -> None:
+        if len(self) < self._depth:
+            super().append(frame)
+        else:
+            self._port.missed += 1
+
+
 Told = Callable[[Notice, int], None]
 """Takes a notice and its time."""
 Detour = Callable[["Port", Frame, int], bool]
@@ -80,7 +95,9 @@ class Port:
     ``received`` is where frames of others arrive, or None for a device, which subscribes instead.
     """
 
-    def __init__(self, channel: Channel, number: int, depth: int, listens: bool) -> None:
+    def __init__(
+        self, channel: Channel, number: int, depth: int, listens: bool, inbox: int | None = None
+    ) -> None:
         self.channel = channel
         self.name = f"host {number}" if listens else f"controller {number}"
         self.number = number
@@ -90,7 +107,9 @@ class Port:
         self.held = False
         """kept from the arbitration: bus-off, suspended, or the bus is stuck"""
         self.queue: deque[Frame] = deque()
-        self.received: deque[Frame] | None = deque() if listens else None
+        self.received: deque[Frame] | None = None
+        if listens:
+            self.received = deque() if inbox is None else Inbox(self, inbox)
         self.echo = False
         """whether the controller receives what it sent itself"""
         self.overflows = 0
@@ -148,9 +167,10 @@ class Channel:
         """The controllers on the wire."""
         return tuple(self._all_ports)
 
-    def attach(self, *, listens: bool) -> Port:
-        """A new controller; with ``listens`` it receives every frame of the others."""
-        port = Port(self, self._ports, self._depth, listens)
+    def attach(self, *, listens: bool, inbox: int | None = None) -> Port:
+        """A new controller; with ``listens`` it receives every frame of the others, and keeps
+        ``inbox`` of them at most."""
+        port = Port(self, self._ports, self._depth, listens, inbox)
         self._ports += 1
         self._all_ports.append(port)
         if port.received is not None:

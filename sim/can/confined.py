@@ -57,9 +57,9 @@ class ConfinedChannel(Channel):
     def _bits_ns(self, bits: int) -> int:
         return -(-bits * _SECOND_NS // self._bitrate)
 
-    def attach(self, *, listens: bool) -> Port:
+    def attach(self, *, listens: bool, inbox: int | None = None) -> Port:
         self._calm = False
-        return super().attach(listens=listens)
+        return super().attach(listens=listens, inbox=inbox)
 
     def detach(self, port: Port) -> None:
         self._calm = False

@@ -54,9 +54,9 @@ class FaultyChannel(ConfinedChannel):
 
     # -- who is on the wire ----------------------------------------------------------------------
 
-    def attach(self, *, listens: bool) -> Port:
+    def attach(self, *, listens: bool, inbox: int | None = None) -> Port:
         """A new controller; while the hosts are cut off, a new one is as well."""
-        port = super().attach(listens=listens)
+        port = super().attach(listens=listens, inbox=inbox)
         port.held = self._stuck == "dominant"
         if listens and self._cut:
             self.sever(port, 0)
