@@ -153,9 +153,6 @@ class Faults:
             device.fail(fault.code)
         elif isinstance(fault, DriveInput):
             device.set_input(fault.input, fault.active)
-            self._forget(fault, DriveInput)
-            if fault.active:
-                self._last(fault, lambda: device.set_input(fault.input, False))
         else:
             device.break_sensor(broken=fault.broken)
             self._forget(fault, CellBreak)
@@ -215,7 +212,6 @@ class Faults:
             if not (
                 isinstance(item.fault, kind)
                 and (item.fault.channel, item.fault.node) == (fault.channel, fault.node)
-                and getattr(item.fault, "input", None) == getattr(fault, "input", None)
             )
         ]
 

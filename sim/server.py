@@ -37,6 +37,7 @@ class _Client:
     def __init__(self, connection: socket.socket, channel: Channel) -> None:
         self.connection = connection
         self.port: Port = channel.attach(listens=True)
+        self.port.reports = True
 
 
 class _Server:

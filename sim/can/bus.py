@@ -112,6 +112,8 @@ class Port:
             self.received = deque() if inbox is None else Inbox(self, inbox)
         self.echo = False
         """whether the controller receives what it sent itself"""
+        self.reports = False
+        """whether ``received`` gets error frames as well"""
         self.overflows = 0
         """frames refused because the queue was full"""
         self.overflowing = False

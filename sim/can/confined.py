@@ -249,7 +249,8 @@ class ConfinedChannel(Channel):
     ) -> None:
         """Tell a host of an error or a new state, and a device of a worse one."""
         state = port.errors.state
-        if port.received is not None and (violation is not None or state is not before):
+        if port.reports and (violation is not None or state is not before):
+            assert port.received is not None
             frame = report(port.errors, now_ns, before, violation, transmitting=transmitting)
             port.received.append(frame)
         if state is before or before is ErrorState.OFF:

@@ -19,6 +19,7 @@ from sim.can.pdo import (
     TransmitPdo,
 )
 from sim.can.sdo_server import SdoServer
+from sim.can.timing import REMOTE
 from sim.devices.device import Device
 from sim.devices.epos4_errors import CAN_PASSIVE, HEARTBEAT_LOST, PDO_LENGTH
 from sim.devices.objects import Entry, Kind
@@ -98,7 +99,7 @@ class Node:
         self._subscribed: list[int] = []
         self._receive: list[ReceivePdo] = []
         self._transmit: list[TransmitPdo] = []
-        self._events: list[TransmitPdo] = []
+        self._remote: dict[int, TransmitPdo] = {}
         self._watches: dict[int, Watch] = {}
         self._epoch = 0  # timers of an older epoch are stale
         self._beat = 0  # the same for the heartbeat producer
@@ -140,9 +141,10 @@ class Node:
         self._receive = self._pdos.receive() if operational else []
         transmit = self._pdos.transmit() if operational else []
         self._transmit = [pdo for pdo in transmit if pdo.rate]
-        self._events = [pdo for pdo in transmit if not pdo.rate]
-        if self._events:
-            self._poll(self._timers.now_ns, self._epoch)
+        self._remote = {pdo.identifier | REMOTE: pdo for pdo in transmit if pdo.remote}
+        for pdo in transmit:
+            if pdo.event:
+                self._look(pdo, self._timers.now_ns, self._epoch)
         self._listen()
 
     def _listen(self) -> None:
@@ -158,6 +160,8 @@ class Node:
             self._subscribe(SDO_REQUEST + self.node_id, self._on_sdo)
         if self._transmit or any(pdo.synchronous for pdo in self._receive):
             self._subscribe(SYNC, self._on_sync)
+        for identifier in self._remote:
+            self._subscribe(identifier, self._on_remote)
         for pdo in self._receive:
             narrow = pdo.hold if pdo.synchronous else None
             self._subscribe(pdo.identifier, self._receiver(pdo), narrow)
@@ -273,19 +277,24 @@ class Node:
 
         return receive
 
-    def _poll(self, now_ns: int, epoch: int) -> None:
-        """Send the event-driven TPDOs that changed."""
+    def _on_remote(self, frame: Frame) -> None:
+        """The present values, whatever the transmission type."""
+        self.device.sample(frame.stamp_ns)
+        self.channel.answer(self.port, self._remote[frame.identifier].frame(), frame.stamp_ns)
+
+    def _look(self, pdo: TransmitPdo, now_ns: int, epoch: int) -> None:
+        """Send an event-driven TPDO if it has changed, then look again: after its inhibit time
+        exactly, so that what changed meanwhile is not late by a cycle more."""
         if epoch != self._epoch:
             return
         self.device.sample(now_ns)
-        wait = _POLL_NS
-        for pdo in self._events:
-            frame = pdo.frame()
-            if frame.data != pdo.last:
-                pdo.last = frame.data
-                self.channel.answer(self.port, frame, now_ns)
-                wait = max(wait, pdo.inhibit_ns)
-        self._timers.call_at(now_ns + wait, lambda at_ns: self._poll(at_ns, epoch))
+        frame = pdo.frame()
+        wait_ns = _POLL_NS
+        if frame.data != pdo.last:
+            pdo.last = frame.data
+            self.port.channel.answer(self.port, frame, now_ns)
+            wait_ns = max(wait_ns, pdo.inhibit_ns)
+        self._timers.call_at(now_ns + wait_ns, lambda at_ns: self._look(pdo, at_ns, epoch))
 
     def _emergency(self, code: int, register: int) -> None:
         if self.state in (Nmt.PRE_OPERATIONAL, Nmt.OPERATIONAL):

@@ -125,6 +125,7 @@ class LocalBus(TonusBus):
         self._clock = door.lab.clock
         self._port = door.channel.attach(listens=True, inbox=self._depth)
         self._port.echo = self._echo
+        self._port.reports = self._error_frames
         assert self._port.received is not None
         self._received: deque[Frame] = self._port.received
         self._keys: dict[int, int] = {}

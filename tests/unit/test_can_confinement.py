@@ -19,7 +19,10 @@ BITS = frame_bits(0x123, 2, b"\x55\xaa")
 
 def channel(listeners: int = 1, bitrate: int = 1_000_000) -> tuple[FaultyChannel, list[Port]]:
     made = FaultyChannel("x", bitrate, 32, 0)
-    return made, [made.attach(listens=True) for _ in range(1 + listeners)]
+    ports = [made.attach(listens=True) for _ in range(1 + listeners)]
+    for port in ports:
+        port.reports = True
+    return made, ports
 
 
 def frame(identifier: int = 0x123, data: bytes = b"\x55\xaa") -> Frame:
