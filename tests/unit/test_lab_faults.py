@@ -114,6 +114,23 @@ def test_a_babbling_controller_starves_all_others() -> None:
         assert ticks(bench, 5, "can1"), "another channel felt nothing"
 
 
+def test_a_drive_that_cannot_say_what_every_sync_asks_of_it_has_a_queue_overflow() -> None:
+    with running(Bench()) as bench:
+        inject(bench, "babble", identifier=0x100)
+        depth = bench.config.lab.bus.queue_depth
+        for _ in range(depth):
+            bench.send("can0", 0x080)
+            bench.wait(1)
+        assert bench.lab.drives[0].enabled
+        for _ in range(10):
+            bench.send("can0", 0x080)
+            bench.wait(1)
+        assert not bench.lab.drives[0].enabled
+        assert bench.lab.drives[0].objects.number(0x603F, 0) == 0x81FF
+        controllers = bench.lab.statistics()["channels"]["can0"]["controllers"]
+        assert controllers["node 1"]["overflows"] >= 10
+
+
 def test_a_babbler_with_a_period_keeps_it() -> None:
     with running(Bench()) as bench:
         inject(bench, "babble", identifier=0x7FF, period_us=1000)

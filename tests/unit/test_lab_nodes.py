@@ -286,10 +286,6 @@ def test_one_channel_with_all_devices_overloads_at_1_khz() -> None:
     # A frame counts in full when it begins, so a window may hold a little more than its length.
     assert lab.channels["can0"].busy_ns - before > 850_000, "the bus never rests"
     assert refused + lab.channels["can0"].overflows > 50
-    full = [lab.nodes["can0", n] for n in (7, 8, 24, 25) if lab.nodes["can0", n].port.overflows]
-    assert full, "the weakest identifiers starve"
-    for node in full:
-        assert node.device.objects.number(0x1001, 0) & 0x10, "and their devices know it (0x81FF)"
     bus.shutdown()
     lab.close()
 
