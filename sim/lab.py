@@ -14,22 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.schema.bus import CELLS, CanopenBus
-from config.schema.faults import CellBreak, DriveError, Fault, Replug, Unplug
+from config.schema.faults import Fault, Replug, Unplug
 from config.schema.lab import LabScript
 from config.schema.robot import CABLES
 from config.schema.root import Config
 from sim.can import registry
-from sim.can.bus import NEVER, Channel
+from sim.can.bus import NEVER
+from sim.can.faulty import FaultyChannel
+from sim.can.latency import Latency
 from sim.can.node import Node
 from sim.devices.epos4 import Epos4
-from sim.devices.epos4_errors import ERRORS
 from sim.devices.force_cell import ForceCell
 from sim.devices.samples import Samples
 from sim.devices.timers import Callback
 from sim.devices.tracker import Tracker
 from sim.direct import DirectPort
 from sim.errors import LabError
+from sim.faults import ActiveFault, Faults
 from sim.plant import Plant
+from sim.statistics import PERIOD_NS, LoadWindow, Statistics, channel_statistics
 from sim.truth import TRUTH, fill
 
 TRUTH_PERIOD_NS = 1_000_000
@@ -99,7 +102,7 @@ class Lab:
             start_ns=start_ns,
         )
         self.samples = Samples(self.plant, config.robot.motor, lab.noise.force_cell, seed)
-        self.channels: dict[str, Channel] = {}
+        self.channels: dict[str, FaultyChannel] = {}
         self.nodes: dict[tuple[str, int], Node] = {}
         self.drives: list[Epos4] = []
         self.cells: list[ForceCell] = []
@@ -112,11 +115,18 @@ class Lab:
         self._started = False
         self._tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
         self.tracker = TrackerFeed(self, self._tracker)
+        self._order: list[FaultyChannel] = []
         self._build(config)
+        self._faults = Faults(self.channels, self.nodes, self, seed)
         for fault in script.faults:
-            self._check(fault)
+            self._faults.check(fault)
         self.direct = DirectPort(self, config.fieldbus.force_cell)
-        self._order = list(self.channels.values())
+        self._rewire()
+        self._windows = {
+            name: LoadWindow(channel, start_ns) for name, channel in self.channels.items()
+        }
+        if self._windows:
+            self.call_at(start_ns + PERIOD_NS, self._note_load)
         for node in self.nodes.values():
             node.boot()
 
@@ -150,7 +160,14 @@ class Lab:
             return
         response_ns = round(lab.bus.drive_response_us * 1e3)
         for spec in bus.channels:
-            built = Channel(spec.name, bus.bitrate, lab.bus.queue_depth, response_ns)
+            built = FaultyChannel(
+                spec.name,
+                bus.bitrate,
+                lab.bus.queue_depth,
+                response_ns,
+                recovers=lab.bus.bus_off_recovers,
+                rewired=self._rewire,
+            )
             self.channels[spec.name] = built
             for drive in spec.drives:
                 device = self.drives[drive.axis]
@@ -159,26 +176,6 @@ class Lab:
             for cell in spec.force_cells:
                 node = Node(sensors[cell.cells], cell.node_id, built, self)
                 self.nodes[spec.name, cell.node_id] = node
-
-    def _check(self, fault: Fault) -> Node:
-        """The node a fault is about, if it can have it. Raises `LabError`."""
-        if not isinstance(fault, Unplug | Replug | DriveError | CellBreak):
-            raise LabError(f"fault {fault.kind}: this lab cannot play it yet")
-        node = self._node(fault.channel, fault.node)
-        if isinstance(fault, DriveError):
-            if not isinstance(node.device, Epos4):
-                raise LabError(f"fault {fault.kind}: node {fault.node} is not a drive")
-            if fault.code not in ERRORS:
-                raise LabError(f"fault {fault.kind}: a drive has no error 0x{fault.code:04X}")
-        if isinstance(fault, CellBreak) and not isinstance(node.device, ForceCell):
-            raise LabError(f"fault {fault.kind}: node {fault.node} is not a force cell")
-        return node
-
-    def _node(self, channel: str, node: int) -> Node:
-        found = self.nodes.get((channel, node))
-        if found is None:
-            raise LabError(f"there is no node {node} on channel {channel!r}")
-        return found
 
     # -- doors -----------------------------------------------------------------------------------
 
@@ -195,15 +192,41 @@ class Lab:
 
     def unplug(self, channel: str, node: int) -> None:
         """Pull a node off its bus. Raises `LabError`."""
-        self._node(channel, node).unplug()
+        self.inject(Unplug(kind="unplug", channel=channel, node=node))
 
     def replug(self, channel: str, node: int) -> None:
-        self._node(channel, node).replug()
+        self.inject(Replug(kind="replug", channel=channel, node=node))
 
     def load(self, channel: str) -> float:
         """Share of the time since the start in which a channel was busy, spaces included."""
         passed = self.now_ns - self.start_ns
         return self.channels[channel].busy_ns / passed if passed else 0.0
+
+    def measure_latency(self, *, on: bool = True) -> None:
+        """Begin, anew, or end to collect the frames' latencies; it costs a little with each."""
+        for channel in self.channels.values():
+            channel.latency = Latency() if on else None
+
+    def statistics(self) -> Statistics:
+        """What the channels have carried up to now."""
+        return Statistics(
+            time=(self.now_ns - self.start_ns) / _SECOND_NS,
+            channels={
+                name: channel_statistics(channel, self._windows[name], self.start_ns, self.now_ns)
+                for name, channel in self.channels.items()
+            },
+        )
+
+    def _note_load(self, now_ns: int) -> None:
+        for window in self._windows.values():
+            window.note(now_ns)
+        self.call_at(now_ns + PERIOD_NS, self._note_load)
+
+    def _rewire(self) -> None:
+        """All wires, those of controllers that are cut off included."""
+        self._order[:] = [
+            wire for channel in self.channels.values() for wire in (channel, *channel.severed)
+        ]
 
     # -- time ------------------------------------------------------------------------------------
 
@@ -290,20 +313,20 @@ class Lab:
         self._started = True
         self.plant.start_schedule(now_ns)
         for fault in self._script.faults:
-            at_ns = now_ns + round(fault.at * _SECOND_NS)
-            self.call_at(at_ns, self._injection(fault))
-
-    def _injection(self, fault: Fault) -> Callback:
-        return lambda _: self.inject(fault)
+            self._inject_later(fault)
 
     def inject(self, fault: Fault) -> None:
-        """Make one fault happen now. Raises `LabError`."""
-        node = self._check(fault)
-        if isinstance(fault, Unplug):
-            node.unplug()
-        elif isinstance(fault, Replug):
-            node.replug()
-        elif isinstance(fault, DriveError):
-            node.device.fail(fault.code)
-        elif isinstance(fault, CellBreak) and isinstance(node.device, ForceCell):
-            node.device.break_sensor(broken=fault.broken)
+        """Make a fault happen now, or ``fault.at`` s from now. Raises `LabError`."""
+        self._faults.check(fault)
+        if fault.at:
+            self._inject_later(fault)
+        else:
+            self._faults.inject(fault)
+
+    def _inject_later(self, fault: Fault) -> None:
+        at_ns = self.now_ns + round(fault.at * _SECOND_NS)
+        self.call_at(at_ns, lambda _: self._faults.inject(fault))
+
+    def faults(self) -> list[ActiveFault]:
+        """The lasting faults at work, oldest first."""
+        return self._faults.active()

@@ -14,7 +14,15 @@ from typing import Any
 
 from config.schema.root import Config
 from sim.can.bus import Channel, Frame, Port
-from sim.can.packet import FRAMES_PER_PACKET, PACKET_BYTES, decode, encode, socket_path, sound
+from sim.can.packet import (
+    ECHO,
+    FRAMES_PER_PACKET,
+    PACKET_BYTES,
+    decode,
+    encode,
+    socket_path,
+    sound,
+)
 from sim.errors import LabError
 from sim.lab import Lab
 from sim.timer import WakeUp
@@ -28,8 +36,8 @@ _BACKLOG = 16
 class _Client:
     def __init__(self, connection: socket.socket, channel: Channel) -> None:
         self.connection = connection
-        self.channel = channel
         self.port: Port = channel.attach(listens=True)
+        self.port.reports = True
 
 
 class _Server:
@@ -49,8 +57,6 @@ class _Server:
         self._tracker.setblocking(False)
         self._wake = WakeUp(self._loop, self._work)
         self._directory = directory
-        self.lost_batches = 0
-        """batches that a client did not take in time"""
         self.unsound_frames = 0
         """frames no classic controller could have sent, thrown away"""
 
@@ -105,7 +111,7 @@ class _Server:
     def _leave(self, client: _Client) -> None:
         self._loop.remove_reader(client.connection)
         client.connection.close()
-        client.channel.detach(client.port)
+        client.port.channel.detach(client.port)
         self._clients.remove(client)
         if client in self._stalled:
             self._stalled.remove(client)
@@ -120,9 +126,11 @@ class _Server:
                 if not packet:
                     self._leave(client)
                     break
-                for _, identifier, dlc, data in decode(packet):
-                    if sound(identifier, dlc):
-                        client.channel.send(port, Frame(identifier, data, dlc), lab.now_ns)
+                for _, identifier, dlc, _, data in decode(packet):
+                    if identifier == ECHO:
+                        port.echo = data[:1] == b"\1"
+                    elif sound(identifier, dlc):
+                        port.channel.send(port, Frame(identifier, data, dlc), lab.now_ns)
                     else:
                         self.unsound_frames += 1
             else:
@@ -171,9 +179,10 @@ class _Server:
         while received:
             batch = [received.popleft() for _ in range(min(len(received), FRAMES_PER_PACKET))]
             try:
-                client.connection.send(encode(batch))
+                client.connection.send(encode(batch, client.port))
             except BlockingIOError:
-                self.lost_batches += 1  # as a controller's receive buffer that nobody empties
+                # As a controller's receive buffer that nobody empties.
+                client.port.missed += len(batch)
             except OSError:
                 self._leave(client)
                 return
@@ -209,6 +218,7 @@ async def serve(lab: Lab, config: Config, runtime_dir: Path, ready: Callable[[],
 
     The lab's clock has to be CLOCK_MONOTONIC in ns, as the running loop's is. Raises `LabError`.
     """
+    lab.measure_latency()
     server = _Server(lab, config, runtime_dir)
     try:
         await server.run(ready)

@@ -11,6 +11,7 @@ from pydantic import Field, TypeAdapter
 
 from config.schema.base import Count, Fraction, NodeId, NonNegative, Positive, Section
 
+Level = Literal["dominant", "recessive"]
 Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
 
 
@@ -25,7 +26,7 @@ class _OfNode(_Fault):
 
 
 class Unplug(_OfNode):
-    """The node's cable is pulled; the device runs on, unheard and deaf."""
+    """The node's cable is pulled; the device runs on, alone: nobody acknowledges its frames."""
 
     kind: Literal["unplug"]
 
@@ -88,14 +89,14 @@ class Corruption(_OfFrames):
 
 
 class Delay(_OfFrames):
-    """The frame enters its sender's queue later than it should."""
+    """The frame enters its sender's queue later than it should, and is overtaken there."""
 
     kind: Literal["delay"]
     delay_us: Count
 
 
 class Duplicate(_OfFrames):
-    """The frame is sent twice, as after an acknowledge that its sender missed."""
+    """The frame is sent twice, as by a repeater; no controller counts an error."""
 
     kind: Literal["duplicate"]
 
@@ -112,16 +113,22 @@ class Babble(_Fault):
 
 
 class StuckBus(_Fault):
-    """The bus is held dominant: nobody can send, and senders run into bus-off."""
+    """The bus is held at a level and nobody can send.
+
+    Held dominant (a wire on the supply), all controllers become error-passive, and the one that was
+    sending goes bus-off. Recessive (the wires touch), every one that tries to send goes bus-off.
+    """
 
     kind: Literal["stuck"]
     channel: str
+    level: Level = "dominant"
     duration: Positive | None = None
 
 
 class Disconnect(_Fault):
     """The channel's cable is cut behind the daemon's controller: it is alone, nobody
-    acknowledges its frames; the devices go on among themselves."""
+    acknowledges its frames; the devices go on among themselves. Other hosts of the channel are cut
+    off in the same way, each by itself."""
 
     kind: Literal["disconnect"]
     channel: str

@@ -105,6 +105,8 @@ class Timing(Section):
     """from the end of a SYNC to a device's answer entering its transmit queue"""
     queue_depth: Count
     """frames a node's transmit queue holds"""
+    bus_off_recovers: bool = True
+    """a controller in bus-off returns by itself after 128 times 11 recessive bits"""
 
 
 class PowerStage(Section):

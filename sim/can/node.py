@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from enum import IntEnum
 
-from sim.can.bus import Channel, Frame, Narrow, Wide
+from sim.can.bus import Frame, Narrow, Notice, Wide
+from sim.can.faulty import FaultyChannel
 from sim.can.pdo import (
     COUNT,
     RPDO_MAPPING,
@@ -17,10 +19,12 @@ from sim.can.pdo import (
     TransmitPdo,
 )
 from sim.can.sdo_server import SdoServer
+from sim.can.timing import REMOTE
 from sim.devices.device import Device
-from sim.devices.epos4_errors import HEARTBEAT_LOST, PDO_LENGTH
+from sim.devices.epos4_errors import CAN_PASSIVE, HEARTBEAT_LOST, PDO_LENGTH
 from sim.devices.objects import Entry, Kind
 from sim.devices.timers import Timers
+from sim.errors import LabError
 
 NMT = 0x000
 SYNC = 0x080
@@ -36,6 +40,14 @@ _COMMUNICATION = (0x1005, 0x1FFF)
 _PRODUCER = 0x1017
 _CONSUMER = 0x1016
 _ON_ERROR = 0x1029
+_BUS_OFF = 0x81FD
+_TRANSMIT_OVERFLOW = 0x81FF
+_RAISED = {
+    Notice.PASSIVE: CAN_PASSIVE,
+    Notice.BUS_OFF: _BUS_OFF,
+    Notice.OVERFLOW: _TRANSMIT_OVERFLOW,
+}
+"""What a device makes of its controller's trouble (CiA 301, and the EPOS4's own codes)."""
 
 
 class Nmt(IntEnum):
@@ -48,6 +60,10 @@ class Nmt(IntEnum):
 
 
 _START, _STOP, _PRE_OPERATE, _RESET_NODE, _RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
+
+
+def _nothing() -> None:
+    """A reset of the communication leaves the device alone."""
 
 
 class Watch:
@@ -69,17 +85,21 @@ class Watch:
 class Node:
     """``device`` at ``node_id`` on ``channel``; boots when the lab calls `boot`."""
 
-    def __init__(self, device: Device, node_id: int, channel: Channel, timers: Timers) -> None:
+    def __init__(
+        self, device: Device, node_id: int, channel: FaultyChannel, timers: Timers
+    ) -> None:
         self.device = device
         self.node_id = node_id
         self.channel = channel
         self.state = Nmt.INITIALISING
         self.port = channel.attach(listens=False)
+        self.port.name = f"node {node_id}"
+        self.port.told = self._on_notice
         self._timers = timers
         self._subscribed: list[int] = []
         self._receive: list[ReceivePdo] = []
         self._transmit: list[TransmitPdo] = []
-        self._events: list[TransmitPdo] = []
+        self._remote: dict[int, TransmitPdo] = {}
         self._watches: dict[int, Watch] = {}
         self._epoch = 0  # timers of an older epoch are stale
         self._beat = 0  # the same for the heartbeat producer
@@ -131,16 +151,17 @@ class Node:
         self._receive = self._pdos.receive() if operational else []
         transmit = self._pdos.transmit() if operational else []
         self._transmit = [pdo for pdo in transmit if pdo.rate]
-        self._events = [pdo for pdo in transmit if not pdo.rate]
-        if self._events:
-            self._poll(self._timers.now_ns, self._epoch)
+        self._remote = {pdo.identifier | REMOTE: pdo for pdo in transmit if pdo.remote}
+        for pdo in transmit:
+            if pdo.event:
+                self._look(pdo, self._timers.now_ns, self._epoch)
         self._listen()
 
     def _listen(self) -> None:
         for identifier in self._subscribed:
             self.channel.unsubscribe(self.port, identifier)
         self._subscribed = []
-        if not self.port.plugged:
+        if not self.plugged or self.port.errors.off:
             return
         self._subscribe(NMT, self._on_nmt)
         for node, watch in self._watches.items():
@@ -149,6 +170,8 @@ class Node:
             self._subscribe(SDO_REQUEST + self.node_id, self._on_sdo)
         if self._transmit or any(pdo.synchronous for pdo in self._receive):
             self._subscribe(SYNC, self._on_sync)
+        for identifier in self._remote:
+            self._subscribe(identifier, self._on_remote)
         for pdo in self._receive:
             narrow = pdo.hold if pdo.synchronous else None
             self._subscribe(pdo.identifier, self._receiver(pdo), narrow)
@@ -171,20 +194,50 @@ class Node:
             self._epoch += 1
             self._compile()
 
+    @property
+    def plugged(self) -> bool:
+        """Whether the node is on its channel's wire, and not on one of its own."""
+        return self.port.channel is self.channel
+
     def unplug(self) -> None:
-        """Pull the cable: the device runs on, unheard and deaf."""
-        self.port.plugged = False
-        self.channel.drop(self.port)
-        self._listen()
+        """Pull the cable: the device runs on, alone and deaf."""
+        if self.plugged:
+            self.channel.sever(self.port, self._timers.now_ns)
+            self._listen()
 
     def replug(self) -> None:
-        self.port.plugged = True
+        self.channel.rejoin(self.port, self._timers.now_ns)
         self._listen()
+
+    def _on_notice(self, notice: Notice, now_ns: int) -> None:
+        """The controller is in trouble, or out of it; a device in bus-off hears nothing."""
+        del now_ns
+        if notice in (Notice.BUS_OFF, Notice.RECOVERED):
+            self._listen()
+        if notice in _RAISED:
+            self.device.fail(_RAISED[notice])
+
+    def power_cycle(self) -> None:
+        """Interrupt the supply for an instant. Raises `LabError` if the device cannot bear it."""
+        restart = getattr(self.device, "power_cycle", None)
+        if restart is None:
+            raise LabError(f"node {self.node_id} on {self.channel.name} has no supply to interrupt")
+        self.port.channel.restart(self.port)
+        self._restart(restart)
+
+    def _restart(self, reset: Callable[[], None]) -> None:
+        self.state = Nmt.INITIALISING
+        self.device.set_operational(False)
+        reset()
+        self.device.communication_reset()
+        self.device.objects.restore(*_COMMUNICATION)
+        self.boot()
 
     # -- frames ----------------------------------------------------------------------------------
 
     def _answer(self, identifier: int, data: bytes) -> None:
-        self.channel.answer(self.port, Frame(identifier, data), self._timers.now_ns)
+        port = self.port
+        port.channel.answer(port, Frame(identifier, data), self._timers.now_ns)
 
     def _on_nmt(self, frame: Frame) -> None:
         if len(frame.data) < 2 or frame.data[1] not in (0, self.node_id):
@@ -196,14 +249,10 @@ class Node:
             self._enter(Nmt.STOPPED)
         elif command == _PRE_OPERATE:
             self._enter(Nmt.PRE_OPERATIONAL)
-        elif command in (_RESET_NODE, _RESET_COMMUNICATION):
-            self.state = Nmt.INITIALISING
-            self.device.set_operational(False)
-            if command == _RESET_NODE:
-                self.device.reset()
-            self.device.communication_reset()
-            self.device.objects.restore(*_COMMUNICATION)
-            self.boot()
+        elif command == _RESET_NODE:
+            self._restart(self.device.reset)
+        elif command == _RESET_COMMUNICATION:
+            self._restart(_nothing)
 
     def _on_sdo(self, frame: Frame) -> None:
         if len(frame.data) == 8:
@@ -244,19 +293,24 @@ class Node:
 
         return receive
 
-    def _poll(self, now_ns: int, epoch: int) -> None:
-        """Send the event-driven TPDOs that changed."""
+    def _on_remote(self, frame: Frame) -> None:
+        """The present values, whatever the transmission type."""
+        self.device.sample(frame.stamp_ns)
+        self.channel.answer(self.port, self._remote[frame.identifier].frame(), frame.stamp_ns)
+
+    def _look(self, pdo: TransmitPdo, now_ns: int, epoch: int) -> None:
+        """Send an event-driven TPDO if it has changed, then look again: after its inhibit time
+        exactly, so that what changed meanwhile is not late by a cycle more."""
         if epoch != self._epoch:
             return
         self.device.sample(now_ns)
-        wait = _POLL_NS
-        for pdo in self._events:
-            frame = pdo.frame()
-            if frame.data != pdo.last:
-                pdo.last = frame.data
-                self.channel.answer(self.port, frame, now_ns)
-                wait = max(wait, pdo.inhibit_ns)
-        self._timers.call_at(now_ns + wait, lambda at_ns: self._poll(at_ns, epoch))
+        frame = pdo.frame()
+        wait_ns = _POLL_NS
+        if frame.data != pdo.last:
+            pdo.last = frame.data
+            self.port.channel.answer(self.port, frame, now_ns)
+            wait_ns = max(wait_ns, pdo.inhibit_ns)
+        self._timers.call_at(now_ns + wait_ns, lambda at_ns: self._look(pdo, at_ns, epoch))
 
     def _emergency(self, code: int, register: int) -> None:
         if self.state in (Nmt.PRE_OPERATIONAL, Nmt.OPERATIONAL):
@@ -273,9 +327,9 @@ class Node:
     def _produce(self, now_ns: int, beat: int, period_ns: int) -> None:
         if beat != self._beat:
             return
-        self.channel.answer(
-            self.port, Frame(ERROR_CONTROL + self.node_id, bytes((self.state,))), now_ns
-        )
+        port = self.port
+        beating = Frame(ERROR_CONTROL + self.node_id, bytes((self.state,)))
+        port.channel.answer(port, beating, now_ns)
         self._timers.call_at(
             now_ns + period_ns, lambda at_ns: self._produce(at_ns, beat, period_ns)
         )

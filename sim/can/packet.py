@@ -1,7 +1,9 @@
 """How frames travel between a lab's process and a bus in another: packets of 24-byte frames.
 
 One SOCK_SEQPACKET packet is a batch; a frame is little-endian: time (ns, u64), identifier with the
-flags of `sim.can.timing` (u32), DLC (u8), three zero bytes, eight data bytes.
+flags of `sim.can.timing` (u32), DLC (u8), 1 where a client gets back what it sent itself (u8), two
+zero bytes, eight data bytes. The lab sends error frames, too. A client's "error frame" `ECHO` asks,
+by its first data byte, for its own frames to come back.
 """
 
 from __future__ import annotations
@@ -11,10 +13,11 @@ import struct
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from sim.can.bus import Frame
+from sim.can.bus import Frame, Port
 from sim.can.timing import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE
 
-FRAME = struct.Struct("<QIB3x8s")
+FRAME = struct.Struct("<QIBB2x8s")
+ECHO = ERROR
 FRAMES_PER_PACKET = 128
 PACKET_BYTES = FRAMES_PER_PACKET * FRAME.size
 _DIRECTORY = "TONUS_RUNTIME_DIR"
@@ -34,18 +37,20 @@ def socket_path(directory: Path, channel: str) -> Path:
     return directory / f"{channel}.sock"
 
 
-def encode(frames: Iterable[Frame]) -> bytes:
-    """At most `FRAMES_PER_PACKET` frames as one packet."""
+def encode(frames: Iterable[Frame], port: Port) -> bytes:
+    """At most `FRAMES_PER_PACKET` frames for a client as one packet."""
     pack = FRAME.pack
-    return b"".join([pack(f.stamp_ns, f.identifier, f.dlc, f.data) for f in frames])
+    return b"".join(
+        [pack(f.stamp_ns, f.identifier, f.dlc, f.sender is port, f.data) for f in frames]
+    )
 
 
-def decode(packet: bytes) -> Iterator[tuple[int, int, int, bytes]]:
-    """Time, identifier with flags, DLC and data of every whole frame of a packet."""
+def decode(packet: bytes) -> Iterator[tuple[int, int, int, bool, bytes]]:
+    """Time, identifier with flags, DLC, whether it is one's own, and data of every whole frame."""
     whole = len(packet) - len(packet) % FRAME.size
-    for stamp_ns, identifier, dlc, data in FRAME.iter_unpack(packet[:whole]):
+    for stamp_ns, identifier, dlc, own, data in FRAME.iter_unpack(packet[:whole]):
         length = 0 if identifier & REMOTE else min(dlc, 8)
-        yield stamp_ns, identifier, dlc, data[:length]
+        yield stamp_ns, identifier, dlc, bool(own), data[:length]
 
 
 def sound(identifier: int, dlc: int) -> bool:

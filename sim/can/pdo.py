@@ -29,6 +29,7 @@ COUNT = 0x200
 INVALID = 1 << 31
 _NO_REMOTE = 1 << 30
 _LAST_SYNCHRONOUS = 240
+_ON_REQUEST = 253
 _EVENT = (254, 255)
 _INHIBIT = 10
 _FRAME_BITS = 64
@@ -73,19 +74,34 @@ class ReceivePdo:
 class TransmitPdo:
     """A valid TPDO, ready to be sent."""
 
-    __slots__ = ("_getters", "_key", "_pack", "identifier", "inhibit_ns", "last", "phase", "rate")
+    __slots__ = (
+        "_getters",
+        "_key",
+        "_pack",
+        "event",
+        "identifier",
+        "inhibit_ns",
+        "last",
+        "phase",
+        "rate",
+        "remote",
+    )
 
     def __init__(
         self,
-        identifier: int,
+        cob_id: int,
         transmission: int,
         inhibit_ns: int,
         letters: str,
         getters: Sequence[Reader],
     ) -> None:
-        self.identifier = identifier
+        self.identifier = identifier = cob_id & 0x7FF
         self.rate = transmission if transmission <= _LAST_SYNCHRONOUS else 0
-        """sent on every so many SYNCs; 0: on change"""
+        """sent on every so many SYNCs; 0: not on SYNC"""
+        self.event = transmission in _EVENT
+        """sent when it changes"""
+        self.remote = not cob_id & _NO_REMOTE
+        """sent when a remote frame asks for it"""
         self.phase = 0
         self.inhibit_ns = inhibit_ns
         self.last = b""
@@ -127,6 +143,8 @@ class Pdos:
         kind.allowed = (*range(1, _LAST_SYNCHRONOUS + 1), *_EVENT)
         if parameters == RPDO_PARAMETERS:
             kind.allowed = (0, *kind.allowed)
+        else:
+            kind.allowed = (*kind.allowed, _ON_REQUEST)
         kind.write = self._check_state
         add(parameters + number, 2, kind)
         if parameters == TPDO_PARAMETERS:
@@ -215,5 +233,5 @@ class Pdos:
             kind = number(TPDO_PARAMETERS + n, 2)
             inhibit_ns = number(TPDO_PARAMETERS + n, 3) * 100_000
             letters = self._letters(words)
-            found.append(TransmitPdo(cob & 0x7FF, kind, inhibit_ns, letters, getters))
+            found.append(TransmitPdo(cob, kind, inhibit_ns, letters, getters))
         return found

@@ -1,7 +1,10 @@
 """The lab's bus as a python-can interface: ``can.Bus(interface="tonus", channel="can0")``.
 
 A channel of a lab in this process is used directly; otherwise a running lab is joined through its
-socket. In this process time is the lab's, so nothing can be waited for: a blocking `recv` raises.
+socket. In this process time is the lab's, so nothing can be waited for: a blocking `recv` raises,
+and cyclic messages are sent by the lab's time.
+
+Error frames are laid out as SocketCAN's (`sim.can.error_frames`) and pass every filter, as there.
 """
 
 from __future__ import annotations
@@ -9,13 +12,16 @@ from __future__ import annotations
 import select
 import socket
 from collections import deque
+from collections.abc import Sequence
 from typing import Any, Self, cast
 
 import can
 from can.typechecking import CanFilters
 
-from sim.can import packet, registry
+from sim.can import error_frames, packet, registry
 from sim.can.bus import Frame
+from sim.can.confinement import ErrorState
+from sim.can.cyclic import LabCyclicTask, Modifier
 from sim.can.timing import ERROR, EXTENDED, EXTENDED_ID, REMOTE, arbitration_key
 
 _SEND_BUFFER = 16384
@@ -39,20 +45,28 @@ class TonusBus(can.BusABC):
         can_filters: CanFilters | None = None,
         receive_own_messages: bool = False,
         bitrate: int | None = None,
+        error_frames: bool = True,
+        rx_queue_size: int = 0,
         **kwargs: object,
     ) -> None:
-        """``bitrate`` has to be the lab's, if it is given and can be known.
-
-        Raises `can.CanInitializationError`.
+        """``bitrate`` has to be the lab's, if it is given and can be known; ``rx_queue_size`` is
+        that of a lab in this process, 0: without end. Raises `can.CanInitializationError`.
         """
         self._name = str(channel)
         self.channel_info = f"tonus lab, channel {self._name}"
         self._echo = bool(receive_own_messages)
+        self._error_frames = bool(error_frames)
+        self._depth = int(rx_queue_size) or None
         self._connect(bitrate)
         super().__init__(channel, can_filters, **kwargs)
 
     def _connect(self, bitrate: int | None) -> None:
         raise NotImplementedError
+
+    def _wanted(self, message: can.Message) -> bool:
+        if message.is_error_frame:
+            return self._error_frames
+        return self._filters is None or self._matches_filters(message)
 
 
 def _checked(message: can.Message) -> int:
@@ -88,6 +102,14 @@ def _message(
     )
 
 
+_STATES = {
+    ErrorState.ACTIVE: can.BusState.ACTIVE,
+    ErrorState.WARNING: can.BusState.ACTIVE,
+    ErrorState.PASSIVE: can.BusState.PASSIVE,
+    ErrorState.OFF: can.BusState.ERROR,
+}
+
+
 class LocalBus(TonusBus):
     """On a lab in this process."""
 
@@ -101,9 +123,9 @@ class LocalBus(TonusBus):
             )
         self._lab = door.lab
         self._clock = door.lab.clock
-        self._channel = door.channel
-        self._port = door.channel.attach(listens=True)
+        self._port = door.channel.attach(listens=True, inbox=self._depth)
         self._port.echo = self._echo
+        self._port.reports = self._error_frames
         assert self._port.received is not None
         self._received: deque[Frame] = self._port.received
         self._keys: dict[int, int] = {}
@@ -114,15 +136,43 @@ class LocalBus(TonusBus):
         Raises `can.CanOperationError` if the queue is full.
         """
         del timeout
-        identifier = _checked(msg)
+        self._lab.advance(self._clock())
+        if not self._queue(msg):
+            raise can.CanOperationError(f"the transmit queue of channel {self._name} is full")
+
+    def _queue(self, message: can.Message) -> bool:
+        """Queue a message at the lab's present; False if there is no room."""
+        identifier = _checked(message)
         key = self._keys.get(identifier)
         if key is None:
             key = self._keys[identifier] = arbitration_key(identifier)
-        lab = self._lab
-        lab.advance(self._clock())
-        frame = Frame(identifier, bytes(msg.data), msg.dlc, key)
-        if not self._channel.send(self._port, frame, lab.now_ns):
-            raise can.CanOperationError(f"the transmit queue of channel {self._name} is full")
+        frame = Frame(identifier, bytes(message.data), message.dlc, key)
+        port = self._port
+        return port.channel.send(port, frame, self._lab.now_ns)
+
+    def _send_periodic_internal(
+        self,
+        msgs: Sequence[can.Message] | can.Message,
+        period: float,
+        duration: float | None = None,
+        autostart: bool = True,
+        modifier_callback: Modifier | None = None,
+    ) -> LabCyclicTask:
+        self._lab.advance(self._clock())
+        task = LabCyclicTask(self._lab, self._queue, msgs, period, duration, modifier_callback)
+        if autostart:
+            task.start()
+        return task
+
+    @property
+    def state(self) -> can.BusState:
+        """The controller's, now."""
+        self._lab.advance(self._clock())
+        return _STATES[self._port.errors.state]
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        raise NotImplementedError(f"a controller of the lab cannot be set to {new_state}")
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next message that has arrived by now, or None. ``timeout`` has to be 0.
@@ -142,7 +192,7 @@ class LocalBus(TonusBus):
                 self._name,
                 frame.sender is not self._port,
             )
-            if self._filters is None or self._matches_filters(message):
+            if self._wanted(message):
                 return message
         if timeout is None or timeout > 0:
             raise can.CanOperationError(
@@ -152,11 +202,11 @@ class LocalBus(TonusBus):
         return None
 
     def flush_tx_buffer(self) -> None:
-        self._channel.drop(self._port)
+        self._port.channel.drop(self._port)
 
     def shutdown(self) -> None:
         if not self._is_shutdown:
-            self._channel.detach(self._port)
+            self._port.channel.detach(self._port)
         super().shutdown()
 
 
@@ -165,10 +215,6 @@ class SocketBus(TonusBus):
 
     def _connect(self, bitrate: int | None) -> None:
         del bitrate
-        if self._echo:
-            raise can.CanInitializationError(
-                "receive_own_messages is only there for a lab in this process"
-            )
         path = packet.socket_path(packet.runtime_directory(), self._name)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
@@ -182,12 +228,15 @@ class SocketBus(TonusBus):
         self._socket.setblocking(False)
         self._poll = select.poll()
         self._poll.register(self._socket, select.POLLIN)
-        self._batch: deque[tuple[int, int, int, bytes]] = deque()
+        self._batch: deque[tuple[int, int, int, bool, bytes]] = deque()
+        self._state = ErrorState.ACTIVE
+        if self._echo:
+            self._socket.send(packet.FRAME.pack(0, packet.ECHO, 1, 0, b"\1"))
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Raises `can.CanOperationError` if the lab has not taken the frames before this one."""
         identifier = _checked(msg)
-        data = packet.FRAME.pack(0, identifier, msg.dlc, bytes(msg.data))
+        data = packet.FRAME.pack(0, identifier, msg.dlc, 0, bytes(msg.data))
         try:
             self._socket.send(data)
         except BlockingIOError as error:
@@ -203,14 +252,30 @@ class SocketBus(TonusBus):
             raise can.CanOperationError(f"the lab has closed {self._name}: {error}") from error
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if not self._batch and not self._fill(timeout):
-            return None, False
-        stamp_ns, identifier, dlc, data = self._batch.popleft()
-        if not self._batch:
-            # The packet stays in the socket until its last frame is out, so that the socket is
-            # readable for as long as there is a frame to be had.
-            self._socket.recv(1)
-        return _message(stamp_ns, identifier, dlc, data, self._name, True), False
+        """The next message that has arrived or arrives within ``timeout`` s; no time is lost on
+        those that a filter holds back."""
+        while self._batch or self._fill(timeout):
+            stamp_ns, identifier, dlc, own, data = self._batch.popleft()
+            if not self._batch:
+                # The packet stays in the socket until its last frame is out, so that the socket is
+                # readable for as long as there is a frame to be had.
+                self._socket.recv(1)
+            if identifier & ERROR:
+                self._state = error_frames.state(identifier, data, self._state)
+            message = _message(stamp_ns, identifier, dlc, data, self._name, not own)
+            if self._wanted(message):
+                return message, True
+            timeout = 0 if timeout is not None else None
+        return None, True
+
+    @property
+    def state(self) -> can.BusState:
+        """The controller's, as far as frames have been received."""
+        return _STATES[self._state]
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        raise NotImplementedError(f"a controller of the lab cannot be set to {new_state}")
 
     def _fill(self, timeout: float | None) -> bool:
         """Look at the next packet; False if none came in time."""

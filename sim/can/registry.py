@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from sim.can.bus import Channel
+from sim.can.faulty import FaultyChannel
+from sim.devices.timers import Callback
 from sim.errors import LabError
 
 
@@ -18,6 +19,7 @@ class Advancing(Protocol):
     @property
     def clock(self) -> Callable[[], int]: ...
     def advance(self, to_ns: int) -> None: ...
+    def call_at(self, at_ns: int, callback: Callback) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class Door:
     """A channel and the lab that brings it forward."""
 
     lab: Advancing
-    channel: Channel
+    channel: FaultyChannel
     bitrate: int
 
 

@@ -20,8 +20,8 @@ LONGEST_FRAME_BITS = 160
 
 
 @njit("int64(int64, int64, int64)", cache=True)
-def _bits(identifier: int, dlc: int, data: int) -> int:
-    """``data`` is the payload as one big-endian two's complement integer (it fits 64 bits)."""
+def stuffed_bits(identifier: int, dlc: int, data: int) -> int:
+    """`frame_bits`, the payload as one big-endian two's complement integer (it fits 64 bits)."""
     remote = (identifier >> 30) & 1
     if identifier >> 31 & 1:
         base = (identifier >> 18) & 0x7FF
@@ -67,7 +67,7 @@ def frame_bits(identifier: int, dlc: int, data: bytes) -> int:
 
     ``identifier`` carries the flags above; ``data`` holds min(dlc, 8) bytes, none if remote.
     """
-    length: int = _bits(identifier, dlc, int.from_bytes(data, "big", signed=True))
+    length: int = stuffed_bits(identifier, dlc, int.from_bytes(data, "big", signed=True))
     return length
 
 

@@ -13,6 +13,7 @@ class Stream(IntEnum):
     PLANT = 0
     CELLS = 1
     TRACKER = 2
+    FAULTS = 3
 
 
 def generator(seed: int, stream: Stream) -> np.random.Generator:
