@@ -87,6 +87,7 @@ class Lab:
             raise LabError(f"configuration {config.name} has no lab section")
         lab = config.lab
         self.clock = clock
+        self.seed = seed
         self.now_ns = start_ns
         """time up to which everything has happened"""
         self.start_ns = start_ns
@@ -290,6 +291,16 @@ class Lab:
 
     def _injection(self, fault: Fault) -> Callback:
         return lambda _: self.inject(fault)
+
+    def schedule(self, fault: Fault) -> int:
+        """Make a fault happen ``fault.at`` s from now; the time in ns. Raises `LabError`."""
+        at_ns = self.now_ns + round(fault.at * _SECOND_NS)
+        self._check(fault)
+        if at_ns > self.now_ns:
+            self.call_at(at_ns, self._injection(fault))
+        else:
+            self.inject(fault)
+        return at_ns
 
     def inject(self, fault: Fault) -> None:
         """Make one fault happen now. Raises `LabError`."""

@@ -1,4 +1,4 @@
-"""A lab in real time: its channels as Unix sockets, its tracker as UDP datagrams.
+"""A lab in real time: its channels as Unix sockets, its tracker as UDP datagrams, and its door.
 
 The lab itself is lazy. The server brings it forward when a client sends, and when something is due
 that a client would notice; frames that end within ``lab.bus.coalesce_us`` go out in one packet.
@@ -15,6 +15,8 @@ from typing import Any
 from config.schema.root import Config
 from sim.can.bus import Channel, Frame, Port
 from sim.can.packet import FRAMES_PER_PACKET, PACKET_BYTES, decode, encode, socket_path, sound
+from sim.door import Door
+from sim.door_socket import NAME, DoorSocket
 from sim.errors import LabError
 from sim.lab import Lab
 from sim.timer import WakeUp
@@ -45,6 +47,7 @@ class _Server:
         self._listeners: list[tuple[socket.socket, Path]] = []
         self._clients: list[_Client] = []
         self._stalled: list[_Client] = []
+        self._door: DoorSocket | None = None
         self._tracker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._tracker.setblocking(False)
         self._wake = WakeUp(self._loop, self._work)
@@ -79,10 +82,17 @@ class _Server:
             self._listeners.append((listener, path))
             listener.listen(_BACKLOG)
             self._loop.add_reader(listener, self._accept, listener, channel)
+        door = self._directory / NAME
+        _remove_stale(door, socket.SOCK_DGRAM)
+        self._door = DoorSocket(
+            Door(self._lab), door, lambda: self._lab.advance(self._clock()), self._work
+        )
 
     def close(self) -> None:
         self._loop.set_exception_handler(None)
         self._wake.close()
+        if self._door is not None:
+            self._door.close()
         for listener, path in self._listeners:
             self._loop.remove_reader(listener)
             listener.close()
@@ -187,13 +197,13 @@ class _Server:
             wake.at(due_ns)
 
 
-def _remove_stale(path: Path) -> None:
+def _remove_stale(path: Path, kind: socket.SocketKind = socket.SOCK_SEQPACKET) -> None:
     """Take away the socket of a lab that is gone. Raises `LabError` if it still answers."""
     if not path.exists():
         return
     if not path.is_socket():
         raise LabError(f"{path} is in the way and not a socket; remove it")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+    with socket.socket(socket.AF_UNIX, kind) as probe:
         try:
             probe.connect(str(path))
         except ConnectionRefusedError:

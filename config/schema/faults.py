@@ -7,16 +7,27 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, TypeAdapter
+from pydantic import ConfigDict, Field, TypeAdapter
 
 from config.schema.base import Count, Fraction, NodeId, NonNegative, Positive, Section
 
 Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
 
 
+LONGEST_S = 1e6
+"""What adds to a time in ns without rounding; more than eleven days."""
+
+
 class _Fault(Section):
-    at: NonNegative = 0.0
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    at: Annotated[NonNegative, Field(le=LONGEST_S)] = 0.0
     """s after the lab saw every drive enabled; at the door, s from now"""
+
+
+class _Lasting(_Fault):
+    duration: Annotated[Positive, Field(le=LONGEST_S)] | None = None
+    """s; without it until `clear`"""
 
 
 class _OfNode(_Fault):
@@ -31,6 +42,8 @@ class Unplug(_OfNode):
 
 
 class Replug(_OfNode):
+    """The node's cable is put back."""
+
     kind: Literal["replug"]
 
 
@@ -62,17 +75,16 @@ class CellBreak(_OfNode):
     broken: bool = True
 
 
-class _OfFrames(_Fault):
+class _OfFrames(_Lasting):
     """Happens to frames of one channel, until its count, its time or `ClearFaults` ends it."""
 
     channel: str
     identifier: Identifier | None = None
-    """only frames with this identifier; None: all"""
+    """only frames with this identifier; without it all"""
     probability: Fraction = 1.0
+    """with which a frame is hit"""
     frames: Count | None = None
     """so many frames at most"""
-    duration: Positive | None = None
-    """s"""
 
 
 class Loss(_OfFrames):
@@ -100,7 +112,7 @@ class Duplicate(_OfFrames):
     kind: Literal["duplicate"]
 
 
-class Babble(_Fault):
+class Babble(_Lasting):
     """A controller gone mad sends one identifier without pause."""
 
     kind: Literal["babble"]
@@ -108,24 +120,21 @@ class Babble(_Fault):
     identifier: Identifier = 0
     period_us: Count = 1
     """between its frames; less than a frame takes: back to back"""
-    duration: Positive | None = None
 
 
-class StuckBus(_Fault):
+class StuckBus(_Lasting):
     """The bus is held dominant: nobody can send, and senders run into bus-off."""
 
     kind: Literal["stuck"]
     channel: str
-    duration: Positive | None = None
 
 
-class Disconnect(_Fault):
+class Disconnect(_Lasting):
     """The channel's cable is cut behind the daemon's controller: it is alone, nobody
     acknowledges its frames; the devices go on among themselves."""
 
     kind: Literal["disconnect"]
     channel: str
-    duration: Positive | None = None
 
 
 class ClearFaults(_Fault):
