@@ -26,15 +26,15 @@ class FaultField:
     choices: tuple[str, ...] | None
 
     @property
-    def allowed(self) -> str:
-        """The type with its bounds, in words."""
+    def bounds(self) -> str:
+        """Empty where any value of the type will do."""
         if self.choices is not None:
             return " | ".join(self.choices)
-        if self.low is not None and self.high is not None and not self.low_excluded:
-            return f"{self.type}, {self.low:g} to {self.high:g}"
-        low = "" if self.low is None else f" {'>' if self.low_excluded else '>='} {self.low:g}"
-        high = "" if self.high is None else f" <= {self.high:g}"
-        return f"{self.type}{low}{high}"
+        if self.low is None:
+            return "" if self.high is None else f"<= {self.high:g}"
+        if self.low_excluded:
+            return f"> {self.low:g}" + ("" if self.high is None else f", <= {self.high:g}")
+        return f">= {self.low:g}" if self.high is None else f"{self.low:g} to {self.high:g}"
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 
 pytestmark = pytest.mark.realtime
@@ -114,3 +115,33 @@ def test_the_door_of_a_lab_that_was_killed_is_no_hindrance(tmp_path: Path) -> No
     second.terminate()
     second.wait(10)
     assert not (tmp_path / "lab.sock").exists()
+
+
+def test_a_cable_pulled_by_command_is_seen_on_the_bus(
+    lab: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(lab))
+
+    def command(*arguments: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", "tools.cli", "fault", *arguments],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=30,
+        )
+        return done.stdout
+
+    def booted() -> set[int]:
+        bus.send(can.Message(arbitration_id=0, is_extended_id=False, data=b"\x82\x00"))
+        heard = set()
+        while (message := bus.recv(0.5)) is not None:
+            heard.add(message.arbitration_id)
+        return heard
+
+    with can.Bus(interface="tonus", channel="can1") as bus:
+        assert "done at" in command("unplug", "--channel", "can1", "--node", "3")
+        assert booted() == {0x704, 0x713, 0x714}
+        assert "unplugged" in command("get")
+        command("replug", "--channel", "can1", "--node", "3")
+        assert booted() == {0x703, 0x704, 0x713, 0x714}
