@@ -1,0 +1,60 @@
+"""`tonus export`: descriptions of a configuration for other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from config import Config, load
+from config.schema.bus import CanopenBus
+from tools.errors import ToolError
+from tools.export import dbc as dbc_file
+from tools.export import messages
+
+
+@click.group()
+def export() -> None:
+    """Write what other tools want to know of CONFIG."""
+
+
+@export.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option("--channel", help="Only this channel's frames.")
+@click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), help="A file, not standard output."
+)
+def dbc(config: Path, channel: str | None, out: Path | None) -> None:
+    """Describe every frame of CONFIG's channels as a DBC file, in SI units."""
+    loaded, _ = load(config)
+    bus = _canopen(loaded, config)
+    channels = tuple(each for each in bus.channels if channel in (None, each.name))
+    if not channels:
+        known = ", ".join(each.name for each in bus.channels)
+        raise ToolError(f"{config}: has no channel {channel!r}; choose one of {known}")
+    try:
+        found = messages.messages(loaded, bus, channels)
+    except ToolError as error:
+        raise ToolError(f"{config}: {error}") from error
+    text = dbc_file.write(messages.nodes(bus, channels), found)
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        _write(out, text)
+        click.echo(f"{out}: {len(found)} frames of {', '.join(each.name for each in channels)}")
+
+
+def _canopen(config: Config, path: Path) -> CanopenBus:
+    if not isinstance(config.fieldbus, CanopenBus):
+        raise ToolError(
+            f"{path}: fieldbus.kind is {config.fieldbus.kind}, which has no frames; "
+            "give a configuration on canopen"
+        )
+    return config.fieldbus
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="ascii")
+    except OSError as error:
+        raise ToolError(f"{path}: {error.strerror}; choose another with --out") from error
