@@ -41,7 +41,7 @@ class FaultField:
 class FaultKind:
     name: str
     about: str
-    """the first sentence says it; no line breaks"""
+    """the first paragraph of its docstring, in one line"""
     fields: tuple[FaultField, ...]
     """without ``kind`` itself; the required ones first"""
 
@@ -53,7 +53,8 @@ def _kind(model: type[Section]) -> FaultKind:
     schema = model.model_json_schema()
     name = schema["properties"].pop("kind")["const"]
     fields = sorted(_fields(schema), key=lambda field: (not field.required, field.name == "at"))
-    return FaultKind(name, " ".join(schema["description"].split()), tuple(fields))
+    about = schema["description"].split("\n\n")[0]
+    return FaultKind(name, " ".join(about.split()), tuple(fields))
 
 
 def _fields(schema: dict[str, Any]) -> Iterator[FaultField]:

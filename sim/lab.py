@@ -70,7 +70,9 @@ class Lab:
     ``clock`` gives ns; lab time is its time. ``truth`` is called with the truth record (a
     preallocated array of one, to be copied) and its time, once per millisecond from ``start_ns``.
     The script's load and faults begin when all drives are first enabled. ``seed`` replaces the
-    configuration's. Raises `LabError` without a lab section or with a script that does not fit.
+    configuration's. ``nodes`` (channel, node id) are the emulated ones, None: all; the axes of
+    drives that are elsewhere have no power here, and the script does not wait for them. Raises
+    `LabError` without a lab section or with a script that does not fit.
     """
 
     def __init__(
@@ -82,6 +84,7 @@ class Lab:
         clock: Clock,
         truth: TruthSink | None = None,
         start_ns: int = 0,
+        nodes: frozenset[tuple[str, int]] | None = None,
     ) -> None:
         if config.lab is None:
             raise LabError(f"configuration {config.name} has no lab section")
@@ -113,7 +116,7 @@ class Lab:
         self._started = False
         self._tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
         self.tracker = TrackerFeed(self, self._tracker)
-        self._build(config)
+        self._build(config, nodes)
         for fault in script.faults:
             self._check(fault)
         self.direct = DirectPort(self, config.fieldbus.force_cell)
@@ -121,7 +124,7 @@ class Lab:
         for node in self.nodes.values():
             node.boot()
 
-    def _build(self, config: Config) -> None:
+    def _build(self, config: Config, nodes: frozenset[tuple[str, int]] | None) -> None:
         bus, lab = config.fieldbus, config.lab
         assert lab is not None
         drive_ids = list(range(1, CABLES + 1))
@@ -139,6 +142,7 @@ class Lab:
         for number, node_id in enumerate(cell_ids):
             noise = lab.noise.force_cell
             self.cells.append(ForceCell(number, node_id, self.samples, noise, self))
+        self._awaited = self.drives
         if not isinstance(bus, CanopenBus):
             for device in self.drives:
                 device.set_operational(True)
@@ -148,13 +152,19 @@ class Lab:
             built = Channel(spec.name, bus.bitrate, lab.bus.queue_depth, response_ns)
             self.channels[spec.name] = built
             for drive in spec.drives:
+                if nodes is not None and (spec.name, drive.node_id) not in nodes:
+                    continue
                 device = self.drives[drive.axis]
                 node = Node(device, drive.node_id, built, self)
                 self.nodes[spec.name, drive.node_id] = node
             for cell in spec.force_cells:
+                if nodes is not None and (spec.name, cell.node_id) not in nodes:
+                    continue
                 sensor = self.cells[cell.cell]
                 node = Node(sensor, cell.node_id, built, self)
                 self.nodes[spec.name, cell.node_id] = node
+        devices = [node.device for node in self.nodes.values()]
+        self._awaited = [device for device in devices if isinstance(device, Epos4)]
 
     def _check(self, fault: Fault) -> Node:
         """The node a fault is about, if it can have it. Raises `LabError`."""
@@ -280,7 +290,7 @@ class Lab:
     # -- script ----------------------------------------------------------------------------------
 
     def _start_script(self, now_ns: int) -> None:
-        for drive in self.drives:
+        for drive in self._awaited:
             if not drive.enabled:
                 return
         self._started = True

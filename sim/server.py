@@ -12,7 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from config.schema.bus import CanopenBus
 from config.schema.root import Config
+from sim.can.bridge import Bridge
 from sim.can.bus import Channel, Frame, Port
 from sim.can.packet import FRAMES_PER_PACKET, PACKET_BYTES, decode, encode, socket_path, sound
 from sim.door import Door
@@ -25,6 +27,8 @@ _IDLE_NS = 5_000_000
 """The longest the lab is left behind the present: the truth of a quiet lab keeps coming, and the
 work that has gathered stays small."""
 _BACKLOG = 16
+OUR_INTERFACE = "tonus"
+"""A channel of any other python-can interface is bridged to it."""
 
 
 class _Client:
@@ -40,6 +44,7 @@ class _Server:
             raise LabError(f"configuration {config.name} has no lab section")
         self._lab = lab
         self._clock = lab.clock
+        self._bus = config.fieldbus
         self._coalesce_ns = config.lab.bus.coalesce_us * 1000
         self._target = (config.tracker.address, config.tracker.port)
         self._loop = asyncio.get_running_loop()
@@ -47,6 +52,7 @@ class _Server:
         self._listeners: list[tuple[socket.socket, Path]] = []
         self._clients: list[_Client] = []
         self._stalled: list[_Client] = []
+        self._bridges: list[Bridge] = []
         self._door: DoorSocket | None = None
         self._tracker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._tracker.setblocking(False)
@@ -69,24 +75,33 @@ class _Server:
             self._directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
             raise LabError(f"{self._directory} cannot be made: {error.strerror}") from error
-        for name, channel in self._lab.channels.items():
-            path = socket_path(self._directory, name)
-            _remove_stale(path)
-            listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            listener.setblocking(False)
-            try:
-                listener.bind(str(path))
-            except OSError as error:
-                listener.close()
-                raise LabError(f"{path} cannot be opened: {error}") from error
-            self._listeners.append((listener, path))
-            listener.listen(_BACKLOG)
-            self._loop.add_reader(listener, self._accept, listener, channel)
+        bus = self._bus
+        for channel in self._lab.channels.values():
+            if isinstance(bus, CanopenBus) and bus.interface != OUR_INTERFACE:
+                self._bridges.append(
+                    Bridge(self._lab, channel, bus.interface, bus.bitrate, self._arm)
+                )
+            else:
+                self._listen(channel)
         door = self._directory / NAME
         _remove_stale(door, socket.SOCK_DGRAM)
         self._door = DoorSocket(
             Door(self._lab), door, lambda: self._lab.advance(self._clock()), self._work
         )
+
+    def _listen(self, channel: Channel) -> None:
+        path = socket_path(self._directory, channel.name)
+        _remove_stale(path)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        listener.setblocking(False)
+        try:
+            listener.bind(str(path))
+        except OSError as error:
+            listener.close()
+            raise LabError(f"{path} cannot be opened: {error}") from error
+        self._listeners.append((listener, path))
+        listener.listen(_BACKLOG)
+        self._loop.add_reader(listener, self._accept, listener, channel)
 
     def close(self) -> None:
         self._loop.set_exception_handler(None)
@@ -99,6 +114,8 @@ class _Server:
             path.unlink(missing_ok=True)
         for client in tuple(self._clients):
             self._leave(client)
+        for bridge in self._bridges:
+            bridge.close()
         self._tracker.close()
 
     def _accept(self, listener: socket.socket, channel: Channel) -> None:
@@ -161,6 +178,8 @@ class _Server:
         for client in tuple(self._clients):
             if client.port.received:
                 self._send(client)
+        for bridge in self._bridges:
+            bridge.forward()
         for datagram in lab.tracker.poll(now_ns):
             try:
                 self._tracker.sendto(datagram, self._target)
