@@ -25,14 +25,19 @@ class _Fault(Section):
     """s after the lab saw every drive enabled; at the door, s from now"""
 
 
-class _Lasting(_Fault):
+class _OfChannel(_Fault):
+    channel: str
+    """its name in the fieldbus"""
+
+
+class _Lasting(_OfChannel):
     duration: Annotated[Positive, Field(le=LONGEST_S)] | None = None
     """s; without it until `clear`"""
 
 
-class _OfNode(_Fault):
-    channel: str
+class _OfNode(_OfChannel):
     node: NodeId
+    """its id on the channel"""
 
 
 class Unplug(_OfNode):
@@ -58,6 +63,7 @@ class DriveError(_OfNode):
 
     kind: Literal["drive_error"]
     code: Annotated[int, Field(ge=1, le=0xFFFF)]
+    """one of the drive's own"""
 
 
 class DriveInput(_OfNode):
@@ -65,7 +71,9 @@ class DriveInput(_OfNode):
 
     kind: Literal["drive_input"]
     input: Literal["negative_limit", "positive_limit", "home", "quick_stop", "drive_enable", "sto"]
+    """by its function"""
     active: bool = True
+    """whether the function acts"""
 
 
 class CellBreak(_OfNode):
@@ -73,12 +81,12 @@ class CellBreak(_OfNode):
 
     kind: Literal["cell_break"]
     broken: bool = True
+    """false: mended"""
 
 
 class _OfFrames(_Lasting):
     """Happens to frames of one channel, until its count, its time or `ClearFaults` ends it."""
 
-    channel: str
     identifier: Identifier | None = None
     """only frames with this identifier; without it all"""
     probability: Fraction = 1.0
@@ -104,6 +112,7 @@ class Delay(_OfFrames):
 
     kind: Literal["delay"]
     delay_us: Count
+    """by how much"""
 
 
 class Duplicate(_OfFrames):
@@ -116,8 +125,8 @@ class Babble(_Lasting):
     """A controller gone mad sends one identifier without pause."""
 
     kind: Literal["babble"]
-    channel: str
     identifier: Identifier = 0
+    """that it sends"""
     period_us: Count = 1
     """between its frames; less than a frame takes: back to back"""
 
@@ -126,7 +135,6 @@ class StuckBus(_Lasting):
     """The bus is held dominant: nobody can send, and senders run into bus-off."""
 
     kind: Literal["stuck"]
-    channel: str
 
 
 class Disconnect(_Lasting):
@@ -134,7 +142,6 @@ class Disconnect(_Lasting):
     acknowledges its frames; the devices go on among themselves."""
 
     kind: Literal["disconnect"]
-    channel: str
 
 
 class ClearFaults(_Fault):
@@ -142,6 +149,7 @@ class ClearFaults(_Fault):
 
     kind: Literal["clear"]
     channel: str | None = None
+    """without it all"""
 
 
 Fault = Annotated[
