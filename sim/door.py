@@ -36,8 +36,8 @@ _OF_CELLS = frozenset({"cell_break"})
 class _Accounts(Protocol):
     """What a lab tells of itself once its buses keep accounts."""
 
-    def faults(self) -> list[Fault]: ...
-    def statistics(self) -> dict[str, Any]: ...
+    def faults(self) -> list[Any]: ...
+    def statistics(self) -> Any: ...
 
 
 class _Inject(Section):
@@ -116,7 +116,8 @@ class Door:
 
     def _inject(self, fault: Fault) -> Reply:
         """``at`` in the reply is the lab time in s at which the fault begins."""
-        return {"at": self._seconds(self._lab.schedule(fault))}
+        self._lab.inject(fault)
+        return {"at": self._seconds(self._lab.now_ns + round(fault.at * _SECOND_NS))}
 
     def _clear(self, request: _Clear) -> Reply:
         return self._inject(ClearFaults(kind="clear", channel=request.channel))
@@ -126,12 +127,9 @@ class Door:
         accounts = lab if isinstance(lab, _Accounts) else None
         return {
             "seed": lab.seed,
-            "channels": accounts.statistics() if accounts else self._channels(),
+            "channels": accounts.statistics()["channels"] if accounts else self._channels(),
             "nodes": [self._node(*place) for place in lab.nodes],
-            "faults": [
-                fault.model_dump(exclude_none=True)
-                for fault in (accounts.faults() if accounts else ())
-            ],
+            "faults": accounts.faults() if accounts else [],
         }
 
     def _channels(self) -> dict[str, Reply]:
@@ -146,7 +144,7 @@ class Door:
         told: Reply = {
             "channel": channel,
             "node": number,
-            "plugged": node.port.plugged,
+            "plugged": node.plugged,
             "nmt": node.state.name,
         }
         if isinstance(device, Epos4):

@@ -296,24 +296,21 @@ class Lab:
         self._started = True
         self.plant.start_schedule(now_ns)
         for fault in self._script.faults:
-            at_ns = now_ns + round(fault.at * _SECOND_NS)
-            self.call_at(at_ns, self._injection(fault))
-
-    def _injection(self, fault: Fault) -> Callback:
-        return lambda _: self.inject(fault)
-
-    def schedule(self, fault: Fault) -> int:
-        """Make a fault happen ``fault.at`` s from now; the time in ns. Raises `LabError`."""
-        at_ns = self.now_ns + round(fault.at * _SECOND_NS)
-        self._check(fault)
-        if at_ns > self.now_ns:
-            self.call_at(at_ns, self._injection(fault))
-        else:
-            self.inject(fault)
-        return at_ns
+            self._inject_later(fault)
 
     def inject(self, fault: Fault) -> None:
-        """Make one fault happen now. Raises `LabError`."""
+        """Make a fault happen now, or ``fault.at`` s from now. Raises `LabError`."""
+        self._check(fault)
+        if fault.at:
+            self._inject_later(fault)
+        else:
+            self._inject(fault)
+
+    def _inject_later(self, fault: Fault) -> None:
+        at_ns = self.now_ns + round(fault.at * _SECOND_NS)
+        self.call_at(at_ns, lambda _: self._inject(fault))
+
+    def _inject(self, fault: Fault) -> None:
         node = self._check(fault)
         if isinstance(fault, Unplug):
             node.unplug()

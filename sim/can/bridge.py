@@ -37,7 +37,7 @@ class Bridge:
         after: Callable[[], object],
     ) -> None:
         self._lab = lab
-        self._channel = channel
+        self._name = channel.name
         self._after = after
         try:
             self._bus = can.Bus(interface=interface, channel=channel.name, bitrate=bitrate)
@@ -67,7 +67,7 @@ class Bridge:
             self._thread.join()
         else:
             self._loop.remove_reader(self._file)
-        self._channel.detach(self._port)
+        self._port.channel.detach(self._port)
         self._bus.shutdown()
 
     def forward(self) -> None:
@@ -105,7 +105,7 @@ class Bridge:
         try:
             return self._bus.recv(timeout)
         except (can.CanError, OSError) as error:
-            raise LabError(f"channel {self._channel.name} has failed: {error}") from error
+            raise LabError(f"channel {self._name} has failed: {error}") from error
 
     def _fail(self, error: LabError) -> None:
         raise error
@@ -118,5 +118,5 @@ class Bridge:
         lab = self._lab
         lab.advance(lab.clock())
         frame = Frame(identifier, bytes(message.data), message.dlc)
-        self._channel.send(self._port, frame, lab.now_ns)
+        self._port.channel.send(self._port, frame, lab.now_ns)
         self._after()

@@ -161,6 +161,11 @@ class Node:
             self._epoch += 1
             self._compile()
 
+    @property
+    def plugged(self) -> bool:
+        """Whether the node is on its channel."""
+        return self.port.plugged
+
     def unplug(self) -> None:
         """Pull the cable: the device runs on, unheard and deaf."""
         self.port.plugged = False

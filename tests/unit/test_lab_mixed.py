@@ -24,9 +24,9 @@ def test_the_script_begins_when_the_drives_that_are_emulated_are_enabled() -> No
         assert bench.lab.drives[0].enabled
         assert bench.lab.plant.powered.tolist() == [True] + [False] * 7
         bench.wait(8)
-        assert contact.port.plugged
+        assert contact.plugged
         bench.wait(4)
-        assert not contact.port.plugged
+        assert not contact.plugged
 
 
 def test_a_scenario_that_needs_a_node_that_is_elsewhere_is_refused() -> None:

@@ -158,8 +158,9 @@ def _show(console: Console, told: dict[str, Any]) -> None:
         )
     console.print(table)
     for lasting in told["faults"]:
-        fields = {key: value for key, value in lasting.items() if key not in ("kind", "at")}
-        console.print(escape(f"lasting: {_words(lasting['kind'], fields)}"), style="red")
+        fields = dict(lasting["fault"])
+        words = _words(fields.pop("kind"), fields)
+        console.print(escape(f"{words}: since {lasting['since']:.3f} s"), style="red")
 
 
 def _is_plain(channels: dict[str, Any], key: str) -> bool:
