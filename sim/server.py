@@ -28,7 +28,7 @@ _IDLE_NS = 5_000_000
 work that has gathered stays small."""
 _BACKLOG = 16
 OUR_INTERFACE = "tonus"
-"""A channel of any other python-can interface is bridged to it."""
+"""A channel of any other python-can interface is bridged to it, where a node is emulated on it."""
 
 
 class _Client:
@@ -75,14 +75,14 @@ class _Server:
             self._directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
             raise LabError(f"{self._directory} cannot be made: {error.strerror}") from error
-        bus = self._bus
-        for channel in self._lab.channels.values():
-            if isinstance(bus, CanopenBus) and bus.interface != OUR_INTERFACE:
-                self._bridges.append(
-                    Bridge(self._lab, channel, bus.interface, bus.bitrate, self._arm)
-                )
-            else:
+        bus, lab = self._bus, self._lab
+        inhabited = {name for name, _ in lab.nodes}
+        for name, channel in lab.channels.items():
+            if not isinstance(bus, CanopenBus) or bus.interface == OUR_INTERFACE:
                 self._listen(channel)
+            elif name in inhabited:
+                bridge = Bridge(lab, channel, bus.interface, bus.bitrate, self._arm)
+                self._bridges.append(bridge)
         door = self._directory / NAME
         _remove_stale(door, socket.SOCK_DGRAM)
         self._door = DoorSocket(

@@ -15,7 +15,7 @@ import can
 
 from sim.can.bus import Channel, Frame
 from sim.can.registry import Advancing
-from sim.can.timing import EXTENDED, EXTENDED_ID, REMOTE
+from sim.can.timing import ERROR, EXTENDED, EXTENDED_ID, REMOTE
 from sim.errors import LabError
 
 _LISTEN_S = 0.1
@@ -76,6 +76,8 @@ class Bridge:
         assert received is not None
         while received:
             frame = received.popleft()
+            if frame.identifier & ERROR:
+                continue  # each side has errors of its own
             message = can.Message(
                 arbitration_id=frame.identifier & EXTENDED_ID,
                 is_extended_id=bool(frame.identifier & EXTENDED),

@@ -39,9 +39,14 @@ def start(directory: Path, nodes: str) -> subprocess.Popen[str]:
 
 
 def heard(bus: can.BusABC) -> list[int]:
+    """Identifiers of what comes, until nothing does; a bus with one controller has only errors."""
     found = []
-    while (message := bus.recv(0.5)) is not None:
-        found.append(message.arbitration_id)
+    for _ in range(100):
+        message = bus.recv(0.5)
+        if message is None:
+            break
+        if not message.is_error_frame:
+            found.append(message.arbitration_id)
     return sorted(found)
 
 
@@ -100,7 +105,8 @@ def test_a_fault_of_a_node_that_is_elsewhere_is_refused(directory: Path) -> None
         timeout=30,
     )
     assert asked.returncode == 2
-    assert asked.stderr == "tonus: the lab refuses: there is no node 2 on channel 'can0'\n"
+    assert asked.stderr.startswith("tonus: the lab refuses: there is no node 2 on channel 'can0'")
+    assert asked.stderr.count("\n") == 1
 
 
 @contextmanager

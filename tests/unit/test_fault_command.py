@@ -148,4 +148,6 @@ def test_without_a_lab_there_is_one_line(tmp_path: Path) -> None:
 def test_what_the_lab_refuses_is_an_error_in_its_words(lab: tuple[Bench, str]) -> None:
     result = call("unplug", "--channel", "can0", "--node", "99", "--socket", lab[1])
     assert isinstance(result.exception, ToolError)
-    assert str(result.exception) == "the lab refuses: there is no node 99 on channel 'can0'"
+    assert str(result.exception).startswith(
+        "the lab refuses: there is no node 99 on channel 'can0'"
+    )
