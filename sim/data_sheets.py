@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from config.schema.lab import LabScript
 from config.schema.root import Config
-from sim.can.bus import Channel
 from sim.can.eds import eds
+from sim.can.faulty import FaultyChannel
 from sim.can.node import Node
 from sim.devices.device import Device
 from sim.devices.epos4 import Epos4
@@ -31,6 +31,6 @@ def sheets(config: Config) -> dict[str, str]:
     }
     found = {}
     for name, (device, rates) in devices.items():
-        node = Node(device, 1, Channel("can", 1_000_000, _QUEUE, 0), lab)
+        node = Node(device, 1, FaultyChannel("can", 1_000_000, _QUEUE, 0), lab)
         found[name] = eds(node, name, rates)
     return found

@@ -73,7 +73,9 @@ class Lab:
     ``clock`` gives ns; lab time is its time. ``truth`` is called with the truth record (a
     preallocated array of one, to be copied) and its time, once per millisecond from ``start_ns``.
     The script's load and faults begin when all drives are first enabled. ``seed`` replaces the
-    configuration's. Raises `LabError` without a lab section or with a script that does not fit.
+    configuration's. ``nodes`` (channel, node id) are the emulated ones, None: all; the axes of
+    drives that are elsewhere have no power here, and the script does not wait for them. Raises
+    `LabError` without a lab section or with a script that does not fit.
     """
 
     def __init__(
@@ -85,11 +87,13 @@ class Lab:
         clock: Clock,
         truth: TruthSink | None = None,
         start_ns: int = 0,
+        nodes: frozenset[tuple[str, int]] | None = None,
     ) -> None:
         if config.lab is None:
             raise LabError(f"configuration {config.name} has no lab section")
         lab = config.lab
         self.clock = clock
+        self.seed = seed
         self.now_ns = start_ns
         """time up to which everything has happened"""
         self.start_ns = start_ns
@@ -116,7 +120,7 @@ class Lab:
         self._tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
         self.tracker = TrackerFeed(self, self._tracker)
         self._order: list[FaultyChannel] = []
-        self._build(config)
+        self._build(config, nodes)
         self._faults = Faults(self.channels, self.nodes, self, seed)
         for fault in script.faults:
             self._faults.check(fault)
@@ -130,7 +134,7 @@ class Lab:
         for node in self.nodes.values():
             node.boot()
 
-    def _build(self, config: Config) -> None:
+    def _build(self, config: Config, nodes: frozenset[tuple[str, int]] | None) -> None:
         bus, lab = config.fieldbus, config.lab
         assert lab is not None
         drive_ids = list(range(1, CABLES + 1))
@@ -143,8 +147,8 @@ class Lab:
             for channel in bus.channels:
                 for drive in channel.drives:
                     drive_ids[drive.axis] = drive.node_id
-            nodes = (node for channel in bus.channels for node in channel.force_cells)
-            amplifiers = [(node.cells, node.node_id) for node in nodes]
+            found = (node for channel in bus.channels for node in channel.force_cells)
+            amplifiers = [(node.cells, node.node_id) for node in found]
         for axis, node_id in enumerate(drive_ids):
             brake = lab.plant.holding_brake
             self.drives.append(
@@ -154,6 +158,7 @@ class Lab:
         for cells, node_id in amplifiers:
             sensors[cells] = ForceCell(cells, node_id, self.samples, lab.noise.force_cell, self)
         self.cells = list(sensors.values())
+        self._awaited = self.drives
         if not isinstance(bus, CanopenBus):
             for device in self.drives:
                 device.set_operational(True)
@@ -170,12 +175,18 @@ class Lab:
             )
             self.channels[spec.name] = built
             for drive in spec.drives:
+                if nodes is not None and (spec.name, drive.node_id) not in nodes:
+                    continue
                 device = self.drives[drive.axis]
                 node = Node(device, drive.node_id, built, self)
                 self.nodes[spec.name, drive.node_id] = node
             for cell in spec.force_cells:
+                if nodes is not None and (spec.name, cell.node_id) not in nodes:
+                    continue
                 node = Node(sensors[cell.cells], cell.node_id, built, self)
                 self.nodes[spec.name, cell.node_id] = node
+        devices = [node.device for node in self.nodes.values()]
+        self._awaited = [device for device in devices if isinstance(device, Epos4)]
 
     # -- doors -----------------------------------------------------------------------------------
 
@@ -307,7 +318,7 @@ class Lab:
     # -- script ----------------------------------------------------------------------------------
 
     def _start_script(self, now_ns: int) -> None:
-        for drive in self.drives:
+        for drive in self._awaited:
             if not drive.enabled:
                 return
         self._started = True

@@ -1,4 +1,4 @@
-"""A lab in real time: its channels as Unix sockets, its tracker as UDP datagrams.
+"""A lab in real time: its channels as Unix sockets, its tracker as UDP datagrams, and its door.
 
 The lab itself is lazy. The server brings it forward when a client sends, and when something is due
 that a client would notice; frames that end within ``lab.bus.coalesce_us`` go out in one packet.
@@ -12,7 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from config.schema.bus import CanopenBus
 from config.schema.root import Config
+from sim.can.bridge import Bridge
 from sim.can.bus import Channel, Frame, Port
 from sim.can.packet import (
     ECHO,
@@ -23,6 +25,8 @@ from sim.can.packet import (
     socket_path,
     sound,
 )
+from sim.door import Door
+from sim.door_socket import NAME, DoorSocket
 from sim.errors import LabError
 from sim.lab import Lab
 from sim.timer import WakeUp
@@ -31,6 +35,8 @@ _IDLE_NS = 5_000_000
 """The longest the lab is left behind the present: the truth of a quiet lab keeps coming, and the
 work that has gathered stays small."""
 _BACKLOG = 16
+OUR_INTERFACE = "tonus"
+"""A channel of any other python-can interface is bridged to it, where a node is emulated on it."""
 
 
 class _Client:
@@ -46,6 +52,7 @@ class _Server:
             raise LabError(f"configuration {config.name} has no lab section")
         self._lab = lab
         self._clock = lab.clock
+        self._bus = config.fieldbus
         self._coalesce_ns = config.lab.bus.coalesce_us * 1000
         self._target = (config.tracker.address, config.tracker.port)
         self._loop = asyncio.get_running_loop()
@@ -53,6 +60,8 @@ class _Server:
         self._listeners: list[tuple[socket.socket, Path]] = []
         self._clients: list[_Client] = []
         self._stalled: list[_Client] = []
+        self._bridges: list[Bridge] = []
+        self._door: DoorSocket | None = None
         self._tracker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._tracker.setblocking(False)
         self._wake = WakeUp(self._loop, self._work)
@@ -72,29 +81,47 @@ class _Server:
             self._directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
             raise LabError(f"{self._directory} cannot be made: {error.strerror}") from error
-        for name, channel in self._lab.channels.items():
-            path = socket_path(self._directory, name)
-            _remove_stale(path)
-            listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            listener.setblocking(False)
-            try:
-                listener.bind(str(path))
-            except OSError as error:
-                listener.close()
-                raise LabError(f"{path} cannot be opened: {error}") from error
-            self._listeners.append((listener, path))
-            listener.listen(_BACKLOG)
-            self._loop.add_reader(listener, self._accept, listener, channel)
+        bus, lab = self._bus, self._lab
+        inhabited = {name for name, _ in lab.nodes}
+        for name, channel in lab.channels.items():
+            if not isinstance(bus, CanopenBus) or bus.interface == OUR_INTERFACE:
+                self._listen(channel)
+            elif name in inhabited:
+                bridge = Bridge(lab, channel, bus.interface, bus.bitrate, self._arm)
+                self._bridges.append(bridge)
+        door = self._directory / NAME
+        _remove_stale(door, socket.SOCK_DGRAM)
+        self._door = DoorSocket(
+            Door(self._lab), door, lambda: self._lab.advance(self._clock()), self._work
+        )
+
+    def _listen(self, channel: Channel) -> None:
+        path = socket_path(self._directory, channel.name)
+        _remove_stale(path)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        listener.setblocking(False)
+        try:
+            listener.bind(str(path))
+        except OSError as error:
+            listener.close()
+            raise LabError(f"{path} cannot be opened: {error}") from error
+        self._listeners.append((listener, path))
+        listener.listen(_BACKLOG)
+        self._loop.add_reader(listener, self._accept, listener, channel)
 
     def close(self) -> None:
         self._loop.set_exception_handler(None)
         self._wake.close()
+        if self._door is not None:
+            self._door.close()
         for listener, path in self._listeners:
             self._loop.remove_reader(listener)
             listener.close()
             path.unlink(missing_ok=True)
         for client in tuple(self._clients):
             self._leave(client)
+        for bridge in self._bridges:
+            bridge.close()
         self._tracker.close()
 
     def _accept(self, listener: socket.socket, channel: Channel) -> None:
@@ -159,6 +186,8 @@ class _Server:
         for client in tuple(self._clients):
             if client.port.received:
                 self._send(client)
+        for bridge in self._bridges:
+            bridge.forward()
         for datagram in lab.tracker.poll(now_ns):
             try:
                 self._tracker.sendto(datagram, self._target)
@@ -196,13 +225,13 @@ class _Server:
             wake.at(due_ns)
 
 
-def _remove_stale(path: Path) -> None:
+def _remove_stale(path: Path, kind: socket.SocketKind = socket.SOCK_SEQPACKET) -> None:
     """Take away the socket of a lab that is gone. Raises `LabError` if it still answers."""
     if not path.exists():
         return
     if not path.is_socket():
         raise LabError(f"{path} is in the way and not a socket; remove it")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+    with socket.socket(socket.AF_UNIX, kind) as probe:
         try:
             probe.connect(str(path))
         except ConnectionRefusedError:

@@ -29,7 +29,12 @@ class Bench:
         self.config: Config = load(name, overrides=over.get("overrides"))[0]
         self.now = 0
         self.lab = Lab(
-            self.config, script or LabScript(), seed=seed, clock=self.clock, truth=over.get("truth")
+            self.config,
+            script or LabScript(),
+            seed=seed,
+            clock=self.clock,
+            truth=over.get("truth"),
+            nodes=over.get("nodes"),
         )
         self.lab.open()
         self.buses: dict[str, can.BusABC] = {

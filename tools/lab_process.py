@@ -82,12 +82,16 @@ async def work(
     seed: int,
     truth: TruthSink | None,
     ready: Callable[[], None],
+    nodes: frozenset[tuple[str, int]] | None = None,
 ) -> None:
-    """A lab on the configuration's buses, in real time, until cancelled. Raises `LabError`."""
+    """A lab on the configuration's buses, in real time, until cancelled; ``nodes`` as in `Lab`.
+
+    Raises `LabError`.
+    """
     realtime = config.realtime
     prepare(priority=realtime.lab_priority, processor=realtime.lab_cpu, lock_memory=False)
     now = clock.loop_clock()
-    lab = Lab(config, scenario.lab, seed=seed, clock=now, truth=truth, start_ns=now())
+    lab = Lab(config, scenario.lab, seed=seed, clock=now, truth=truth, start_ns=now(), nodes=nodes)
 
     def answer() -> None:
         freeze_collector()

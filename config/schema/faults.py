@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, TypeAdapter
+from pydantic import ConfigDict, Field, TypeAdapter
 
 from config.schema.base import Count, Fraction, NodeId, NonNegative, Positive, Section
 
@@ -15,14 +15,30 @@ Level = Literal["dominant", "recessive"]
 Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
 
 
+LONGEST_S = 1e6
+"""What adds to a time in ns without rounding; more than eleven days."""
+
+
 class _Fault(Section):
-    at: NonNegative = 0.0
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    at: Annotated[NonNegative, Field(le=LONGEST_S)] = 0.0
     """s after the lab saw every drive enabled; at the door, s from now"""
 
 
-class _OfNode(_Fault):
+class _OfChannel(_Fault):
     channel: str
+    """its name in the fieldbus"""
+
+
+class _Lasting(_OfChannel):
+    duration: Annotated[Positive, Field(le=LONGEST_S)] | None = None
+    """s; without it until `clear`"""
+
+
+class _OfNode(_OfChannel):
     node: NodeId
+    """its id on the channel"""
 
 
 class Unplug(_OfNode):
@@ -32,6 +48,8 @@ class Unplug(_OfNode):
 
 
 class Replug(_OfNode):
+    """The node's cable is put back."""
+
     kind: Literal["replug"]
 
 
@@ -46,6 +64,7 @@ class DriveError(_OfNode):
 
     kind: Literal["drive_error"]
     code: Annotated[int, Field(ge=1, le=0xFFFF)]
+    """one of the drive's own"""
 
 
 class DriveInput(_OfNode):
@@ -53,7 +72,9 @@ class DriveInput(_OfNode):
 
     kind: Literal["drive_input"]
     input: Literal["negative_limit", "positive_limit", "home", "quick_stop", "drive_enable", "sto"]
+    """by its function"""
     active: bool = True
+    """whether the function acts"""
 
 
 class CellBreak(_OfNode):
@@ -61,19 +82,18 @@ class CellBreak(_OfNode):
 
     kind: Literal["cell_break"]
     broken: bool = True
+    """false: mended"""
 
 
-class _OfFrames(_Fault):
+class _OfFrames(_Lasting):
     """Happens to frames of one channel, until its count, its time or `ClearFaults` ends it."""
 
-    channel: str
     identifier: Identifier | None = None
-    """only frames with this identifier; None: all"""
+    """only frames with this identifier; without it all"""
     probability: Fraction = 1.0
+    """with which a frame is hit"""
     frames: Count | None = None
     """so many frames at most"""
-    duration: Positive | None = None
-    """s"""
 
 
 class Loss(_OfFrames):
@@ -93,6 +113,7 @@ class Delay(_OfFrames):
 
     kind: Literal["delay"]
     delay_us: Count
+    """by how much"""
 
 
 class Duplicate(_OfFrames):
@@ -101,18 +122,17 @@ class Duplicate(_OfFrames):
     kind: Literal["duplicate"]
 
 
-class Babble(_Fault):
+class Babble(_Lasting):
     """A controller gone mad sends one identifier without pause."""
 
     kind: Literal["babble"]
-    channel: str
     identifier: Identifier = 0
+    """that it sends"""
     period_us: Count = 1
     """between its frames; less than a frame takes: back to back"""
-    duration: Positive | None = None
 
 
-class StuckBus(_Fault):
+class StuckBus(_Lasting):
     """The bus is held at a level and nobody can send.
 
     Held dominant (a wire on the supply), all controllers become error-passive, and the one that was
@@ -120,19 +140,16 @@ class StuckBus(_Fault):
     """
 
     kind: Literal["stuck"]
-    channel: str
     level: Level = "dominant"
-    duration: Positive | None = None
+    """what it is held at"""
 
 
-class Disconnect(_Fault):
+class Disconnect(_Lasting):
     """The channel's cable is cut behind the daemon's controller: it is alone, nobody
     acknowledges its frames; the devices go on among themselves. Other hosts of the channel are cut
     off in the same way, each by itself."""
 
     kind: Literal["disconnect"]
-    channel: str
-    duration: Positive | None = None
 
 
 class ClearFaults(_Fault):
@@ -140,6 +157,7 @@ class ClearFaults(_Fault):
 
     kind: Literal["clear"]
     channel: str | None = None
+    """without it all"""
 
 
 Fault = Annotated[

@@ -31,6 +31,13 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
         (["log", "info", "nope.mcap"], "no such file"),
         (["log", "info", "/dev/null"], "is empty"),
         (["check", "config"], "config"),
+        (["lab", "config/can.yaml", "--nodes", "can0,can1/9"], "can1/9"),
+        (["lab", "config/can.yaml", "--nodes", ""], "choose of can0, can0/1, can0/2"),
+        (["lab", "config/direct.yaml", "--nodes", "can0"], "is direct"),
+        (["fault", "get"], "start one with: tonus lab CONFIG"),
+        (["export", "dbc", "config/direct.yaml"], "is direct"),
+        (["export", "dbc", "config/can.yaml", "--channel", "can9"], "choose one of can0"),
+        (["export", "dbc", "config/can.yaml", "--out", "/dev/null/x"], "--out"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(

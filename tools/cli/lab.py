@@ -10,6 +10,7 @@ import click
 
 from config import load
 from config.places import runtime_dir
+from config.schema.bus import CanopenBus
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 from runtime import clock
@@ -21,18 +22,44 @@ from tools.lab_process import work
 @click.argument("config", type=click.Path(path_type=Path))
 @click.option("--scenario", help="Whose lab: section (load, phantom, faults) is played.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the lab's noise.")
-def lab(config: Path, scenario: str | None, seed: int | None) -> None:
+@click.option(
+    "--nodes",
+    metavar="LIST",
+    help="Emulate only these, as in can0/1,can0/17,can2; the others are elsewhere on the bus.",
+)
+def lab(config: Path, scenario: str | None, seed: int | None, nodes: str | None) -> None:
     """Start the lab of CONFIG: drives, force cells and tracker, with the plant behind them."""
     settings, played = load(config, scenario)
     if settings.lab is None:
         raise ToolError(f"{config}: has no lab: section; add one, see config/can.yaml")
-    clock.run(
-        _until_interrupted(settings, played, settings.lab.seed if seed is None else seed),
-        virtual=False,
-    )
+    chosen = None if nodes is None else _chosen(settings, config, nodes)
+    seed = settings.lab.seed if seed is None else seed
+    clock.run(_until_interrupted(settings, played, seed, chosen), virtual=False)
 
 
-async def _until_interrupted(config: Config, scenario: Scenario, seed: int) -> None:
+def _chosen(config: Config, path: Path, nodes: str) -> frozenset[tuple[str, int]]:
+    """What --nodes names. Raises `ToolError` for what is not there."""
+    if not isinstance(config.fieldbus, CanopenBus):
+        raise ToolError(f"{path}: --nodes: fieldbus.kind is {config.fieldbus.kind}, without nodes")
+    there: dict[str, set[tuple[str, int]]] = {}
+    for channel in config.fieldbus.channels:
+        node_ids = [drive.node_id for drive in channel.drives]
+        node_ids += [cell.node_id for cell in channel.force_cells]
+        there[channel.name] = {(channel.name, node_id) for node_id in node_ids}
+        for node_id in node_ids:
+            there[f"{channel.name}/{node_id}"] = {(channel.name, node_id)}
+    chosen: set[tuple[str, int]] = set()
+    for name in map(str.strip, nodes.split(",")):
+        if name not in there:
+            known = ", ".join(there)
+            raise ToolError(f"{path}: --nodes: there is no {name!r}; choose of {known}")
+        chosen |= there[name]
+    return frozenset(chosen)
+
+
+async def _until_interrupted(
+    config: Config, scenario: Scenario, seed: int, nodes: frozenset[tuple[str, int]] | None
+) -> None:
     where = runtime_dir()
     loop = asyncio.get_running_loop()
     working = loop.create_task(
@@ -42,6 +69,7 @@ async def _until_interrupted(config: Config, scenario: Scenario, seed: int) -> N
             seed,
             None,
             lambda: click.echo(f"lab of {config.name} on {where}; Ctrl-C ends it"),
+            nodes,
         )
     )
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -14,6 +14,8 @@ from drivers.errors import DriverError
 from runtime.errors import DaemonError
 from sim.errors import LabError
 from tools.cli.check import check
+from tools.cli.export import export
+from tools.cli.fault import fault
 from tools.cli.lab import lab
 from tools.cli.log import log
 from tools.cli.run import run
@@ -26,7 +28,7 @@ def tonus() -> None:
     """Control software of an eight-cable parallel robot, and its lab in software."""
 
 
-for command in (run, lab, check, log):
+for command in (run, lab, fault, check, log, export):
     tonus.add_command(command)
 
 

@@ -1,0 +1,35 @@
+"""A lab of which only some nodes are emulated."""
+
+from __future__ import annotations
+
+import pytest
+from lab_bench import Bench
+
+from config.schema.lab import LabScript
+from sim.errors import LabError
+
+NODES = frozenset({("can0", 1), ("can3", 25)})
+PULL = {"kind": "unplug", "channel": "can3", "node": 25, "at": 0.01}
+
+
+def test_the_script_begins_when_the_drives_that_are_emulated_are_enabled() -> None:
+    script = LabScript.model_validate({"faults": [PULL]})
+    with Bench(script=script, nodes=NODES) as bench:
+        bench.wait(5)
+        bench.configure("can0", 1)
+        bench.send("can0", 0x000, b"\x01\x00")
+        for word in (0x06, 0x06, 0x0F, 0x0F):
+            bench.tick(word)
+        contact = bench.lab.nodes["can3", 25]
+        assert bench.lab.drives[0].enabled
+        assert bench.lab.plant.powered.tolist() == [True] + [False] * 7
+        bench.wait(8)
+        assert contact.plugged
+        bench.wait(4)
+        assert not contact.plugged
+
+
+def test_a_scenario_that_needs_a_node_that_is_elsewhere_is_refused() -> None:
+    script = LabScript.model_validate({"faults": [PULL]})
+    with pytest.raises(LabError, match="there is no node 25 on channel 'can3'"):
+        Bench(script=script, nodes=NODES - {("can3", 25)})

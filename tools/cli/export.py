@@ -1,0 +1,103 @@
+"""`tonus export`: descriptions of a configuration for other tools."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+
+from config import Config, load
+from config.schema.bus import CanopenBus
+from config.schema.lab import LabScript
+from sim.can.node import Node
+from sim.lab import Lab
+from tools.errors import ToolError
+from tools.export import dbc as dbc_file
+from tools.export import messages
+
+_PROCESS_VALUE = 0x9130
+"""CiA 404, one subindex a channel"""
+
+
+@click.group()
+def export() -> None:
+    """Write what other tools want to know of CONFIG."""
+
+
+@export.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option("--channel", help="Only this channel's frames.")
+@click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), help="A file, not standard output."
+)
+def dbc(config: Path, channel: str | None, out: Path | None) -> None:
+    """Describe every frame of CONFIG's channels as a DBC file, in SI units."""
+    loaded, _ = load(config)
+    bus = _canopen(loaded, config)
+    channels = tuple(each for each in bus.channels if channel in (None, each.name))
+    if not channels:
+        known = ", ".join(each.name for each in bus.channels)
+        raise ToolError(f"{config}: has no channel {channel!r}; choose one of {known}")
+    try:
+        found = messages.messages(loaded, bus, channels)
+    except ToolError as error:
+        raise ToolError(f"{config}: {error}") from error
+    text = dbc_file.write(messages.nodes(bus, channels), found)
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        _write(out, text)
+        click.echo(f"{out}: {len(found)} frames of {', '.join(each.name for each in channels)}")
+
+
+@export.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path(),
+    help="A folder, not the present one.",
+)
+def eds(config: Path, out: Path) -> None:
+    """Describe each kind of device that CONFIG's lab emulates as an EDS file (CiA 306)."""
+    loaded, _ = load(config)
+    _canopen(loaded, config)
+    if loaded.lab is None:
+        raise ToolError(f"{config}: has no lab: section; add one, see config/can.yaml")
+    from sim.can.eds import eds as describe  # type: ignore[import-not-found,unused-ignore]
+
+    lab = Lab(loaded, LabScript(), seed=loaded.lab.seed, clock=lambda: 0)
+    kinds = {_kind(node): node for node in reversed(lab.nodes.values())}
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ToolError(f"{out}: {error.strerror}; choose another with --out") from error
+    for name, node in sorted(kinds.items()):
+        path = out / f"{name}.eds"
+        _write(path, describe(node))
+        click.echo(f"{path}: as node {node.node_id} on {node.channel.name}")
+
+
+def _canopen(config: Config, path: Path) -> CanopenBus:
+    if not isinstance(config.fieldbus, CanopenBus):
+        raise ToolError(
+            f"{path}: fieldbus.kind is {config.fieldbus.kind}, which has no frames; "
+            "give a configuration on canopen"
+        )
+    return config.fieldbus
+
+
+def _kind(node: Node) -> str:
+    """The device's name as a file's; an amplifier's channels count."""
+    objects = node.device.objects
+    name = re.sub(r"\W+", "_", str(objects.find(0x1008, 0).value).lower())
+    channels = sum(index == _PROCESS_VALUE and sub > 0 for index, sub in objects.entries)
+    return f"{name}_{channels}" if channels > 1 else name
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="ascii")
+    except OSError as error:
+        raise ToolError(f"{path}: {error.strerror}; choose another with --out") from error

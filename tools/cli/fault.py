@@ -1,0 +1,186 @@
+"""`tonus fault`: faults injected into a running lab, and a look at what it does.
+
+There is one command for each kind of fault, made from the schema.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from config.faults import KINDS, FaultField, FaultKind
+from tools.lab_door import ask
+
+_HEXADECIMAL = ("code", "identifier")
+_SOCKET = click.Option(
+    ["--socket", "path"],
+    type=click.Path(path_type=Path),
+    metavar="PATH",
+    help="Door of the lab; by default lab.sock where this user's labs keep their sockets.",
+)
+
+
+def _integer(field: FaultField) -> Callable[[str], int]:
+    """A whole number within the field's bounds, also as 0x1F."""
+
+    def convert(value: str | int) -> int:
+        try:
+            number = int(value, 0) if isinstance(value, str) else value
+        except ValueError:
+            number = None
+        low, high = field.low, field.high
+        if number is None or (low is not None and number < low) or (high and number > high):
+            raise click.BadParameter(f"{value!r} is not a whole number {field.bounds}".rstrip())
+        return number
+
+    return convert
+
+
+class _Faults(click.Group):
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """A kind is found with hyphens as well."""
+        return super().get_command(ctx, cmd_name.replace("-", "_"))
+
+
+@click.group(cls=_Faults)
+def fault() -> None:
+    """Inject a fault into a running lab: what, where, and when from now.
+
+    `tonus fault list` tells the kinds, `tonus fault KIND --help` one of them.
+    """
+
+
+@fault.command("list")
+def list_kinds() -> None:
+    """Tell every kind of fault with its options; no lab is needed."""
+    for kind in KINDS.values():
+        click.echo(f"{kind.name:<12} {kind.about}")
+        for field in kind.fields:
+            if field.name == "at":
+                continue  # every kind has it
+            need = "required" if field.required else _otherwise(field)
+            value = field.bounds if field.choices else f"{field.type} {field.bounds}".rstrip()
+            about = f"  {field.about}" if field.about else ""
+            click.echo(f"{'':<15}{_option(field):<15}{value} ({need}){about}")
+
+
+def _option(field: FaultField) -> str:
+    return f"--{field.name.replace('_', '-')}"
+
+
+def _otherwise(field: FaultField) -> str:
+    return "optional" if field.default is None else f"else {json.dumps(field.default)}"
+
+
+@click.option("--json", "as_json", is_flag=True, help="Print the lab's reply as it is.")
+def _get(path: Path | None, as_json: bool) -> None:
+    """Show the lab's channels, nodes and lasting faults."""
+    told = ask({"op": "get"}, path)
+    if as_json:
+        click.echo(json.dumps(told, indent=2))
+    else:
+        _show(Console(highlight=False), told)
+
+
+def _inject(kind: FaultKind) -> Callable[..., None]:
+    def inject(path: Path | None, **given: Any) -> None:
+        fields = {name: value for name, value in given.items() if value is not None}
+        reply = ask({"op": "inject", "fault": {"kind": kind.name, **fields}}, path)
+        del fields["at"]
+        when = "done at" if reply["at"] <= reply["time"] else "will be done at"
+        click.echo(f"{_words(kind.name, fields)}: {when} {reply['at']:.6f} s of lab time")
+
+    return inject
+
+
+def _words(kind: str, fields: dict[str, Any]) -> str:
+    told = (
+        f"{name}=0x{value:X}" if name in _HEXADECIMAL else f"{name}={value}"
+        for name, value in fields.items()
+    )
+    return " ".join((kind, *told))
+
+
+def _parameter(field: FaultField) -> click.Option:
+    name = _option(field)
+    flag = field.type == "boolean"
+    about = "s from now" if field.name == "at" else field.about
+    if field.type == "integer":
+        about = "; ".join(part for part in (about, field.bounds) if part)
+    return click.Option(
+        [f"{name}/--no-{name.removeprefix('--')}" if flag else name],
+        type=_type(field),
+        required=field.required,
+        show_default=True,
+        metavar=None if field.choices or flag else field.type.upper(),
+        help=about,
+        # click takes a default of None for a value, even of a required option.
+        **({} if field.default is None else {"default": field.default}),
+    )
+
+
+def _type(field: FaultField) -> Any:
+    if field.choices is not None:
+        return click.Choice(field.choices)
+    if field.type == "number":
+        return click.FloatRange(field.low, field.high, min_open=field.low_excluded)
+    return {"integer": _integer(field), "boolean": bool, "string": str}[field.type]
+
+
+def _show(console: Console, told: dict[str, Any]) -> None:
+    console.print(f"lab time {told['time']:.3f} s   seed {told['seed']}")
+    columns = list(dict.fromkeys(key for c in told["channels"].values() for key in c))
+    plain = [key for key in columns if _is_plain(told["channels"], key)]
+    table = Table("channel", title="Channels", title_justify="left")
+    for key in plain:
+        table.add_column(key.replace("_", " "), justify="right")
+    for name, channel in told["channels"].items():
+        table.add_row(escape(name), *(_cell(channel.get(key)) for key in plain))
+    console.print(table)
+    table = Table(
+        "node", "device", "NMT", "state", "error", "cable", title="Nodes", title_justify="left"
+    )
+    for node in told["nodes"]:
+        table.add_row(
+            escape(f"{node['channel']}/{node['node']}"),
+            node["device"],
+            node["nmt"],
+            node["state"] or "",
+            f"0x{node['error']:04X}" if node["error"] else "",
+            "" if node["plugged"] else "unplugged",
+        )
+    console.print(table)
+    for lasting in told["faults"]:
+        fields = dict(lasting["fault"])
+        words = _words(fields.pop("kind"), fields)
+        console.print(escape(f"{words}: since {lasting['since']:.3f} s"), style="red")
+
+
+def _is_plain(channels: dict[str, Any], key: str) -> bool:
+    """Whether a figure fits into a cell; the rest is for --json."""
+    return not any(isinstance(channel.get(key), dict | list) for channel in channels.values())
+
+
+def _cell(value: object) -> str:
+    return f"{value:.3f}" if isinstance(value, float) else "" if value is None else str(value)
+
+
+_get_command = click.command("get")(_get)
+_get_command.params.append(_SOCKET)
+fault.add_command(_get_command)
+for _each in KINDS.values():
+    fault.add_command(
+        click.Command(
+            _each.name,
+            callback=_inject(_each),
+            params=[*map(_parameter, _each.fields), _SOCKET],
+            help=_each.about,
+        )
+    )

@@ -1,0 +1,1 @@
+"""What other tools want to know of a configuration, in their own formats."""
