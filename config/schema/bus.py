@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -12,6 +12,9 @@ from config.schema.robot import CABLES
 CONTACT_CELL = CABLES
 """Row of the contact port's cell: the ninth, behind the eight cable cells."""
 CELLS = CABLES + 1
+AMPLIFIER_CHANNELS = 4
+"""Cells that one node carries at most: as many 16-bit values as a frame holds."""
+CellNumber = Annotated[int, Field(ge=0, lt=CELLS)]
 
 MappingEntry = Annotated[int, Field(ge=0x10000000, le=0xFFFFFFFF)]
 """A PDO mapping word of CiA 301: index << 16 | subindex << 8 | length in bits."""
@@ -43,12 +46,32 @@ class Device(Section):
         return self
 
 
+class DriveOptions(Section):
+    """CiA 402 option codes: how a drive stops. Ranges: what an EPOS4 accepts."""
+
+    abort_connection: Annotated[int, Field(ge=2, le=3)]
+    """0x6007, the master is gone: 2 power off, 3 quick stop"""
+    quick_stop: Annotated[int, Field(ge=6, le=6)]
+    """0x605A: 6 on the quick stop ramp, then stay"""
+    shutdown: Annotated[int, Field(ge=0, le=1)]
+    """0x605B: 0 power off, 1 ramp"""
+    disable_operation: Annotated[int, Field(ge=0, le=1)]
+    """0x605C: 0 power off, 1 ramp"""
+    fault_reaction: Annotated[int, Field(ge=0, le=2)]
+    """0x605E: 0 power off, 1 ramp, 2 quick stop ramp"""
+
+
 class Drive(Device):
     """EPOS4 in cyclic synchronous torque."""
 
     rpdo: tuple[MappingEntry, ...]
     master_timeout_ms: Count
     """heartbeat consumer 0x1016: the drive leaves Operation Enabled when the daemon is silent"""
+    interpolation_ms: Annotated[int, Field(ge=0, le=100)]
+    """0x60C2: 0 for none and no RPDO timeout, else the period of the tick"""
+    on_communication_error: Annotated[int, Field(ge=0, le=2)]
+    """0x1029:1: 0 to pre-operational, 1 no change, 2 stopped"""
+    options: DriveOptions
 
 
 class ForceCell(Device):
@@ -64,8 +87,26 @@ class DriveNode(Section):
 
 
 class CellNode(Section):
-    cell: Annotated[int, Field(ge=0, lt=CELLS)]
+    """An amplifier with one cell (``cell: 0``) or several (``cells: [0, 1, 2, 3]``)."""
+
+    cells: Annotated[tuple[CellNumber, ...], Field(min_length=1, max_length=AMPLIFIER_CHANNELS)]
+    """the cell on each channel, in the order of the channels"""
     node_id: NodeId
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_is_several(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or "cell" not in given:
+            return given
+        if "cells" in given:
+            raise ValueError("names both cell and cells; keep one of them")
+        rest = {key: value for key, value in given.items() if key != "cell"}
+        return rest | {"cells": (given["cell"],)}
+
+    @property
+    def cell(self) -> int:
+        """The cell on the first channel."""
+        return self.cells[0]
 
 
 class Channel(Section):
@@ -75,10 +116,28 @@ class Channel(Section):
 
 
 class Master(Section):
+    """What our side of every channel does. Ticks are those of the control loop."""
+
     node_id: NodeId
     heartbeat_ms: Count
+    heartbeat_periods: Count
+    """a node is silent after so many of its own periods"""
     sdo_timeout_ms: Count
     boot_timeout_ms: Count
+    boot_resets: Count
+    """times a node is reset before it counts as missing"""
+    poll_us: Count
+    """how often the buses are looked at while no tick does it"""
+    late_ticks: Annotated[int, Field(ge=1, lt=64)]
+    """a PDO may answer a SYNC at most so long ago"""
+    settle_ticks: Count
+    """regular answers in a row after which one that is missing is lost, not late"""
+    drain_periods: Count
+    """frames taken in one tick, in periods of a full bus: a flood must not hold the tick"""
+    flood_ticks: Count
+    """ticks in a row that leave frames behind: somebody floods the channel"""
+    health_ticks: Count
+    """how often a controller is asked for its error state"""
 
 
 class CanopenBus(Section):
@@ -97,7 +156,9 @@ class CanopenBus(Section):
     @classmethod
     def _every_device_once(cls, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
         axes = [drive.axis for channel in channels for drive in channel.drives]
-        cells = [cell.cell for channel in channels for cell in channel.force_cells]
+        cells = [
+            cell for channel in channels for node in channel.force_cells for cell in node.cells
+        ]
         for kind, found, wanted in (("axis", axes, CABLES), ("cell", cells, CELLS)):
             missing = sorted(set(range(wanted)) - set(found))
             twice = sorted({number for number in found if found.count(number) > 1})

@@ -128,9 +128,10 @@ class Robot:
             for drive in channel.drives:
                 self._add(bus, drive.node_id, self._drive())
                 self.axis_at[drive.axis] = (bus, drive.node_id)
-            for cell in channel.force_cells:
-                self._add(bus, cell.node_id, self._cell())
-                self.cell_at[cell.cell] = (bus, cell.node_id)
+            for amplifier in channel.force_cells:
+                self._add(bus, amplifier.node_id, self._cell())
+                for cell in amplifier.cells:
+                    self.cell_at[cell] = (bus, amplifier.node_id)
         self.image = ProcessImage()
         self.fieldbus = CanopenFieldbus(
             self.config, self.image, tap, open_bus=lambda name: self.buses[name]
@@ -150,6 +151,8 @@ class Robot:
             (0x6076, 0): u32(568_000),
             (0x1016, 1): u32(0),
             (0x1017, 0): bytes(2),
+            (0x1029, 1): b"\x01",
+            (0x603F, 0): bytes(2),
             (0x3010, 1): u32(500),
             (0x6060, 0): b"\x01",
             (0x60C2, 1): b"\x01",
@@ -192,10 +195,16 @@ class Robot:
                 if node.node_id not in without:
                     bus.put(0x700 + node.node_id, b"\x05")
 
-    def put_all(self, statusword: int = 0x1637) -> None:
-        for axis in self.axis_at:
+    def put_all(
+        self,
+        statusword: int = 0x1637,
+        *,
+        no_axis: frozenset[int] = frozenset(),
+        no_cell: frozenset[int] = frozenset(),
+    ) -> None:
+        for axis in self.axis_at.keys() - no_axis:
             self.put_axis(axis, statusword)
-        for cell in self.cell_at:
+        for cell in self.cell_at.keys() - no_cell:
             self.put_cell(cell, 0)
 
     def last_rpdo(self, axis: int) -> tuple[int, int]:
