@@ -99,7 +99,7 @@ class CanopenFieldbus:
             period_us,
             config.control.freshness.measurement_ticks,
         )
-        self.recover = Recovery(self._supervision, self._exchange, self._events)
+        self._recovery = Recovery(self._supervision, self._exchange, self._events)
         self._ticking = False
         self._pump_task: asyncio.Task[None] | None = None
         self._buses: list[Channel] = []
@@ -157,6 +157,9 @@ class CanopenFieldbus:
 
     async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
         await self._drives[axis].sdo.write(index, subindex, data)
+
+    async def recover(self) -> None:
+        await self._recovery()
 
     async def stop(self) -> None:
         """Power off, pre-operational, buses closed; safe at any point and more than once."""

@@ -45,7 +45,7 @@ def drive_decoder(
     def decode(data: bytearray) -> None:
         if len(data) != size:
             refuse(len(data))
-        elif book():
+        elif book(data):
             values = unpack(data)
             statuswords[row] = values[status_at]
             positions[row] = values[position_at]
@@ -81,7 +81,7 @@ def cell_decoder(
     def decode(data: bytearray) -> None:
         if len(data) != size:
             refuse(len(data))
-        elif book():
+        elif book(data):
             values = unpack(data)
             for row, value_at, status_at in places:
                 cells[row] = values[value_at]

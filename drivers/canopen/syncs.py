@@ -44,6 +44,7 @@ class Arrival:
     and where two arrive in one period, as old as the oldest. A SYNC is no longer open when a second
     PDO in one period has made up for it, when it is ``late_ticks`` SYNCs old, or when
     ``settle_ticks`` periods in a row brought one PDO each: then the gap was a loss and no delay.
+    A second PDO with the data of the first may be a copy, and makes up for nothing.
     A PDO that had arrived before a SYNC and itself could have crossed the wire does not answer it,
     however late it is read.
 
@@ -53,7 +54,7 @@ class Arrival:
     """
 
     __slots__ = (
-        "_answered", "_bits", "_events", "_gap", "_late", "_period", "_rows", "_settle", "_streak",
+        "_answered", "_bits", "_data", "_events", "_gap", "_late", "_period", "_rows", "_settle", "_streak",
         "_syncs", "_ticks", "_where",
     )  # fmt: skip
 
@@ -84,13 +85,14 @@ class Arrival:
         self._answered = self._period = self._syncs.count
         self._gap = 0  # the oldest open SYNC, while there is one
         self._streak = 0
+        self._data: bytes | bytearray = b""
 
     @property
     def open(self) -> int:
         """SYNCs without an answer."""
         return self._syncs.count - self._answered
 
-    def book(self) -> bool:
+    def book(self, data: bytes | bytearray) -> bool:
         """Account for the frame in hand; False if its data are not to be used."""
         syncs = self._syncs
         newest = syncs.count
@@ -99,14 +101,15 @@ class Arrival:
             or self._period == newest
             or syncs.stamp_ns < syncs.times_ns[newest % HISTORY] + self._bits * syncs.bit_ns
         ):
-            return self._irregular(newest)
+            return self._irregular(newest, data)
         self._answered = self._period = newest
+        self._data = data
         tick = syncs.ticks[newest % HISTORY]
         for row in self._rows:
             self._ticks[row] = tick
         return True
 
-    def _irregular(self, newest: int) -> bool:
+    def _irregular(self, newest: int, data: bytes | bytearray) -> bool:
         """Any PDO but the first in its period from a node that owes no other."""
         syncs, events, where = self._syncs, self._events, self._where
         oldest = max(newest - self._late, 1)
@@ -119,7 +122,7 @@ class Arrival:
                 events.counted("late_pdo", where, f"an answer came {self._late} SYNCs late")
             return False
         before, self._period = self._period, max(period, self._period)
-        if period <= self._answered:
+        if period <= self._answered or (period <= before and data == self._data):
             events.counted("duplicate_pdo", where, "a second answer to one SYNC")
             return False
         answers = max(self._answered + 1, oldest)
@@ -137,7 +140,7 @@ class Arrival:
             if self._streak >= self._settle:
                 answers, self._gap = period, 0
         booked = max(self._gap, oldest) if self._gap and period <= before else answers
-        self._answered = answers
+        self._answered, self._data = answers, data
         if answers == period:
             self._gap = 0
         tick = syncs.ticks[booked % HISTORY]
