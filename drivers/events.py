@@ -21,7 +21,7 @@ class Meaning:
 
 _AGES = "measurements age; beyond the freshness the axis or cell is lost"
 _UNUSED = "not used; the measurement ages"
-_LOST = "its axis is lost until a reset brings it back"
+_LOST = "its axis or cells are lost until a reset brings it back"
 
 EVENTS: dict[str, Meaning] = {
     "missing_pdo": Meaning("a SYNC went without an answer in its period", _AGES),
@@ -32,13 +32,17 @@ EVENTS: dict[str, Meaning] = {
     "short_pdo": Meaning("a PDO shorter than its mapping", _UNUSED),
     "long_pdo": Meaning("a PDO longer than its mapping", _UNUSED),
     "foreign_frame": Meaning("a frame that belongs to no node of ours", "not used"),
-    "silent_pdo": Meaning("a node lives but answers no SYNC", "its axis or cell is lost"),
+    "silent_pdo": Meaning("a node lives but answers no SYNC", "its axis or cells are lost"),
     "emcy": Meaning("an emergency message", ""),
     "short_emcy": Meaning("an emergency message cut short", "not used"),
-    "heartbeat_lost": Meaning("a node's heartbeat is missing", "its axis is lost"),
+    "heartbeat_lost": Meaning(
+        "a node's heartbeat is missing", "its axis is lost; cells as they age"
+    ),
     "heartbeat_back": Meaning("a lost heartbeat is heard again", ""),
     "boot_up": Meaning("a node restarted and lost its configuration", _LOST),
-    "left_operational": Meaning("a node left NMT operational", _LOST),
+    "left_operational": Meaning(
+        "a node left NMT operational", "its axis or cells are lost until it returns or is reset"
+    ),
     "operational_again": Meaning("a node returned to operational, configured as it was", ""),
     "recovered": Meaning("a reset brought a node back to operational", ""),
     "recovery_failed": Meaning("a reset could not bring a node back", "it stays as it is"),
@@ -78,12 +82,12 @@ class EventLog:
         else:
             self._dropped += 1
 
-    def counted(self, name: str, where: str, text: str) -> None:
-        """Report the 1st, 2nd, 4th, 8th ... occurrence of this name at this place.
+    def counted(self, name: str, where: str, text: str, *, kind: Hashable = None) -> None:
+        """Report the 1st, 2nd, 4th, 8th ... occurrence of this name and kind at this place.
 
-        Beyond `CAPACITY` places all others of one name are counted together.
+        Beyond `CAPACITY` of them all others of one name are counted together.
         """
-        key: Hashable = (name, where)
+        key: Hashable = (name, where, kind)
         if key not in self._counts and len(self._counts) >= CAPACITY:
             key = name
         count = self._counts.get(key, 0) + 1

@@ -47,6 +47,7 @@ class Health:
         self._where = where
         self._bus = bus
         self._events = events
+        self._mute = False
         # Interfaces without a state of their own inherit one that is always active.
         self._can_tell = type(bus).state is not can.BusABC.state
 
@@ -58,7 +59,11 @@ class Health:
             told = self._bus.state
         except (can.CanError, OSError) as error:
             self._events.begin("bus_deaf", self._where, f"its state cannot be read: {error}")
+            self._mute = True
             return
+        if self._mute:
+            self._mute = False
+            self._events.end("bus_deaf", self._where)
         self._become(_TOLD[told])
 
     def error_frame(self, classes: int, data: bytes | bytearray) -> None:

@@ -110,7 +110,6 @@ class Supervision:
         watched.silent = watched.restarted = False
         watched.standing.clear()
         watched.heard_at = self._tick
-        watched.arrival.begin()
         self._events.end("heartbeat_lost", watched.node.where)
         for cell in watched.cells:
             self._exchange.cell_status[cell] = 0
@@ -156,4 +155,4 @@ class Supervision:
         title = node.role.title
         words = emcy.words(code, drive=node.role.drive)
         text = f"{title}: 0x{code:04X}, register 0x{register:02X}: {words}"
-        self._events.counted("emcy", node.where, text)
+        self._events.counted("emcy", node.where, text, kind=code)

@@ -54,8 +54,8 @@ class Arrival:
     """
 
     __slots__ = (
-        "_answered", "_bits", "_data", "_events", "_gap", "_late", "_period", "_rows", "_settle", "_streak",
-        "_syncs", "_ticks", "_where",
+        "_answered", "_bits", "_data", "_events", "_fresh", "_gap", "_late", "_period", "_rows",
+        "_settle", "_streak", "_syncs", "_ticks", "_where",
     )  # fmt: skip
 
     def __init__(
@@ -78,14 +78,15 @@ class Arrival:
         self._settle = master.settle_ticks
         self._events = events
         self._where = where
-        self.begin()
+        self._answered = self._period = self._gap = self._streak = 0
+        self._fresh = False
+        self._data: bytes | bytearray = b""
 
     def begin(self) -> None:
-        """The node was reset: nothing it owed before will come."""
+        """The node was reset: nothing it owed will come, and its next answer is not late."""
         self._answered = self._period = self._syncs.count
-        self._gap = 0  # the oldest open SYNC, while there is one
-        self._streak = 0
-        self._data: bytes | bytearray = b""
+        self._gap = self._streak = 0
+        self._fresh = True
 
     @property
     def open(self) -> int:
@@ -99,6 +100,7 @@ class Arrival:
         if (
             self._answered + 1 != newest
             or self._period == newest
+            or self._fresh
             or syncs.stamp_ns < syncs.times_ns[newest % HISTORY] + self._bits * syncs.bit_ns
         ):
             return self._irregular(newest, data)
@@ -121,14 +123,17 @@ class Arrival:
             if newest:
                 events.counted("late_pdo", where, f"an answer came {self._late} SYNCs late")
             return False
+        if self._fresh:
+            self._fresh = False
+            self._answered = self._period = period - 1
         before, self._period = self._period, max(period, self._period)
         if period <= self._answered or (period <= before and data == self._data):
             events.counted("duplicate_pdo", where, "a second answer to one SYNC")
             return False
         answers = max(self._answered + 1, oldest)
         if period > before + 1:
-            missed = period - before - 1
-            events.counted("missing_pdo", where, f"{missed} SYNCs in a row without an answer")
+            text = f"SYNCs without an answer: {period - before - 1}"
+            events.counted("missing_pdo", where, text)
             if not self._gap:
                 self._gap = before + 1
             self._streak = 0

@@ -76,6 +76,8 @@ class ScriptedBus(can.BusABC):
         self.inbox: deque[can.Message] = deque()
         self.nodes: list[FakeNode] = []
         self.refuses = False
+        self.deaf = False
+        self.condition: can.BusState | None = can.BusState.ACTIVE
         self.closed = False
 
     def put(self, identifier: int, data: bytes = b"", **fields: Any) -> None:
@@ -91,7 +93,15 @@ class ScriptedBus(can.BusABC):
             for identifier, reply in node.answer(msg.arbitration_id, data):
                 self.put(identifier, reply)
 
+    @property
+    def state(self) -> can.BusState:
+        if self.condition is None:
+            raise can.CanOperationError("the controller does not answer")
+        return self.condition
+
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.deaf:
+            raise can.CanOperationError("no such device")
         return (self.inbox.popleft() if self.inbox else None), True
 
     def shutdown(self) -> None:
