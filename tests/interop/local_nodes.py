@@ -138,3 +138,54 @@ def robot_on(prefix: str) -> Config:
     )
     update = {"interface": "virtual", "channels": channels, "master": master}
     return config.model_copy(update={"fieldbus": config.fieldbus.model_copy(update=update)})
+
+
+_STATUSWORD = {0x00: 0x0240, 0x06: 0x0231, 0x07: 0x0233, 0x0F: 0x0237, 0x80: 0x0240}
+"""by the controlword that leads there"""
+
+
+class Drive:
+    """A LocalNode that behaves as a drive: python-canopen has no SYNC-driven PDOs of its own.
+
+    Torque is followed at once, and every SYNC moves the drum by ten increments.
+    """
+
+    def __init__(self, network: canopen.Network, node: Any) -> None:
+        self.node = node
+        self.values = {0x6041: 0x0240, 0x6064: 0, 0x6077: 0}
+        self._received: dict[int, int] | None = None
+        network.subscribe(0, self._on_command)
+        network.subscribe(0x80, self._on_sync)
+
+    def _on_command(self, _: int, data: bytearray, __: float) -> None:
+        if data[0] == 0x01 and data[1] in (0, self.node.id):
+            self.node.tpdo[1].read()
+            if 0x1400 in self.node.object_dictionary:
+                self.node.rpdo[1].read()
+                self.node.rpdo[1].add_callback(self._on_rpdo)
+
+    def _on_rpdo(self, message: Any) -> None:
+        self._received = {each.index: each.raw for each in message.map}
+
+    def _on_sync(self, _: int, __: bytearray, ___: float) -> None:
+        if self.node.nmt.state != "OPERATIONAL":
+            return
+        out = self.node.tpdo[1]
+        for each in out.map:
+            each.raw = self.values[each.index]
+        out.transmit()
+        if self._received is not None:
+            word = self._received[0x6040]
+            if word == 0x0F and self.values[0x6041] == 0x0240:
+                word = 0x00  # nothing in switch-on disabled
+            self.values[0x6041] = _STATUSWORD[word]
+            self.values[0x6077] = self._received[0x6071]
+            self.values[0x6064] += 10
+
+
+class Cell(Drive):
+    """A LocalNode that sends its process value at every SYNC."""
+
+    def __init__(self, network: canopen.Network, node: Any) -> None:
+        super().__init__(network, node)
+        self.values = {0x9130: 100 * node.id}
