@@ -19,6 +19,7 @@ from drivers.process_image import AxisCommand, AxisState, ProcessImage
 from drivers.tracker import TrackerInput
 from runtime import clock
 from runtime.daemon import Daemon, Outcome
+from runtime.operator import Commander
 from runtime.scheduler import VirtualPacing
 from runtime.sequence import Sequence
 from runtime.states import Operator, State
@@ -273,10 +274,10 @@ class Stalling(VirtualPacing):
             await asyncio.sleep(SILENCE_S)
 
 
-def test_after_a_stalled_daemon_an_operators_reset_enables_the_drives_again() -> None:
+def stalled(operator: Commander, at_s: float) -> tuple[Outcome, Heard]:
+    """The daemon on CAN, stopped once by its host."""
     config, scenario = configured(duration=1.0)
     heard = Heard()
-    operator = Resetter()
 
     async def main() -> Outcome:
         lab = Lab(config, scenario.lab, seed=1, clock=clock.loop_clock())
@@ -293,11 +294,16 @@ def test_after_a_stalled_daemon_an_operators_reset_enables_the_drives_again() ->
             stopwatch=clock.Stopwatch(running=False),
         )
         try:
-            return await daemon.run(lambda: Stalling(3.0), lambda _: None, lambda: None)
+            return await daemon.run(lambda: Stalling(at_s), lambda _: None, lambda: None)
         finally:
             lab.close()
 
-    outcome = clock.run(main(), virtual=True)
+    return clock.run(main(), virtual=True), heard
+
+
+def test_after_a_stalled_daemon_an_operators_reset_enables_the_drives_again() -> None:
+    operator = Resetter()
+    outcome, heard = stalled(operator, 3.0)
     assert outcome.state is State.REFERENCING
     assert operator.states == [
         State.OFF,
@@ -312,3 +318,21 @@ def test_after_a_stalled_daemon_an_operators_reset_enables_the_drives_again() ->
     ]
     assert heard.names.count("recovered") == 8
     assert not {"recovery_failed", "duplicate_pdo"} & set(heard.names)
+
+
+class Hesitant(Resetter):
+    """Resets, and takes it back with an emergency stop while the drives are being brought back."""
+
+    def next(self, sequence: Sequence) -> Operator:
+        if sequence.state is not State.FAULT:
+            return Operator.NONE
+        asked = round(sequence.elapsed * 1e3)
+        self.finished = asked > 900
+        return {500: Operator.RESET, 520: Operator.ESTOP}.get(asked, Operator.NONE)
+
+
+def test_an_emergency_stop_ends_a_reset_that_waits_for_the_bus() -> None:
+    outcome, heard = stalled(Hesitant(), 1.0)
+    assert outcome.state is State.FAULT
+    assert "recovered" not in heard.names
+    assert heard.names.count("operator") == 1

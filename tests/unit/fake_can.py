@@ -34,6 +34,8 @@ class FakeNode:
         self.present = True
         self.starts = True
         self.resets = 0
+        self.deaf_to = 0
+        """resets that pass before it hears, as while it looks for the bit rate"""
 
     def answer(self, identifier: int, data: bytes) -> list[tuple[int, bytes]]:
         if not self.present:
@@ -47,6 +49,8 @@ class FakeNode:
     def _nmt(self, command: int) -> list[tuple[int, bytes]]:
         if command in (0x81, 0x82):
             self.resets += 1
+            if self.resets <= self.deaf_to:
+                return []
             return [(0x700 + self.node_id, b"\x00")]
         if command == 1 and self.starts:
             return [(0x700 + self.node_id, b"\x05")]
@@ -139,7 +143,7 @@ class Robot:
                 self._add(bus, drive.node_id, self._drive())
                 self.axis_at[drive.axis] = (bus, drive.node_id)
             for amplifier in channel.force_cells:
-                self._add(bus, amplifier.node_id, self._cell())
+                self._add(bus, amplifier.node_id, self._cell(len(amplifier.cells)))
                 for cell in amplifier.cells:
                     self.cell_at[cell] = (bus, amplifier.node_id)
         self.image = ProcessImage()
@@ -173,16 +177,17 @@ class Robot:
         objects |= {(0x1400 + n, 1): u32(0x200 + n * 0x100) for n in range(4)}
         return objects | {(0x1800 + n, 1): u32(0xC0000180 + n * 0x100) for n in range(4)}
 
-    def _cell(self) -> dict[tuple[int, int], bytes]:
-        return {
+    def _cell(self, channels: int) -> dict[tuple[int, int], bytes]:
+        objects = {
             (0x1018, 1): u32(0xFFFF),
             (0x1018, 2): u32(0x404),
             (0x1018, 3): u32(1),
             (0x1017, 0): bytes(2),
-            (0x6131, 1): u32(0x00210000),
-            (0x6132, 1): b"\x00",
             (0x1800, 1): u32(0x40000180),
         }
+        for channel in range(1, channels + 1):
+            objects |= {(0x6131, channel): u32(0x00210000), (0x6132, channel): b"\x00"}
+        return objects
 
     async def start(self) -> None:
         await self.fieldbus.start(self.progress.append)
