@@ -92,13 +92,7 @@ class CanopenFieldbus:
         self._heartbeat_ticks = max(1, bus.master.heartbeat_ms * 1000 // period_us)
         self._next_heartbeat = 0
         self._next_look = 0
-        self._supervision = Supervision(
-            self._exchange,
-            self._events,
-            bus.master,
-            period_us,
-            config.control.freshness.measurement_ticks,
-        )
+        self._supervision = Supervision(self._exchange, self._events, bus.master, period_us)
         self._recovery = Recovery(self._supervision, self._exchange, self._events)
         self._ticking = False
         self._pump_task: asyncio.Task[None] | None = None
@@ -177,9 +171,8 @@ class CanopenFieldbus:
         if self._pump_task is None:
             self._pump_task = asyncio.get_running_loop().create_task(self._pump())
         await asyncio.gather(*(self._release(node) for node in configured))
-        await asyncio.sleep(
-            2 * self._poll_s
-        )  # so that the last frames leave before the bus is closed
+        # So that the last frames leave before the bus is closed.
+        await asyncio.sleep(2 * self._poll_s)
         self._stop_pump()
         for channel in self._buses:
             channel.shutdown()

@@ -45,14 +45,14 @@ class Supervision:
     """Turns those frames into events, and into what control must know of an axis or a cell."""
 
     def __init__(
-        self, exchange: Exchange, events: EventLog, master: Master, period_us: int, fresh_ticks: int
+        self, exchange: Exchange, events: EventLog, master: Master, period_us: int
     ) -> None:
         self.watched: list[Watched] = []
         self._exchange = exchange
         self._events = events
         self._periods = master.heartbeat_periods
         self._period_us = period_us
-        self._fresh_ticks = fresh_ticks
+        self._late_ticks = master.late_ticks
         self._next = 0
         self._tick = 0
 
@@ -94,9 +94,9 @@ class Supervision:
 
     def _look_for_answers(self, watched: Watched) -> None:
         node, unanswered = watched.node, watched.arrival.open
-        if unanswered <= self._fresh_ticks:
+        if unanswered <= self._late_ticks:
             self._events.end("silent_pdo", node.where)
-        elif watched.trusted and unanswered > 2 * self._fresh_ticks:
+        elif watched.trusted:
             text = f"{node.role.title}: no answer to {unanswered} SYNCs, its heartbeat is there"
             self._events.begin("silent_pdo", node.where, text)
 
