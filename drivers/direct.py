@@ -45,7 +45,7 @@ class DirectFieldbus:
         self.channels: tuple[str, ...] = ()
         self._port = port
         self._clock = clock
-        self._robot = config.robot
+        self._settings = epos4.settings(config.robot, config.fieldbus.drive)
         self._offset_ns = round(config.fieldbus.sample_offset_us * 1000)
         self._events = EventLog()
         self._exchange = Exchange(
@@ -66,7 +66,7 @@ class DirectFieldbus:
         failed = []
         for axis in range(CABLES):
             try:
-                await apply(_Objects(self._port, axis), epos4.settings(self._robot))
+                await apply(_Objects(self._port, axis), self._settings)
             except DriverError as error:
                 failed.append(f"axis {axis}: {error}")
         if failed:
@@ -101,6 +101,9 @@ class DirectFieldbus:
 
     async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
         await _Objects(self._port, axis).write(index, subindex, data)
+
+    async def recover(self) -> None:
+        """There are no nodes that could be brought back."""
 
     async def stop(self) -> None:
         """Power off with one last exchange."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from config.schema.bus import Drive
 from config.schema.robot import Robot
 from drivers.setting import Kind, Setting
 
@@ -29,9 +30,9 @@ INT16_MAX = 0x7FFF
 PER_MILLE = 1000
 
 
-def settings(robot: Robot) -> tuple[Setting, ...]:
+def settings(robot: Robot, drive: Drive) -> tuple[Setting, ...]:
     """What an EPOS4 must hold before it is started, in the order in which it is written."""
-    motor = robot.motor
+    motor, options = robot.motor, drive.options
     return (
         Setting(0x6040, 0, 0, 2, "power off: some objects change only then", Kind.COMMAND),
         Setting(0x3001, 1, round(motor.nominal_current * 1e3), 4, "nominal current, mA"),
@@ -42,14 +43,12 @@ def settings(robot: Robot) -> tuple[Setting, ...]:
         # Before the mode: a target left over from another master must not act.
         Setting(0x6071, 0, 0, 2, "target torque"),
         Setting(0x6060, 0, CYCLIC_SYNCHRONOUS_TORQUE, 1, "cyclic synchronous torque"),
-        # Above 0 a single late RPDO raises 0x8250 and faults the drive.
-        Setting(0x60C2, 1, 0, 1, "no interpolation and no RPDO timeout"),
-        # A drive that lost its master brakes its drum and then lets go; it does not let go at once.
-        Setting(0x6007, 0, 3, 2, "quick stop when the connection is lost"),
-        Setting(0x605A, 0, 6, 2, "quick stop on its ramp, then stay"),
-        Setting(0x605B, 0, 0, 2, "shutdown takes the power at once"),
-        Setting(0x605C, 0, 0, 2, "disable operation takes the power at once"),
-        Setting(0x605E, 0, 2, 2, "fault reaction on the quick stop ramp"),
+        Setting(0x60C2, 1, drive.interpolation_ms, 1, "interpolation and RPDO timeout, ms"),
+        Setting(0x6007, 0, options.abort_connection, 2, "when the connection is lost"),
+        Setting(0x605A, 0, options.quick_stop, 2, "quick stop"),
+        Setting(0x605B, 0, options.shutdown, 2, "shutdown"),
+        Setting(0x605C, 0, options.disable_operation, 2, "disable operation"),
+        Setting(0x605E, 0, options.fault_reaction, 2, "fault reaction"),
     )
 
 

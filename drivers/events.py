@@ -1,13 +1,69 @@
-"""Bus events on their way to a person: bounded in number, and repeated ever more rarely."""
+"""Bus events on their way to a person: named, bounded in number, and repeated ever more rarely."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import dataclass
 
 from drivers.fieldbus import BusEvent
 
 CAPACITY = 256
 """Events kept between two calls of `take`; what does not fit is counted and said."""
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What an event's name stands for, and what is done about it; "" for nothing."""
+
+    meaning: str
+    reaction: str
+
+
+_AGES = "measurements age; beyond the freshness the axis or cell is lost"
+_UNUSED = "not used; the measurement ages"
+_LOST = "its axis or cells are lost until a reset brings it back"
+
+EVENTS: dict[str, Meaning] = {
+    "missing_pdo": Meaning("a SYNC went without an answer in its period", _AGES),
+    "late_pdo": Meaning(
+        "an answer came after the next SYNC", "counted as old as the oldest open SYNC"
+    ),
+    "duplicate_pdo": Meaning("a second answer to one SYNC", "not used"),
+    "short_pdo": Meaning("a PDO shorter than its mapping", _UNUSED),
+    "long_pdo": Meaning("a PDO longer than its mapping", _UNUSED),
+    "foreign_frame": Meaning("a frame that belongs to no node of ours", "not used"),
+    "silent_pdo": Meaning("a node lives but answers no SYNC", "its axis or cells are lost"),
+    "emcy": Meaning("an emergency message", ""),
+    "short_emcy": Meaning("an emergency message cut short", "not used"),
+    "heartbeat_lost": Meaning(
+        "a node's heartbeat is missing", "its axis is lost; cells as they age"
+    ),
+    "heartbeat_back": Meaning("a lost heartbeat is heard again", ""),
+    "boot_up": Meaning("a node restarted and lost its configuration", _LOST),
+    "left_operational": Meaning(
+        "a node left NMT operational", "its axis or cells are lost until it returns or is reset"
+    ),
+    "operational_again": Meaning("a node returned to operational, configured as it was", ""),
+    "recovered": Meaning("a reset brought a node back to operational", ""),
+    "recovery_failed": Meaning("a reset could not bring a node back", "it stays as it is"),
+    "transmit_refused": Meaning(
+        "the controller took no frame", "the frame is dropped; the devices' watchdogs act"
+    ),
+    "bus_error": Meaning("the controller reports errors on the wire", ""),
+    "bus_passive": Meaning(
+        "the controller is error-passive", "the exchange goes on; the cable needs a look"
+    ),
+    "bus_off": Meaning(
+        "the controller has left the bus", "every axis and cell of the channel goes stale"
+    ),
+    "bus_recovered": Meaning("the controller is error-active again", ""),
+    "bus_deaf": Meaning("nothing can be received on a channel", _AGES),
+    "bus_flooded": Meaning("a channel brings more than a tick can read", _AGES),
+    "non_finite_torque": Meaning("control commanded a torque that is no number", "it gets 0"),
+    "tracker_malformed": Meaning("a tracker datagram that cannot be believed", "not used"),
+    "dropped": Meaning("more events than can be kept between two ticks", "counted"),
+}
+"""Every name a driver tells. The reaction ends the event's text."""
 
 
 class EventLog:
@@ -21,16 +77,17 @@ class EventLog:
 
     def add(self, name: str, where: str, text: str) -> None:
         if len(self._pending) < CAPACITY:
-            self._pending.append(BusEvent(name, where, text))
+            reaction = EVENTS[name].reaction
+            self._pending.append(BusEvent(name, where, f"{text}; {reaction}" if reaction else text))
         else:
             self._dropped += 1
 
-    def counted(self, name: str, where: str, text: str) -> None:
-        """Report the 1st, 2nd, 4th, 8th ... occurrence of this name at this place.
+    def counted(self, name: str, where: str, text: str, *, kind: Hashable = None) -> None:
+        """Report the 1st, 2nd, 4th, 8th ... occurrence of this name and kind at this place.
 
-        Beyond `CAPACITY` places all others of one name are counted together.
+        Beyond `CAPACITY` of them all others of one name are counted together.
         """
-        key: Hashable = (name, where)
+        key: Hashable = (name, where, kind)
         if key not in self._counts and len(self._counts) >= CAPACITY:
             key = name
         count = self._counts.get(key, 0) + 1

@@ -46,7 +46,7 @@ class Exchange:
         self.positions = [0] * CABLES
         self.torques = [0] * CABLES
         self.error_codes = [0] * CABLES
-        self.silent = [False] * CABLES  # its heartbeat is missing
+        self.untrusted = [False] * CABLES  # silent, restarted or not operational
         self.axis_tick = [NOT_YET] * CABLES
         self.cells: list[float] = [0] * CELLS
         self.cell_status = [0] * CELLS
@@ -75,10 +75,10 @@ class Exchange:
         self._command = image.commands["command"]
 
     def forget(self) -> None:
-        """Begin anew: no sample has been taken yet and nobody is silent."""
+        """Begin anew: no sample has been taken yet and nobody is mistrusted."""
         self.axis_tick[:] = [NOT_YET] * CABLES
         self.cell_tick[:] = [NOT_YET] * CELLS
-        self.silent[:] = [False] * CABLES
+        self.untrusted[:] = [False] * CABLES
         self.error_codes[:] = [0] * CABLES
         self.cell_status[:] = [0] * CELLS
 
@@ -94,8 +94,8 @@ class Exchange:
         self._statusword[:] = self.statuswords
         self._error_code[:] = self.error_codes
         self._states = [
-            _LOST if age > self._freshness or silent else STATE_OF[word]
-            for age, silent, word in zip(axis_age, self.silent, self.statuswords, strict=True)
+            _LOST if age > self._freshness or untrusted else STATE_OF[word]
+            for age, untrusted, word in zip(axis_age, self.untrusted, self.statuswords, strict=True)
         ]
         self._state[:] = self._states
         self._axis_age[:] = axis_age

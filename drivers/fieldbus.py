@@ -20,11 +20,11 @@ class BusEvent:
     """Something a person should read later: which node, what, in words."""
 
     name: str
-    """one of a small set: emcy, heartbeat_lost, heartbeat_back, boot_up, short_pdo, foreign_frame,
-    transmit_refused, late_pdo"""
+    """one of `drivers.events.EVENTS`"""
     where: str
     """channel and node, as in can1/3"""
     text: str
+    """what happened, and what is done about it"""
 
 
 class Fieldbus(Protocol):
@@ -54,6 +54,11 @@ class Fieldbus(Protocol):
     async def sdo_read(self, axis: int, index: int, subindex: int) -> bytes: ...
 
     async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None: ...
+
+    async def recover(self) -> None:
+        """Bring back, while ticks go on, every device that restarted, left operation or holds an
+        error that a controlword alone does not clear. What cannot be brought back is an event.
+        """
 
     async def stop(self) -> None:
         """Leave the devices safe (disabled, pre-operational) and release the bus."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from config.schema.bus import ForceCell
+from drivers.errors import DriverError
 from drivers.setting import Kind, Setting
 
 REAL32 = 0x61300120
@@ -16,11 +17,32 @@ NEWTON = 0x00210000
 """CiA 303-2: no prefix, N."""
 
 
-def settings(cell: ForceCell) -> tuple[Setting, ...]:
-    """What a force cell must be and hold before it is started."""
-    return (
-        Setting(0x6131, 1, NEWTON, 4, "physical unit, newton", Kind.CHECK),
-        Setting(0x6132, 1, cell.decimal_digits, 1, "decimal digits of the process value"),
+def of_channel(entry: int, channel: int) -> int:
+    """The mapping word of the same object on another channel, from 1."""
+    return entry & ~0xFF00 | channel << 8
+
+
+def mapping(cell: ForceCell, channels: int) -> tuple[int, ...]:
+    """What a node of so many channels maps: an amplifier of several fits a frame with 16 bits each.
+
+    Raises `DriverError` where the two kinds of node would not have one scale.
+    """
+    if channels == 1:
+        return cell.tpdo
+    if REAL32 in cell.tpdo:
+        raise DriverError("an amplifier with several cells has no scale in common with 0x6130")
+    return tuple(of_channel(INT16, channel) for channel in range(1, channels + 1))
+
+
+def settings(cell: ForceCell, channels: int) -> tuple[Setting, ...]:
+    """What a force cell must be and hold before it is started, each channel."""
+    return tuple(
+        setting
+        for channel in range(1, channels + 1)
+        for setting in (
+            Setting(0x6131, channel, NEWTON, 4, "physical unit, newton", Kind.CHECK),
+            Setting(0x6132, channel, cell.decimal_digits, 1, "decimal digits of the process value"),
+        )
     )
 
 

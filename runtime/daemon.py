@@ -7,6 +7,7 @@ All that is slow (bring-up, files, people) lies before, after or outside the tic
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -85,6 +86,7 @@ class Daemon:
         self.cycle = ControlCycle(config.robot, config.control, config.tracker, scenario.reference)
         self._duration = scenario.duration
         self._due_ns = 0
+        self._recovery: asyncio.Task[None] | None = None
         self._state = State.OFF
         self._grade = Grade.GREEN
         self._fault = Fault.NONE
@@ -116,6 +118,7 @@ class Daemon:
                 ticks = await self._tick_until_done(scheduler)
             finally:
                 scheduler.close()
+                self._give_up_recovery()
         finally:
             await self._fieldbus.stop()
         sequence = self.cycle.sequence
@@ -159,7 +162,7 @@ class Daemon:
         fieldbus.collect(tick)
         self._tracker.collect(now_ns())
         collected = wall()
-        command = self._commander.next(cycle.sequence)
+        command = self._command()
         record = cycle.step(fieldbus.image, tick, command)
         computed = wall()
         fieldbus.publish(tick)
@@ -176,6 +179,30 @@ class Daemon:
         timing.processor_us[...] = used * 1e-3
         self._ring.publish(record.data, due_ns)
         self._report(tick, command)
+
+    def _command(self) -> Operator:
+        """What the operator says. A reset in FAULT waits, while ticks go on, until the bus has
+        brought back what it can; an emergency stop ends that wait and the reset with it."""
+        command = self._commander.next(self.cycle.sequence)
+        if self._recovery is None:
+            if command is not Operator.RESET or self.cycle.sequence.state is not State.FAULT:
+                return command
+            recovery = self._fieldbus.recover()
+            self._recovery = asyncio.get_running_loop().create_task(recovery)
+            return Operator.NONE
+        if command is Operator.ESTOP:
+            self._give_up_recovery()
+            return command
+        if not self._recovery.done():
+            return Operator.NONE
+        self._recovery.result()
+        self._recovery = None
+        return Operator.RESET
+
+    def _give_up_recovery(self) -> None:
+        if self._recovery is not None:
+            self._recovery.cancel()
+            self._recovery = None
 
     def _report(self, tick: int, command: Operator) -> None:
         """Events, in the ticks where there are any."""

@@ -46,12 +46,32 @@ class Device(Section):
         return self
 
 
+class DriveOptions(Section):
+    """CiA 402 option codes: how a drive stops. Ranges: what an EPOS4 accepts."""
+
+    abort_connection: Annotated[int, Field(ge=2, le=3)]
+    """0x6007, the master is gone: 2 power off, 3 quick stop"""
+    quick_stop: Annotated[int, Field(ge=6, le=6)]
+    """0x605A: 6 on the quick stop ramp, then stay"""
+    shutdown: Annotated[int, Field(ge=0, le=1)]
+    """0x605B: 0 power off, 1 ramp"""
+    disable_operation: Annotated[int, Field(ge=0, le=1)]
+    """0x605C: 0 power off, 1 ramp"""
+    fault_reaction: Annotated[int, Field(ge=0, le=2)]
+    """0x605E: 0 power off, 1 ramp, 2 quick stop ramp"""
+
+
 class Drive(Device):
     """EPOS4 in cyclic synchronous torque."""
 
     rpdo: tuple[MappingEntry, ...]
     master_timeout_ms: Count
     """heartbeat consumer 0x1016: the drive leaves Operation Enabled when the daemon is silent"""
+    interpolation_ms: Annotated[int, Field(ge=0, le=100)]
+    """0x60C2: 0 for none and no RPDO timeout, else the period of the tick"""
+    on_communication_error: Annotated[int, Field(ge=0, le=2)]
+    """0x1029:1: 0 to pre-operational, 1 no change, 2 stopped"""
+    options: DriveOptions
 
 
 class ForceCell(Device):
@@ -96,10 +116,28 @@ class Channel(Section):
 
 
 class Master(Section):
+    """What our side of every channel does. Ticks are those of the control loop."""
+
     node_id: NodeId
     heartbeat_ms: Count
+    heartbeat_periods: Count
+    """a node is silent after so many of its own periods"""
     sdo_timeout_ms: Count
     boot_timeout_ms: Count
+    boot_resets: Count
+    """times a node is reset before it counts as missing"""
+    poll_us: Count
+    """how often the buses are looked at while no tick does it"""
+    late_ticks: Annotated[int, Field(ge=1, lt=64)]
+    """a PDO may answer a SYNC at most so long ago"""
+    settle_ticks: Count
+    """regular answers in a row after which one that is missing is lost, not late"""
+    drain_periods: Count
+    """frames taken in one tick, in periods of a full bus: a flood must not hold the tick"""
+    flood_ticks: Count
+    """ticks in a row that leave frames behind: somebody floods the channel"""
+    health_ticks: Count
+    """how often a controller is asked for its error state"""
 
 
 class CanopenBus(Section):

@@ -6,20 +6,16 @@ from collections.abc import Callable
 
 import can
 
+from config.schema.bus import CanopenBus
+from drivers.canopen.health import Health
 from drivers.canopen.identifiers import SYNC
+from drivers.canopen.stamps import Stamps
+from drivers.canopen.syncs import FRAME_BITS, INTERFRAME_BITS, Syncs
 from drivers.events import EventLog
 from drivers.fieldbus import FrameTap
 
 Handler = Callable[[bytearray], None]
 Clock = Callable[[], int]
-
-SHORTEST_FRAME_BITS = 47
-"""No data, no stuff bit, three bits of inter-frame space: a bus cannot carry frames faster."""
-CATCH_UP = 4
-"""Frames taken in one drain, over what the bus can carry in a period: a backlog shrinks, and a bus
-that never runs dry does not hold the tick."""
-SAME_CLOCK_NS = 1_000_000_000
-"""A stamp further than this from our clock comes from another clock."""
 
 
 class Channel:
@@ -28,22 +24,29 @@ class Channel:
     def __init__(
         self,
         number: int,
-        name: str,
         bus: can.BusABC,
-        frames_per_drain: int,
+        config: CanopenBus,
+        period_us: int,
         clock: Clock,
         tap: FrameTap | None,
         events: EventLog,
     ) -> None:
-        self.name = name
+        self.name = config.channels[number].name
         self.handlers: dict[int, Handler] = {}
+        self.syncs = Syncs()
+        self.health = Health(self.name, bus, events)
         self._number = number
         self._bus = bus
-        self._frames_per_drain = frames_per_drain
         self._clock = clock
         self._tap = tap
         self._events = events
-        self._offset_ns = 0
+        per_period = config.bitrate * period_us // 1_000_000
+        shortest = FRAME_BITS + INTERFRAME_BITS
+        self._frames_per_drain = config.master.drain_periods * (1 + per_period // shortest)
+        self._bit_ns = 1_000_000_000 // config.bitrate
+        self._flood_ticks = config.master.flood_ticks
+        self._full_drains = 0
+        self._stamps = Stamps()
         self._refused = False
         self._deaf = False
         self._sync = can.Message(arbitration_id=SYNC, is_extended_id=False)
@@ -51,29 +54,35 @@ class Channel:
     def send(self, identifier: int, data: bytes) -> None:
         self._transmit(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
 
-    def sync(self) -> None:
-        self._transmit(self._sync)
+    def sync(self, tick: int) -> None:
+        now = self._clock()
+        if self._transmit(self._sync):
+            self.syncs.bit_ns = self._bit_ns if self._stamps.exact else 0
+            self.syncs.sent(tick, now)
 
-    def _transmit(self, message: can.Message) -> None:
+    def _transmit(self, message: can.Message) -> bool:
         try:
             self._bus.send(message)
         except (can.CanError, OSError) as error:
             self._refused = True
             self._events.begin("transmit_refused", self.name, f"frame not sent: {error}")
-            return
+            return False
         if self._refused:
             self._refused = False
             self._events.end("transmit_refused", self.name)
         if self._tap is not None:
             now = self._clock()
             self._tap(now, self._number, message.arbitration_id, bytes(message.data), True)
+        return True
 
     def drain(self) -> None:
         """Hand every frame that has arrived to its handler."""
         receive = self._bus.recv
         handlers = self.handlers
         tap = self._tap
-        now = self._clock() if tap is not None else 0
+        stamp_of = self._stamps.of
+        syncs = self.syncs
+        now = self._clock()
         try:
             for _ in range(self._frames_per_drain):
                 message = receive(0)
@@ -81,8 +90,8 @@ class Channel:
                     break
                 data = message.data
                 identifier = message.arbitration_id
+                syncs.stamp_ns = stamp = stamp_of(message.timestamp, now)
                 if tap is not None:
-                    stamp = self._stamp(message.timestamp, now)
                     tap(stamp, self._number, identifier, bytes(data), False)
                 handler = handlers.get(identifier)
                 if (
@@ -94,17 +103,25 @@ class Channel:
                     self._foreign(message)
                 else:
                     handler(data)
+            else:
+                self._full_drains += 1
+                if self._full_drains >= self._flood_ticks:
+                    text = f"{self._full_drains} ticks in a row left frames unread"
+                    self._events.begin("bus_flooded", self.name, text)
         except (can.CanError, OSError) as error:
             self._deaf = True
-            self._events.begin("bus_error", self.name, f"cannot receive: {error}")
+            self._events.begin("bus_deaf", self.name, f"cannot receive: {error}")
             return
+        if message is None and self._full_drains:
+            self._full_drains = 0
+            self._events.end("bus_flooded", self.name)
         if self._deaf:
             self._deaf = False
-            self._events.end("bus_error", self.name)
+            self._events.end("bus_deaf", self.name)
 
     def _foreign(self, message: can.Message) -> None:
         if message.is_error_frame:
-            self._events.counted("bus_error", self.name, "error frame on the bus")
+            self.health.error_frame(message.arbitration_id, message.data)
             return
         kind = "remote request" if message.is_remote_frame else "frame"
         width = 8 if message.is_extended_id else 3
@@ -112,20 +129,8 @@ class Channel:
         text = f"{kind} {identifier}, {message.dlc} bytes, belongs to no node of ours"
         self._events.counted("foreign_frame", f"{self.name}/{identifier}", text)
 
-    def _stamp(self, seconds: float, now: int) -> int:
-        """A bus's time of reception on our clock.
-
-        The lab and some interfaces stamp with the loop's own clock; others with one of their own,
-        for which the least delay seen so far stands for the difference of the two.
-        """
-        stamp = round(seconds * 1e9) + self._offset_ns
-        if stamp > now or now - stamp > SAME_CLOCK_NS:
-            self._offset_ns += now - stamp
-            return now
-        return stamp
-
     def shutdown(self) -> None:
         try:
             self._bus.shutdown()
         except (can.CanError, OSError) as error:
-            self._events.add("bus_error", self.name, f"did not close: {error}")
+            self._events.add("bus_deaf", self.name, f"did not close: {error}")

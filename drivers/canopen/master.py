@@ -13,24 +13,27 @@ from config.schema.bus import CanopenBus
 from config.schema.robot import CABLES
 from config.schema.root import Config
 from drivers import epos4, force_cell
-from drivers.canopen.channel import CATCH_UP, SHORTEST_FRAME_BITS, Channel
+from drivers.canopen.channel import Channel
 from drivers.canopen.identifiers import HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
 from drivers.canopen.nmt import Command, NmtState
-from drivers.canopen.node import POLL_S, Node, Role
+from drivers.canopen.node import Node, Role
 from drivers.canopen.pdo import Mapping
 from drivers.canopen.process_data import (
     Encode,
-    SyncTicks,
+    Refusal,
     cell_decoder,
     drive_decoder,
     drive_encoder,
 )
-from drivers.canopen.supervision import Supervision
+from drivers.canopen.recovery import Recovery
+from drivers.canopen.supervision import Supervision, Watched
+from drivers.canopen.syncs import Arrival
 from drivers.errors import BringUpError, DriverError, SdoError
 from drivers.events import EventLog
-from drivers.exchange import Exchange
+from drivers.exchange import NOT_YET, Exchange
 from drivers.fieldbus import BusEvent, FrameTap, Progress
 from drivers.process_image import ProcessImage
+from drivers.setting import Setting
 
 OpenBus = Callable[[str], can.BusABC]
 Clock = Callable[[], int]
@@ -55,10 +58,17 @@ class CanopenFieldbus:
         clock: Clock | None = None,
     ) -> None:
         """``open_bus`` makes a channel's bus from its name, by default with ``can.Bus``; ``clock``
-        gives ns and is the running loop's by default. Raises `DriverError` for a PDO mapping that
-        control cannot work with."""
+        gives ns and is the running loop's by default. Raises `DriverError` for a PDO mapping or an
+        interpolation period that control cannot work with."""
         if not isinstance(config.fieldbus, CanopenBus):
             raise DriverError(f"fieldbus kind {config.fieldbus.kind} is not canopen")
+        period_us = config.control.rates.period_us
+        interpolation_ms = config.fieldbus.drive.interpolation_ms
+        if interpolation_ms * 1000 not in (0, period_us):
+            raise DriverError(
+                f"fieldbus.drive.interpolation_ms is {interpolation_ms}; it must be 0 or the "
+                f"period of {period_us} us, or drives fault with 0x8250"
+            )
         self.image = image
         self._config = config
         self._bus = bus = config.fieldbus
@@ -77,16 +87,13 @@ class CanopenFieldbus:
             [places[axis] for axis in range(CABLES)],
         )
         self._drive_rpdo = drive_encoder(Mapping.of(bus.drive.rpdo))
-        self._drive_tpdo = Mapping.of(bus.drive.tpdo)
-        self._cell_tpdo = Mapping.of(bus.force_cell.tpdo)
-        period_us = config.control.rates.period_us
+        self._period_us = period_us
+        self._poll_s = bus.master.poll_us * 1e-6
         self._heartbeat_ticks = max(1, bus.master.heartbeat_ms * 1000 // period_us)
         self._next_heartbeat = 0
-        self._frames_per_drain = CATCH_UP * (
-            1 + bus.bitrate * period_us // (1_000_000 * SHORTEST_FRAME_BITS)
-        )
-        self._sync = SyncTicks()
-        self._supervision = Supervision(self._exchange, self._events, period_us)
+        self._next_look = 0
+        self._supervision = Supervision(self._exchange, self._events, bus.master, period_us)
+        self._recovery = Recovery(self._supervision, self._exchange, self._events)
         self._ticking = False
         self._pump_task: asyncio.Task[None] | None = None
         self._buses: list[Channel] = []
@@ -98,7 +105,6 @@ class CanopenFieldbus:
         """Raises `BringUpError`, one line that names every node that failed and why."""
         started = False
         self._exchange.forget()
-        self._sync = SyncTicks()
         try:
             self._open_channels()
             self._pump_task = asyncio.get_running_loop().create_task(self._pump())
@@ -113,7 +119,6 @@ class CanopenFieldbus:
             if not started:
                 await self.stop()
         self._events.take()
-        self._supervision.running = True
 
     def collect(self, tick: int) -> None:
         if not self._ticking:
@@ -122,10 +127,9 @@ class CanopenFieldbus:
             channel.drain()
         # The SYNC goes out before the sums are done: its jitter is everybody's sampling jitter.
         for channel in self._buses:
-            channel.sync()
+            channel.sync(tick)
         self._supervision.look_for_silence(tick)
         self._exchange.fill(tick)
-        self._sync.sent(tick)
 
     def publish(self, tick: int) -> None:
         controlwords, torques = self._exchange.commands()
@@ -134,6 +138,10 @@ class CanopenFieldbus:
         if tick >= self._next_heartbeat:
             self._next_heartbeat = tick + self._heartbeat_ticks
             self._send_heartbeat()
+        if tick >= self._next_look:
+            self._next_look = tick + self._bus.master.health_ticks
+            for channel in self._buses:
+                channel.health.look()
 
     def take_events(self) -> list[BusEvent]:
         return self._events.take()
@@ -144,21 +152,27 @@ class CanopenFieldbus:
     async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
         await self._drives[axis].sdo.write(index, subindex, data)
 
+    async def recover(self) -> None:
+        await self._recovery()
+
     async def stop(self) -> None:
         """Power off, pre-operational, buses closed; safe at any point and more than once."""
         if not self._buses:
             return
-        self._supervision.running = self._ticking = False
+        self._ticking = False
+        for node in self._nodes:
+            node.started = False
         configured = [node for node in self._nodes if node.configured]
         if configured:
             for _, channel, identifier, encode in self._outputs:
                 channel.send(identifier, encode(0, 0))
             for channel in self._buses:
-                channel.sync()
+                channel.sync(NOT_YET)
         if self._pump_task is None:
             self._pump_task = asyncio.get_running_loop().create_task(self._pump())
         await asyncio.gather(*(self._release(node) for node in configured))
-        await asyncio.sleep(2 * POLL_S)  # so that the last frames leave before the bus is closed
+        # So that the last frames leave before the bus is closed.
+        await asyncio.sleep(2 * self._poll_s)
         self._stop_pump()
         for channel in self._buses:
             channel.shutdown()
@@ -182,37 +196,61 @@ class CanopenFieldbus:
                     f"{self._bus.interface}: {error}"
                 ) from error
             channel = Channel(
-                number, name, bus, self._frames_per_drain, clock, self._tap, self._events
+                number, bus, self._bus, self._period_us, clock, self._tap, self._events
             )
             self._buses.append(channel)
-            self._add_nodes(channel, number)
+            self._add_drives(channel, number)
+            self._add_cells(channel, number)
 
-    def _add_nodes(self, channel: Channel, number: int) -> None:
-        bus = self._bus
-        exchange, sync, events = self._exchange, self._sync, self._events
-        drive_settings = epos4.settings(self._config.robot)
-        for drive in bus.channels[number].drives:
+    def _add_drives(self, channel: Channel, number: int) -> None:
+        device, exchange = self._bus.drive, self._exchange
+        settings = epos4.settings(self._config.robot, device)
+        communication = Setting(
+            0x1029, 1, device.on_communication_error, 1, "behaviour on a communication error"
+        )
+        mapping = Mapping.of(device.tpdo)
+        for drive in self._bus.channels[number].drives:
             role = Role(
                 f"drive of axis {drive.axis}",
-                bus.drive,
-                drive_settings,
-                bus.drive.master_timeout_ms,
+                device,
+                device.tpdo,
+                (*settings, communication),
+                drive=True,
+                consumer_ms=device.master_timeout_ms,
             )
             node = self._add_node(channel, drive.node_id, role)
-            self._supervision.add(node, axis=drive.axis)
+            arrival = self._arrival(node, (drive.axis,), exchange.axis_tick, mapping)
             channel.handlers[TPDO1 + drive.node_id] = drive_decoder(
-                self._drive_tpdo, drive.axis, exchange, sync, events, node.where
+                mapping, drive.axis, exchange, arrival, self._refusal(node, mapping)
             )
+            self._supervision.add(Watched(node, arrival, axis=drive.axis))
             self._outputs.append((drive.axis, channel, RPDO1 + drive.node_id, self._drive_rpdo))
             self._drives[drive.axis] = node
-        cell_settings = force_cell.settings(bus.force_cell)
-        for cell in bus.channels[number].force_cells:
-            role = Role(f"force cell {cell.cell}", bus.force_cell, cell_settings)
+
+    def _add_cells(self, channel: Channel, number: int) -> None:
+        device, exchange = self._bus.force_cell, self._exchange
+        for cell in self._bus.channels[number].force_cells:
+            channels = len(cell.cells)
+            tpdo = force_cell.mapping(device, channels)
+            mapping = Mapping.of(tpdo)
+            kind = "force cell" if channels == 1 else "force cells"
+            title = f"{kind} {', '.join(map(str, cell.cells))}"
+            role = Role(title, device, tpdo, force_cell.settings(device, channels))
             node = self._add_node(channel, cell.node_id, role)
-            self._supervision.add(node, cell=cell.cell)
+            arrival = self._arrival(node, cell.cells, exchange.cell_tick, mapping)
             channel.handlers[TPDO1 + cell.node_id] = cell_decoder(
-                self._cell_tpdo, cell.cell, exchange, sync, events, node.where
+                mapping, cell.cells, exchange, arrival, self._refusal(node, mapping)
             )
+            self._supervision.add(Watched(node, arrival, cells=cell.cells))
+
+    def _arrival(
+        self, node: Node, rows: tuple[int, ...], ticks: list[int], mapping: Mapping
+    ) -> Arrival:
+        size, syncs = mapping.layout.size, node.channel.syncs
+        return Arrival(rows, ticks, size, syncs, self._bus.master, self._events, node.where)
+
+    def _refusal(self, node: Node, mapping: Mapping) -> Refusal:
+        return Refusal(mapping.layout.size, self._events, node.where)
 
     def _add_node(self, channel: Channel, node_id: int, role: Role) -> Node:
         node = Node(channel, node_id, role, self._bus.master)
@@ -257,7 +295,7 @@ class CanopenFieldbus:
                 self._send_heartbeat()
             for channel in self._buses:
                 channel.drain()
-            await asyncio.sleep(POLL_S)
+            await asyncio.sleep(self._poll_s)
 
     def _stop_pump(self) -> None:
         if self._pump_task is not None:
@@ -267,7 +305,7 @@ class CanopenFieldbus:
     def _begin_ticking(self, tick: int) -> None:
         self._ticking = True
         self._stop_pump()
-        self._next_heartbeat = tick
+        self._next_heartbeat = self._next_look = tick
         self._supervision.begin(tick)
 
     def _send_heartbeat(self) -> None:

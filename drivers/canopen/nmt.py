@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-HEARTBEAT_PERIODS = 2
-"""A node counts as lost after this many of its heartbeat periods: one lost frame is forgiven."""
-
 
 class Command(IntEnum):
     START = 0x01

@@ -7,23 +7,24 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from config.schema.bus import Device, Identity, Master
-from drivers.canopen import nmt, pdo
+from drivers.canopen import emcy, nmt, pdo
+from drivers.canopen.abort_codes import NO_SUCH_OBJECT
 from drivers.canopen.channel import Channel
 from drivers.canopen.identifiers import NMT, SDO_REQUEST
 from drivers.canopen.nmt import Command, NmtState, NodeMonitor
 from drivers.canopen.pdo import Direction
 from drivers.canopen.sdo import SdoClient
-from drivers.errors import DriverError
+from drivers.cia402 import DISABLE_VOLTAGE, FAULT_RESET
+from drivers.epos4_errors import Cure, cure
+from drivers.errors import DriverError, SdoAbortError
 from drivers.fieldbus import Progress
 from drivers.setting import Setting, apply
 
-POLL_S = 0.001
-"""How often the buses are looked at while no tick does it."""
-RESETS = 2
-"""Times a node is reset before it counts as missing: a drive that detects the bit rate by itself
-needs traffic before it hears anything."""
 PDOS = 4
 """PDOs each way in the predefined connection set."""
+_ERROR_CODE = (0x603F, 0)
+_HISTORY = 0x1003
+_CONTROLWORD = (0x6040, 0)
 
 
 class NodeError(DriverError):
@@ -37,7 +38,10 @@ class Role:
     title: str
     """for people: drive of axis 3"""
     device: Device
+    tpdo: tuple[int, ...]
     settings: tuple[Setting, ...]
+    drive: bool = False
+    """CiA 402: it has a fault to be reset"""
     consumer_ms: int = 0
     """0x1016: how long the device waits for the master's heartbeat, 0 for ever"""
 
@@ -52,7 +56,10 @@ class Node:
         self.where = f"{channel.name}/{node_id}"
         self.monitor = NodeMonitor()
         self.configured = False
+        self.started = False
+        """meant to be operational: what it does of itself is news"""
         self._master = master
+        self._poll_s = master.poll_us * 1e-6
         self.sdo = SdoClient(
             lambda request: channel.send(SDO_REQUEST + node_id, request),
             master.sdo_timeout_ms * 1e-3,
@@ -61,13 +68,18 @@ class Node:
     def command(self, code: Command) -> None:
         self.channel.send(NMT, nmt.command(code, self.node_id))
 
-    async def configure(self, progress: Progress) -> None:
-        """Reset, identify, configure, read back; leaves the node pre-operational.
+    async def configure(
+        self, progress: Progress, reset: Command = Command.RESET_COMMUNICATION
+    ) -> None:
+        """Reset, identify, clear a fault, configure, read back; leaves the node pre-operational.
 
         Raises `DriverError` with the reason.
         """
-        await self._boot()
+        self.started = False
+        await self._boot(reset)
         revision = await self._identify(self.role.device.identity)
+        if self.role.drive:
+            await self._clear_fault(progress)
         await apply(self.sdo, self.role.settings)
         await self._configure_pdos()
         await apply(self.sdo, self._heartbeat_settings())
@@ -82,17 +94,24 @@ class Node:
         ):
             state = "silent" if self.monitor.state is None else self.monitor.state.words
             raise NodeError(f"told to start but {state} {self._master.boot_timeout_ms} ms later")
+        self.started = True
 
     async def release(self) -> None:
         """Leave the node so that the end of our heartbeat is no fault to it."""
+        self.started = False
         if self.role.consumer_ms:
             await self.sdo.write(0x1016, 1, bytes(4))
 
-    async def _boot(self) -> None:
+    async def error_code(self) -> int:
+        """0x603F of a drive. Raises `SdoError`."""
+        return int.from_bytes(await self.sdo.read(*_ERROR_CODE), "little")
+
+    async def _boot(self, reset: Command) -> None:
         boots = self.monitor.boots
-        share = self._master.boot_timeout_ms / RESETS
-        for _ in range(RESETS):
-            self.command(Command.RESET_COMMUNICATION)
+        self.monitor.heard = False
+        share = self._master.boot_timeout_ms / self._master.boot_resets
+        for _ in range(self._master.boot_resets):
+            self.command(reset)
             if await self._until(lambda: self.monitor.boots > boots, share):
                 return
         heard = "its heartbeat is there" if self.monitor.heard else "nothing was heard of it"
@@ -116,11 +135,47 @@ class Node:
             )
         return revision
 
+    async def _clear_fault(self, progress: Progress) -> None:
+        """Clear a fault that is there at the start; communication was reset before, as some need.
+
+        Raises `NodeError` with the fault and its cure if it stays.
+        """
+        code = await self.error_code()
+        if not code:
+            return
+        text = f"0x{code:04X} {emcy.words(code, drive=True)}"
+        before = await self._history(code)
+        progress(f"{self.where} {self.role.title}: has a fault, {text}{before}")
+        if cure(code) is Cure.DEVICE_RESET:
+            await self._boot(Command.RESET_NODE)
+        loop = asyncio.get_running_loop()
+        end = loop.time() + self._master.boot_timeout_ms * 1e-3
+        while await self.error_code():
+            if loop.time() >= end:
+                raise NodeError(f"its fault stays: {text}{before}")
+            for word in (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE):  # an edge of bit 7
+                await self.sdo.write(*_CONTROLWORD, word.to_bytes(2, "little"))
+            await asyncio.sleep(self._poll_s)
+
+    async def _history(self, present: int) -> str:
+        """Other errors of the history 0x1003, newest first, in words; "" for none."""
+        try:
+            count = int.from_bytes(await self.sdo.read(_HISTORY, 0), "little")
+            codes = [
+                int.from_bytes((await self.sdo.read(_HISTORY, place))[:2], "little")
+                for place in range(1, min(count, 5) + 1)
+            ]
+        except SdoAbortError as error:
+            if error.code == NO_SUCH_OBJECT:
+                return ""
+            raise
+        others = [f"0x{code:04X}" for code in codes if code != present]
+        return f"; before it {', '.join(others)}" if others else ""
+
     async def _configure_pdos(self) -> None:
-        device = self.role.device
-        directions = [(Direction.TPDO, device.tpdo)]
-        if device.rpdo:
-            directions.append((Direction.RPDO, device.rpdo))
+        directions = [(Direction.TPDO, self.role.tpdo)]
+        if self.role.device.rpdo:
+            directions.append((Direction.RPDO, self.role.device.rpdo))
         for direction, entries in directions:
             for number in range(2, PDOS + 1):
                 await pdo.silence(self.sdo, direction, number)
@@ -139,5 +194,5 @@ class Node:
         while not condition():
             if loop.time() >= end:
                 return False
-            await asyncio.sleep(POLL_S)
+            await asyncio.sleep(self._poll_s)
         return True

@@ -7,117 +7,86 @@ from collections.abc import Callable, Sequence
 from drivers import epos4, force_cell
 from drivers.canopen.channel import Handler
 from drivers.canopen.pdo import Mapping, PdoError
+from drivers.canopen.syncs import Arrival
 from drivers.events import EventLog
-from drivers.exchange import NOT_YET, Exchange
+from drivers.exchange import Exchange
 
 Encode = Callable[[int, int], bytes]
 """(controlword, target torque in per mille) to the data of an RPDO."""
 
 
-class SyncTicks:
-    """In which tick the last SYNC went out, and the one before it."""
+class Refusal:
+    """Tells of a PDO whose length is not that of its mapping: its sender is not configured as we
+    believe, so none of it is used."""
 
-    __slots__ = ("before", "last")
-
-    def __init__(self) -> None:
-        self.last = NOT_YET
-        self.before = NOT_YET
-
-    def sent(self, tick: int) -> None:
-        self.before, self.last = self.last, tick
-
-
-class Arrival:
-    """Books one node's TPDO to the SYNC it answers, and tells the irregular ones apart.
-
-    A frame carries no tick. The first after a SYNC counts as its answer; one that comes when the
-    previous answer was missing may be that answer, late, and is followed by the right one; a second
-    without such a gap is a duplicate.
-    """
-
-    __slots__ = ("_events", "_gap", "_row", "_size", "_sync", "_ticks", "_where")
-
-    def __init__(
-        self, row: int, ticks: list[int], size: int, sync: SyncTicks, events: EventLog, where: str
-    ) -> None:
-        self._row = row
-        self._ticks = ticks
+    def __init__(self, size: int, events: EventLog, where: str) -> None:
         self._size = size
-        self._sync = sync
         self._events = events
         self._where = where
-        self._gap = False
 
-    def book(self) -> None:
-        tick = self._sync.last
-        previous = self._ticks[self._row]
-        if previous == self._sync.before:
-            self._gap = False
-        elif previous == tick:
-            if self._gap:
-                self._events.counted("late_pdo", self._where, "answer to an earlier SYNC")
-            else:
-                self._events.counted("duplicate_pdo", self._where, "second answer to one SYNC")
-        elif previous != NOT_YET:
-            self._gap = True
-            self._events.counted("missing_pdo", self._where, "a SYNC went without an answer")
-        self._ticks[self._row] = tick
-
-    def short(self, length: int) -> None:
-        text = f"PDO of {length} bytes, mapped are {self._size}; not used"
-        self._events.counted("short_pdo", self._where, text)
+    def __call__(self, length: int) -> None:
+        name = "short_pdo" if length < self._size else "long_pdo"
+        text = f"PDO of {length} bytes, mapped are {self._size}"
+        self._events.counted(name, self._where, text)
 
 
 def drive_decoder(
-    mapping: Mapping, row: int, exchange: Exchange, sync: SyncTicks, events: EventLog, where: str
+    mapping: Mapping, row: int, exchange: Exchange, arrival: Arrival, refuse: Refusal
 ) -> Handler:
     """Raises `PdoError` if the mapping lacks what control needs."""
-    unpack = mapping.layout.unpack_from
+    unpack = mapping.layout.unpack
     size = mapping.layout.size
     status_at = mapping.position(epos4.STATUSWORD)
     position_at = mapping.position(epos4.POSITION_ACTUAL)
     torque_at = mapping.position(epos4.TORQUE_ACTUAL)
     statuswords, positions, torques = exchange.statuswords, exchange.positions, exchange.torques
-    arrival = Arrival(row, exchange.axis_tick, size, sync, events, where)
+    book = arrival.book
 
     def decode(data: bytearray) -> None:
-        if len(data) < size:
-            arrival.short(len(data))
-        elif sync.last != NOT_YET:
+        if len(data) != size:
+            refuse(len(data))
+        elif book(data):
             values = unpack(data)
             statuswords[row] = values[status_at]
             positions[row] = values[position_at]
             torques[row] = values[torque_at]
-            arrival.book()
 
     return decode
 
 
 def cell_decoder(
-    mapping: Mapping, row: int, exchange: Exchange, sync: SyncTicks, events: EventLog, where: str
+    mapping: Mapping, rows: Sequence[int], exchange: Exchange, arrival: Arrival, refuse: Refusal
 ) -> Handler:
-    """Raises `PdoError` if the mapping lacks a process value."""
-    found = [entry for entry in force_cell.PROCESS_VALUES if entry in mapping.entries]
-    if not found:
-        raise PdoError("the force cell's TPDO maps no process value of channel 1")
-    unpack = mapping.layout.unpack_from
+    """``rows`` is the cell on each channel of the amplifier. Raises `PdoError` if the mapping lacks
+    a channel's process value."""
+    unpack = mapping.layout.unpack
     size = mapping.layout.size
-    value_at = mapping.position(found[0])
-    status_at = (
-        mapping.position(force_cell.STATUS) if force_cell.STATUS in mapping.entries else None
-    )
-    cells, status = exchange.cells, exchange.cell_status
-    arrival = Arrival(row, exchange.cell_tick, size, sync, events, where)
+    places = []
+    for channel, row in enumerate(rows, start=1):
+        values_of = [force_cell.of_channel(entry, channel) for entry in force_cell.PROCESS_VALUES]
+        found = [entry for entry in values_of if entry in mapping.entries]
+        if not found:
+            raise PdoError(f"the force cell's TPDO maps no process value of channel {channel}")
+        status = force_cell.of_channel(force_cell.STATUS, channel)
+        places.append(
+            (
+                row,
+                mapping.position(found[0]),
+                mapping.position(status) if status in mapping.entries else None,
+            )
+        )
+    cells, states = exchange.cells, exchange.cell_status
+    book = arrival.book
 
     def decode(data: bytearray) -> None:
-        if len(data) < size:
-            arrival.short(len(data))
-        elif sync.last != NOT_YET:
+        if len(data) != size:
+            refuse(len(data))
+        elif book(data):
             values = unpack(data)
-            cells[row] = values[value_at]
-            if status_at is not None:
-                status[row] = values[status_at]
-            arrival.book()
+            for row, value_at, status_at in places:
+                cells[row] = values[value_at]
+                if status_at is not None:
+                    states[row] = values[status_at]
 
     return decode
 

@@ -2,94 +2,141 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from config.schema.bus import Master
 from drivers.canopen import emcy
 from drivers.canopen.identifiers import EMCY, HEARTBEAT
-from drivers.canopen.nmt import HEARTBEAT_PERIODS, NmtState
+from drivers.canopen.nmt import NmtState
 from drivers.canopen.node import Node
+from drivers.canopen.syncs import Arrival
+from drivers.epos4_errors import Cure, cure
 from drivers.events import EventLog
 from drivers.exchange import Exchange
 
 UNTRUSTED = 0xFF
 """Status of a force cell that raised an emergency and has not taken it back."""
+_RESETS = (Cure.COMMUNICATION_RESET, Cure.DEVICE_RESET)
 
 
 @dataclass
 class Watched:
-    """A node, its row in the process image, and the tick in which it was last heard."""
+    """A node, its rows in the process image, and what was heard of it."""
 
     node: Node
-    axis: int | None
-    cell: int | None
+    arrival: Arrival
+    axis: int | None = None
+    cells: tuple[int, ...] = ()
     heard_at: int = 0
+    """tick"""
+    silent: bool = False
+    restarted: bool = False
+    """of itself: its configuration is gone"""
+    standing: set[Cure] = field(default_factory=set)
+    """cures beyond a fault reset that its errors ask for"""
+
+    @property
+    def trusted(self) -> bool:
+        operational = self.node.monitor.state is NmtState.OPERATIONAL
+        return self.node.started and operational and not (self.silent or self.restarted)
 
 
 class Supervision:
     """Turns those frames into events, and into what control must know of an axis or a cell."""
 
-    def __init__(self, exchange: Exchange, events: EventLog, period_us: int) -> None:
+    def __init__(
+        self, exchange: Exchange, events: EventLog, master: Master, period_us: int
+    ) -> None:
+        self.watched: list[Watched] = []
         self._exchange = exchange
         self._events = events
+        self._periods = master.heartbeat_periods
         self._period_us = period_us
-        self._watched: list[Watched] = []
+        self._late_ticks = master.late_ticks
         self._next = 0
-        self.running = False
-        """during bring-up nodes restart because they are told to, which is no event"""
+        self._tick = 0
 
-    def add(self, node: Node, axis: int | None = None, cell: int | None = None) -> None:
-        watched = Watched(node, axis, cell)
-        self._watched.append(watched)
+    def add(self, watched: Watched) -> None:
+        self.watched.append(watched)
+        node = watched.node
         handlers = node.channel.handlers
         handlers[HEARTBEAT + node.node_id] = lambda data: self._on_heartbeat(watched, data)
         handlers[EMCY + node.node_id] = lambda data: self._on_emcy(watched, data)
 
     def clear(self) -> None:
-        self.running = False
-        self._watched = []
+        self.watched = []
 
     def begin(self, tick: int) -> None:
         """Count silence from ``tick`` on."""
-        for watched in self._watched:
+        self._tick = tick
+        for watched in self.watched:
             watched.heard_at = tick
 
     def look_for_silence(self, tick: int) -> None:
         """One node a tick: a lost heartbeat is seen within as many ticks as there are nodes."""
-        if not self._watched:
+        self._tick = tick
+        if not self.watched:
             return
-        self._next = (self._next + 1) % len(self._watched)
-        watched = self._watched[self._next]
+        self._next = (self._next + 1) % len(self.watched)
+        watched = self.watched[self._next]
         node = watched.node
+        self._look_for_answers(watched)
         if node.monitor.heard:
             node.monitor.heard = False
             watched.heard_at = tick
             return
-        allowed_ms = HEARTBEAT_PERIODS * node.role.device.heartbeat_ms
-        if (tick - watched.heard_at) * self._period_us > allowed_ms * 1000:
-            self._set_silent(watched, silent=True)
+        allowed_ms = self._periods * node.role.device.heartbeat_ms
+        if (tick - watched.heard_at) * self._period_us > allowed_ms * 1000 and node.started:
+            watched.silent = True
+            self.trust(watched)
             text = f"{node.role.title}: no heartbeat for more than {allowed_ms} ms"
             self._events.begin("heartbeat_lost", node.where, text)
 
-    def _set_silent(self, watched: Watched, *, silent: bool) -> None:
+    def _look_for_answers(self, watched: Watched) -> None:
+        node, unanswered = watched.node, watched.arrival.open
+        if unanswered <= self._late_ticks:
+            self._events.end("silent_pdo", node.where)
+        elif watched.trusted:
+            text = f"{node.role.title}: no answer to {unanswered} SYNCs, its heartbeat is there"
+            self._events.begin("silent_pdo", node.where, text)
+
+    def trust(self, watched: Watched) -> None:
+        """Tell control whether an axis may be believed; a cell's measurements age by themselves."""
         if watched.axis is not None:
-            self._exchange.silent[watched.axis] = silent
+            self._exchange.untrusted[watched.axis] = not watched.trusted
+
+    def restored(self, watched: Watched) -> None:
+        """The node was reset and is operational again."""
+        watched.silent = watched.restarted = False
+        watched.standing.clear()
+        watched.heard_at = self._tick
+        self._events.end("heartbeat_lost", watched.node.where)
+        for cell in watched.cells:
+            self._exchange.cell_status[cell] = 0
+        self.trust(watched)
 
     def _on_heartbeat(self, watched: Watched, data: bytearray) -> None:
         node = watched.node
         before = node.monitor.state
         state = node.monitor.receive(data)
-        if state is None or not self.running:
+        if state is None or not node.started:
             return
         title = node.role.title
+        watched.silent = False
         if self._events.end("heartbeat_lost", node.where):
-            self._set_silent(watched, silent=False)
             self._events.counted("heartbeat_back", node.where, f"{title} is heard again")
         if state is NmtState.BOOT_UP:
+            watched.restarted = True
+            if watched.axis is not None:
+                self._exchange.error_codes[watched.axis] = 0
             text = f"{title} restarted and lost its configuration"
             self._events.counted("boot_up", node.where, text)
         elif state is not before and state is not NmtState.OPERATIONAL:
-            text = f"{title} is {state.words}"
-            self._events.counted("left_operational", node.where, text)
+            self._events.counted("left_operational", node.where, f"{title} is {state.words}")
+        elif state is not before and not watched.restarted:
+            text = f"{title} is operational, configured as it was"
+            self._events.counted("operational_again", node.where, text)
+        self.trust(watched)
 
     def _on_emcy(self, watched: Watched, data: bytearray) -> None:
         node = watched.node
@@ -100,8 +147,12 @@ class Supervision:
         code, register = parsed
         if watched.axis is not None:
             self._exchange.error_codes[watched.axis] = code
-        if watched.cell is not None:
-            self._exchange.cell_status[watched.cell] = UNTRUSTED if code else 0
+            needed = cure(code)
+            if needed in _RESETS:
+                watched.standing.add(needed)
+        for cell in watched.cells:
+            self._exchange.cell_status[cell] = UNTRUSTED if code else 0
         title = node.role.title
-        text = f"{title}: 0x{code:04X} {emcy.words(code)}, register 0x{register:02X}"
-        self._events.counted("emcy", node.where, text)
+        words = emcy.words(code, drive=node.role.drive)
+        text = f"{title}: 0x{code:04X}, register 0x{register:02X}: {words}"
+        self._events.counted("emcy", node.where, text, kind=code)

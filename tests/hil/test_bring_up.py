@@ -2,65 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Awaitable, Callable
-
 import pytest
+from hil.can_bench import CONFIG, Bench, enabled, on_lab
 
-from config import load
-from drivers.canopen.master import CanopenFieldbus
 from drivers.errors import BringUpError
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
-from runtime.clock import VirtualTimeLoop
-
-Lab = pytest.importorskip("sim.lab").Lab
-CONFIG, SCENARIO = load("config/can.yaml", scenario="hold")
-PERIOD_S = CONFIG.control.rates.period
-
-
-class Bench:
-    """Daemon's half and lab's half on one virtual loop."""
-
-    def __init__(self) -> None:
-        loop = asyncio.get_running_loop()
-        assert isinstance(loop, VirtualTimeLoop)
-        self.lab = Lab(CONFIG, SCENARIO.lab, seed=1, clock=loop.now_ns)
-        self.image = ProcessImage()
-        self.frames: list[tuple[int, int, int, bytes, bool]] = []
-        self.fieldbus = CanopenFieldbus(
-            CONFIG, self.image, lambda *frame: self.frames.append(frame)
-        )
-        self.tick = 0
-
-    async def ticks(self, count: int) -> None:
-        for _ in range(count):
-            self.fieldbus.collect(self.tick)
-            self.fieldbus.publish(self.tick)
-            self.tick += 1
-            await asyncio.sleep(PERIOD_S)
-
-
-def on_lab(script: Callable[[Bench], Awaitable[None]]) -> Bench:
-    async def work() -> Bench:
-        bench = Bench()
-        bench.lab.open()
-        try:
-            await script(bench)
-        finally:
-            await bench.fieldbus.stop()
-            bench.lab.close()
-        return bench
-
-    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        return runner.run(work())
-
-
-async def enabled(bench: Bench) -> None:
-    await bench.fieldbus.start(lambda _: None)
-    bench.image.commands["command"] = AxisCommand.ENABLE
-    await bench.ticks(30)
-    assert set(bench.image.axes["state"]) == {AxisState.OPERATION_ENABLED}
-    assert set(bench.image.axes["age"]) == set(bench.image.cells["age"]) == {0}
+from drivers.process_image import AxisCommand, AxisState
 
 
 def test_all_drives_are_brought_to_operation_enabled_and_back() -> None:

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterator
-from contextlib import ExitStack, asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator
+from contextlib import ExitStack, asynccontextmanager
 from typing import Any
 
 import can
-import canopen
 import pytest
 from canopen.objectdictionary import (
-    INTEGER8,
-    INTEGER16,
     UNSIGNED8,
     UNSIGNED16,
     UNSIGNED32,
     VISIBLE_STRING,
     ObjectDictionary,
-    ODRecord,
-    ODVariable,
 )
+from interop.local_nodes import dictionary, epos4, force_cell, local_nodes, robot_on
 
-from config import Config, load
+from config import Config
 from drivers.canopen.channel import Channel
 from drivers.canopen.master import CanopenFieldbus
 from drivers.canopen.sdo import SdoClient
@@ -30,80 +26,6 @@ from drivers.errors import BringUpError, SdoAbortError, SdoError, SdoTimeoutErro
 from drivers.events import EventLog
 from drivers.process_image import ProcessImage
 from runtime.clock import RealTimeLoop
-
-SIZES = {1: UNSIGNED8, 2: UNSIGNED16, 4: UNSIGNED32}
-
-
-def variable(
-    index: int, sub: int, value: object, kind: int = UNSIGNED32, access: str = "rw"
-) -> ODVariable:
-    made = ODVariable(f"object {index:04X}:{sub}", index, sub)
-    made.data_type = kind
-    made.access_type = access
-    made.default = value
-    return made
-
-
-def dictionary(objects: dict[tuple[int, int], tuple[object, int, str]]) -> ObjectDictionary:
-    od = ObjectDictionary()
-    records: dict[int, ODRecord] = {}
-    several = {index for index, sub in objects if sub}
-    for (index, sub), (value, kind, access) in objects.items():
-        made = variable(index, sub, value, kind, access)
-        if index in several:
-            if index not in records:
-                records[index] = ODRecord(f"record {index:04X}", index)
-                od.add_object(records[index])
-            records[index].add_member(made)
-        else:
-            od.add_object(made)
-    return od
-
-
-def epos4(node_id: int) -> ObjectDictionary:
-    objects: dict[tuple[int, int], tuple[object, int, str]] = {
-        (0x1008, 0): ("EPOS4", VISIBLE_STRING, "const"),
-        (0x1016, 1): (0, UNSIGNED32, "rw"),
-        (0x1017, 0): (0, UNSIGNED16, "rw"),
-        (0x1018, 1): (0xFB, UNSIGNED32, "ro"),
-        (0x1018, 2): (0x65510000, UNSIGNED32, "ro"),
-        (0x1018, 3): (0x01700000, UNSIGNED32, "ro"),
-        (0x3001, 1): (8000, UNSIGNED32, "rw"),
-        (0x3001, 2): (30000, UNSIGNED32, "rw"),
-        (0x3001, 5): (0, UNSIGNED32, "rw"),
-        (0x3010, 1): (500, UNSIGNED32, "rw"),
-        (0x6040, 0): (0, UNSIGNED16, "rw"),
-        (0x6060, 0): (1, INTEGER8, "rw"),
-        (0x6071, 0): (0, INTEGER16, "rw"),
-        (0x6076, 0): (568_000, UNSIGNED32, "rw"),
-        (0x60C2, 1): (0, UNSIGNED8, "rw"),
-    }
-    for index in (0x6007, 0x605A, 0x605B, 0x605C, 0x605E):
-        objects[index, 0] = (1, INTEGER16, "rw")
-    for base, mapping, cob_id in ((0x1400, 0x1600, 0x200), (0x1800, 0x1A00, 0x180)):
-        for number in range(4):
-            objects[base + number, 1] = (cob_id + 0x100 * number + node_id, UNSIGNED32, "rw")
-            objects[base + number, 2] = (255, UNSIGNED8, "rw")
-            objects[mapping + number, 0] = (0, UNSIGNED8, "rw")
-            for sub in range(1, 9):
-                objects[mapping + number, sub] = (0, UNSIGNED32, "rw")
-    return dictionary(objects)
-
-
-def force_cell(node_id: int) -> ObjectDictionary:
-    objects: dict[tuple[int, int], tuple[object, int, str]] = {
-        (0x1017, 0): (0, UNSIGNED16, "rw"),
-        (0x1018, 1): (0xFFFF, UNSIGNED32, "ro"),
-        (0x1018, 2): (0x404, UNSIGNED32, "ro"),
-        (0x1018, 3): (1, UNSIGNED32, "ro"),
-        (0x1800, 1): (0x180 + node_id, UNSIGNED32, "rw"),
-        (0x1800, 2): (255, UNSIGNED8, "rw"),
-        (0x1A00, 0): (0, UNSIGNED8, "rw"),
-        (0x1A00, 1): (0, UNSIGNED32, "rw"),
-        (0x6131, 1): (0x00210000, UNSIGNED32, "ro"),
-        (0x6132, 1): (0, UNSIGNED8, "rw"),
-    }
-    return dictionary(objects)
 
 
 def served() -> ObjectDictionary:
@@ -120,36 +42,11 @@ def served() -> ObjectDictionary:
     return dictionary(objects)
 
 
-def boots_when_reset(network: canopen.Network, node: Any) -> None:
-    """LocalNode obeys a reset in silence; a device says boot-up and is pre-operational."""
-
-    def on_command(_: int, data: bytearray, __: float) -> None:
-        if data[0] in (0x81, 0x82) and data[1] in (0, node.id):
-            node.nmt.send_command(data[0])
-            node.nmt.send_command(0x80)
-
-    network.subscribe(0, on_command)
-
-
-@contextmanager
-def local_nodes(channel: str, nodes: dict[int, ObjectDictionary]) -> Iterator[list[Any]]:
-    network = canopen.Network()
-    network.connect(interface="virtual", channel=channel)
-    try:
-        made = [network.add_node(canopen.LocalNode(node, od)) for node, od in nodes.items()]
-        for node in made:
-            boots_when_reset(network, node)
-        yield made
-    finally:
-        for node in network.values():
-            node.nmt.stop_heartbeat()
-        network.disconnect()
-
-
 @asynccontextmanager
 async def client(channel: str, node_id: int, timeout_s: float = 2.0) -> AsyncIterator[SdoClient]:
     bus = can.Bus(interface="virtual", channel=channel)
-    made = Channel(0, channel, bus, 100, lambda: 0, None, EventLog())
+    config = robot_on(channel).fieldbus
+    made = Channel(0, bus, config, 1000, lambda: 0, None, EventLog())
     sdo = SdoClient(lambda data: made.send(0x600 + node_id, data), timeout_s)
     made.handlers[0x580 + node_id] = sdo.receive
 
@@ -259,19 +156,6 @@ def test_a_server_that_sends_more_than_it_announced_is_cut_short() -> None:
         return sent
 
     assert asyncio.run(work())[-1] == b"\x80\x08\x10\x00\x10\x00\x07\x06"
-
-
-def robot_on(prefix: str) -> Config:
-    config = load("config/can.yaml")[0]
-    channels = tuple(
-        channel.model_copy(update={"name": f"{prefix}{number}"})
-        for number, channel in enumerate(config.fieldbus.channels)
-    )
-    master = config.fieldbus.master.model_copy(
-        update={"sdo_timeout_ms": 2000, "boot_timeout_ms": 5000}
-    )
-    update = {"interface": "virtual", "channels": channels, "master": master}
-    return config.model_copy(update={"fieldbus": config.fieldbus.model_copy(update=update)})
 
 
 def bring_up(config: Config, leave_out: int = 0) -> tuple[list[str], dict[int, Any]]:

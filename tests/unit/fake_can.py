@@ -34,6 +34,8 @@ class FakeNode:
         self.present = True
         self.starts = True
         self.resets = 0
+        self.deaf_to = 0
+        """resets that pass before it hears, as while it looks for the bit rate"""
 
     def answer(self, identifier: int, data: bytes) -> list[tuple[int, bytes]]:
         if not self.present:
@@ -47,6 +49,8 @@ class FakeNode:
     def _nmt(self, command: int) -> list[tuple[int, bytes]]:
         if command in (0x81, 0x82):
             self.resets += 1
+            if self.resets <= self.deaf_to:
+                return []
             return [(0x700 + self.node_id, b"\x00")]
         if command == 1 and self.starts:
             return [(0x700 + self.node_id, b"\x05")]
@@ -76,6 +80,8 @@ class ScriptedBus(can.BusABC):
         self.inbox: deque[can.Message] = deque()
         self.nodes: list[FakeNode] = []
         self.refuses = False
+        self.deaf = False
+        self.condition: can.BusState | None = can.BusState.ACTIVE
         self.closed = False
 
     def put(self, identifier: int, data: bytes = b"", **fields: Any) -> None:
@@ -91,7 +97,15 @@ class ScriptedBus(can.BusABC):
             for identifier, reply in node.answer(msg.arbitration_id, data):
                 self.put(identifier, reply)
 
+    @property
+    def state(self) -> can.BusState:
+        if self.condition is None:
+            raise can.CanOperationError("the controller does not answer")
+        return self.condition
+
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.deaf:
+            raise can.CanOperationError("no such device")
         return (self.inbox.popleft() if self.inbox else None), True
 
     def shutdown(self) -> None:
@@ -128,9 +142,10 @@ class Robot:
             for drive in channel.drives:
                 self._add(bus, drive.node_id, self._drive())
                 self.axis_at[drive.axis] = (bus, drive.node_id)
-            for cell in channel.force_cells:
-                self._add(bus, cell.node_id, self._cell())
-                self.cell_at[cell.cell] = (bus, cell.node_id)
+            for amplifier in channel.force_cells:
+                self._add(bus, amplifier.node_id, self._cell(len(amplifier.cells)))
+                for cell in amplifier.cells:
+                    self.cell_at[cell] = (bus, amplifier.node_id)
         self.image = ProcessImage()
         self.fieldbus = CanopenFieldbus(
             self.config, self.image, tap, open_bus=lambda name: self.buses[name]
@@ -150,6 +165,8 @@ class Robot:
             (0x6076, 0): u32(568_000),
             (0x1016, 1): u32(0),
             (0x1017, 0): bytes(2),
+            (0x1029, 1): b"\x01",
+            (0x603F, 0): bytes(2),
             (0x3010, 1): u32(500),
             (0x6060, 0): b"\x01",
             (0x60C2, 1): b"\x01",
@@ -160,16 +177,17 @@ class Robot:
         objects |= {(0x1400 + n, 1): u32(0x200 + n * 0x100) for n in range(4)}
         return objects | {(0x1800 + n, 1): u32(0xC0000180 + n * 0x100) for n in range(4)}
 
-    def _cell(self) -> dict[tuple[int, int], bytes]:
-        return {
+    def _cell(self, channels: int) -> dict[tuple[int, int], bytes]:
+        objects = {
             (0x1018, 1): u32(0xFFFF),
             (0x1018, 2): u32(0x404),
             (0x1018, 3): u32(1),
             (0x1017, 0): bytes(2),
-            (0x6131, 1): u32(0x00210000),
-            (0x6132, 1): b"\x00",
             (0x1800, 1): u32(0x40000180),
         }
+        for channel in range(1, channels + 1):
+            objects |= {(0x6131, channel): u32(0x00210000), (0x6132, channel): b"\x00"}
+        return objects
 
     async def start(self) -> None:
         await self.fieldbus.start(self.progress.append)
@@ -192,10 +210,16 @@ class Robot:
                 if node.node_id not in without:
                     bus.put(0x700 + node.node_id, b"\x05")
 
-    def put_all(self, statusword: int = 0x1637) -> None:
-        for axis in self.axis_at:
+    def put_all(
+        self,
+        statusword: int = 0x1637,
+        *,
+        no_axis: frozenset[int] = frozenset(),
+        no_cell: frozenset[int] = frozenset(),
+    ) -> None:
+        for axis in self.axis_at.keys() - no_axis:
             self.put_axis(axis, statusword)
-        for cell in self.cell_at:
+        for cell in self.cell_at.keys() - no_cell:
             self.put_cell(cell, 0)
 
     def last_rpdo(self, axis: int) -> tuple[int, int]:

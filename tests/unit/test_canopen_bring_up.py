@@ -11,7 +11,7 @@ from fake_can import FakeNode, Robot, in_virtual_time, u32
 
 from config import load
 from drivers.canopen.master import CanopenFieldbus
-from drivers.errors import BringUpError
+from drivers.errors import BringUpError, DriverError
 from drivers.process_image import ProcessImage
 
 
@@ -52,6 +52,9 @@ def test_every_drive_is_configured_for_cyclic_synchronous_torque() -> None:
         assert number(node, 0x3010, 1) == 1024
         assert number(node, 0x1016, 1) == 127 << 16 | 100
         assert number(node, 0x1017, 0) == 100
+        assert number(node, 0x1029, 1) == 0
+        options = [number(node, index, 0) for index in (0x6007, 0x605A, 0x605B, 0x605C, 0x605E)]
+        assert options == [3, 6, 0, 0, 2]
         assert number(node, 0x1400, 1) == 0x200 + node_id
         assert [number(node, 0x1600, sub) for sub in range(3)] == [2, 0x60400010, 0x60710010]
         assert number(node, 0x1800, 1) == 0x40000180 + node_id
@@ -153,6 +156,104 @@ def test_stop_takes_power_and_heartbeat_watch_and_may_be_called_twice() -> None:
         assert (0x080, b"") in frames[off:]
         assert (0x000, bytes((0x80, node_id))) in frames[off:]
         assert bus.closed
+
+
+def test_a_drive_that_hears_only_the_second_reset_is_found() -> None:
+    """As one does that detects the bit rate, for which it needs traffic."""
+    robot = Robot()
+    robot.nodes[6].deaf_to = 1
+    in_virtual_time(robot.start())
+    assert robot.nodes[6].resets == 2
+    assert number(robot.nodes[6], 0x6060, 0) == 10
+
+
+def test_a_fault_that_stays_is_told_with_what_would_clear_it() -> None:
+    robot = Robot()
+    robot.nodes[4].stuck[0x603F, 0] = b"\x10\x32"
+    robot.nodes[4].objects[0x1003, 0] = b"\x02"
+    robot.nodes[4].objects[0x1003, 1] = u32(0x3210)
+    robot.nodes[4].objects[0x1003, 2] = u32(0x2310)
+    text = failure(robot)
+    assert "can1/4 (drive of axis 3): its fault stays: 0x3210 overvoltage; power off" in text
+    assert "once the value is back in range; before it 0x2310" in text
+    words = [
+        data[4:6]
+        for identifier, data in robot.buses["can1"].sent
+        if identifier == 0x604 and data[1:3] == b"\x40\x60"
+    ]
+    assert words[:3] == [b"\x00\x00", b"\x80\x00", b"\x00\x00"]
+
+
+def test_a_defect_that_only_a_reset_of_the_device_clears_gets_one() -> None:
+    robot = Robot()
+    node = robot.nodes[2]
+    node.objects[0x603F, 0] = b"\x80\x52"
+    honest = node.answer
+
+    def answer(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
+        if (identifier, data) == (0, b"\x81\x02"):
+            node.objects[0x603F, 0] = bytes(2)
+        return honest(identifier, data)
+
+    node.answer = answer  # type: ignore[method-assign]
+    in_virtual_time(robot.start())
+    assert node.resets == 2
+    (line,) = [line for line in robot.progress if "has a fault" in line]
+    assert "0x5280 hardware defect" in line
+    assert "only a reset of the device clears it" in line
+
+
+def test_an_interpolation_period_other_than_the_ticks_is_refused() -> None:
+    for interpolation_ms, fits in ((0, True), (1, True), (2, False)):
+        config = load(
+            "config/can.yaml", overrides={"fieldbus.drive.interpolation_ms": interpolation_ms}
+        )[0]
+        if fits:
+            CanopenFieldbus(config, ProcessImage())
+            continue
+        with pytest.raises(DriverError, match="interpolation_ms is 2; it must be 0 or the period"):
+            CanopenFieldbus(config, ProcessImage())
+
+
+FOUR_CHANNELS = {
+    "fieldbus.channels.3.force_cells": [
+        {"cell": 6, "node_id": 23},
+        {"cells": [7, 8], "node_id": 24},
+    ]
+}
+
+
+def test_an_amplifier_with_several_cells_sends_16_bits_of_each() -> None:
+    robot = Robot(load("config/can.yaml", overrides=FOUR_CHANNELS)[0])
+
+    async def work() -> None:
+        await robot.start()
+        robot.fieldbus.collect(0)
+        robot.buses["can3"].put(0x198, struct.pack("<hh", -1234, 32767))
+        robot.put_cell(6, 100_000)
+        robot.fieldbus.collect(1)
+        assert robot.image.cells["force"][6:].tolist() == [1000.0, -12.34, 327.67]
+        assert robot.image.cells["age"][6:].tolist() == [0, 0, 0]
+        await robot.fieldbus.stop()
+
+    in_virtual_time(work())
+    node = robot.nodes[24]
+    assert [number(node, 0x1A00, sub) for sub in range(3)] == [2, 0x71300110, 0x71300210]
+    assert number(node, 0x6132, 2) == 2
+
+
+def test_an_amplifier_with_several_cells_cannot_share_a_scale_with_floats() -> None:
+    overrides = {**FOUR_CHANNELS, "fieldbus.force_cell.tpdo": [0x61300120]}
+    config = load("config/can.yaml", overrides=overrides)[0]
+    robot = Robot()
+    robot.fieldbus = CanopenFieldbus(config, robot.image, open_bus=lambda name: robot.buses[name])
+
+    async def work() -> None:
+        with pytest.raises(DriverError, match="no scale in common with 0x6130"):
+            await robot.start()
+
+    in_virtual_time(work())
+    assert all(bus.closed for bus in robot.buses.values())
 
 
 def test_between_start_and_the_first_tick_the_heartbeat_goes_on() -> None:

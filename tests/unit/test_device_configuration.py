@@ -10,7 +10,13 @@ import pytest
 from config import load
 from drivers import epos4, force_cell
 from drivers.canopen.pdo import Direction, Mapping, PdoError, configure, silence
-from drivers.canopen.process_data import SyncTicks, cell_decoder, drive_decoder, drive_encoder
+from drivers.canopen.process_data import (
+    Refusal,
+    cell_decoder,
+    drive_decoder,
+    drive_encoder,
+)
+from drivers.canopen.syncs import Arrival, Syncs
 from drivers.errors import SdoAbortError
 from drivers.events import CAPACITY, EventLog
 from drivers.exchange import Exchange
@@ -59,7 +65,7 @@ def test_a_value_that_does_not_stay_and_one_of_another_size_are_refused() -> Non
 
 
 def test_a_drive_is_powered_off_first_and_its_target_cleared_before_its_mode() -> None:
-    objects = [setting.index for setting in epos4.settings(CONFIG.robot)]
+    objects = [setting.index for setting in epos4.settings(CONFIG.robot, CONFIG.fieldbus.drive)]
     assert objects[0] == 0x6040
     assert objects.index(0x6071) < objects.index(0x6060)
     assert objects.index(0x3001) < objects.index(0x6076)
@@ -98,14 +104,21 @@ def test_mappings_in_any_order_and_form_mean_the_same() -> None:
     encode = drive_encoder(Mapping.of([0x60710010, 0x60600008, 0x60400010]))
     assert encode(0x0F, -3) == struct.pack("<hbH", -3, 10, 0x0F)
     cell = CONFIG.fieldbus.force_cell.model_copy(update={"tpdo": (0x61500108, 0x61300120)})
-    image, events, sync = ProcessImage(), EventLog(), SyncTicks()
+    image, events, syncs = ProcessImage(), EventLog(), Syncs()
     exchange = Exchange(CONFIG.robot, cell, CONFIG.control.freshness, image, events, [""] * 8)
-    sync.sent(0)
+    refuse = Refusal(0, events, "")
+
+    def arrival(row: int, ticks: list[int]) -> Arrival:
+        return Arrival((row,), ticks, 8, syncs, CONFIG.fieldbus.master, events, "")
+
+    of_cell, of_drive = arrival(4, exchange.cell_tick), arrival(2, exchange.axis_tick)
+    syncs.sent(0, 0)
     mapping = Mapping.of(cell.tpdo)
-    cell_decoder(mapping, 4, exchange, sync, events, "")(bytearray(struct.pack("<Bf", 3, -12.5)))
+    frame = bytearray(struct.pack("<Bf", 3, -12.5))
+    cell_decoder(mapping, (4,), exchange, of_cell, refuse)(frame)
     drive = Mapping.of([0x60770010, 0x60640020, 0x60410010])
-    frame = bytearray(struct.pack("<hiHB", -500, -50_176, 0x1637, 0xAA))
-    drive_decoder(drive, 2, exchange, sync, events, "")(frame)
+    frame = bytearray(struct.pack("<hiH", -500, -50_176, 0x1637))
+    drive_decoder(drive, 2, exchange, of_drive, refuse)(frame)
     exchange.fill(1)
     assert (image.cells["force"][4], image.cells["status"][4]) == (-12.5, 3)
     assert image.axes["angle"][2] == pytest.approx(-6.283185307179586)

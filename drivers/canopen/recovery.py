@@ -1,0 +1,71 @@
+"""Bringing nodes back while the robot stands and ticks go on."""
+
+from __future__ import annotations
+
+import asyncio
+
+from drivers.canopen.nmt import Command
+from drivers.canopen.supervision import Supervision, Watched
+from drivers.cia402 import decode
+from drivers.epos4_errors import Cure, cure
+from drivers.errors import DriverError
+from drivers.events import EventLog
+from drivers.exchange import Exchange
+from drivers.process_image import AxisState
+
+_IN_FAULT = (AxisState.FAULT, AxisState.FAULT_REACTION_ACTIVE)
+
+
+class Recovery:
+    """Resets and configures every node that needs more than a controlword, all at once.
+
+    0x8120 and 0x8130 keep a fault reset from working until NMT reset communication, which loses the
+    PDO mapping and the heartbeats: such a node goes the whole way of a bring-up again.
+    """
+
+    def __init__(self, supervision: Supervision, exchange: Exchange, events: EventLog) -> None:
+        self._supervision = supervision
+        self._exchange = exchange
+        self._events = events
+
+    async def __call__(self) -> None:
+        """What cannot be brought back is an event and stays lost."""
+        await asyncio.gather(*(self._bring_back(each) for each in self._supervision.watched))
+
+    async def _bring_back(self, watched: Watched) -> None:
+        node, title = watched.node, watched.node.role.title
+        try:
+            reason = await self._reason(watched)
+            if not reason:
+                return
+            node.started = False
+            self._supervision.trust(watched)
+            device = Cure.DEVICE_RESET in watched.standing
+            await node.configure(
+                lambda _: None,
+                Command.RESET_NODE if device else Command.RESET_COMMUNICATION,
+            )
+            watched.arrival.begin()
+            await node.start()
+        except DriverError as error:
+            self._events.add("recovery_failed", node.where, f"{title}: {error}")
+            return
+        self._supervision.restored(watched)
+        self._events.add("recovered", node.where, f"{title} ({reason}) is operational again")
+
+    async def _reason(self, watched: Watched) -> str:
+        """Why a node needs to be brought back; "" if it does not. Raises `SdoError`."""
+        node = watched.node
+        if watched.restarted:
+            return "restarted"
+        if watched.silent:
+            return "silent"
+        if not watched.trusted:
+            return "not operational"
+        if watched.axis is None:
+            return ""
+        if decode(self._exchange.statuswords[watched.axis]) in _IN_FAULT:
+            needed = cure(await node.error_code())
+            if needed in (Cure.COMMUNICATION_RESET, Cure.DEVICE_RESET):
+                watched.standing.add(needed)
+        return next((f"an error that {each.value}" for each in watched.standing), "")
