@@ -113,7 +113,9 @@ class Drive(BaseNode402):
             assert self.beats.get(timeout=3) == 0
 
     def reset(self) -> None:
+        """As it was delivered, with nothing to remember."""
         self.command("RESET")
+        self.sdo[0x1003][0].raw = 0
         self.tpdo_values.clear()
 
     def leave(self) -> None:
