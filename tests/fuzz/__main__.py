@@ -7,10 +7,11 @@ import itertools
 import sys
 from time import perf_counter  # noqa: TID251 - how fast a storm is, is the host's own affair
 
-from tests.fuzz.lab import CHECK_EVERY, LabUnderFire, shortest, targets
+from tests.fuzz.lab import CHECK_EVERY, GrownError, LabUnderFire, shortest, targets
 from tests.fuzz.shots import Shot, Storm
 
 _REPORT_EVERY = 20_000
+_WEIGH_EVERY = 10_000
 
 
 def main() -> int:
@@ -32,6 +33,8 @@ def main() -> int:
                 if number % CHECK_EVERY == 0 or number == options.frames:
                     lab.check()
                     recent.clear()
+                if number % _WEIGH_EVERY == 0:
+                    lab.weigh()
                 if number % _REPORT_EVERY == 0:
                     rate = number / (perf_counter() - start)
                     print(f"{number} frames, {rate:.0f}/s, lab at {lab.seconds:.1f} s", flush=True)
@@ -46,7 +49,7 @@ def main() -> int:
         print(f"all standing after {number} frames; {lab.refused} refused at full queues")
         print(f"drive states seen: {reached}")
         return 0
-    short = shortest(recent, type(failure))
+    short = [] if isinstance(failure, GrownError) else shortest(recent, type(failure))
     print(f"{len(short)} of the last {len(recent)} frames, on a fresh lab:")
     for shot in short[:40]:
         print(f"  {shot}")

@@ -114,7 +114,6 @@ def test_a_warning_stops_nothing(drive: Drive, lab: Path) -> None:
     assert drive.number(0x1003, 1) & 0xFFFF == 0xFF01
 
 
-@pytest.mark.xfail(strict=True, reason="a fault reset clears what only a device reset may clear")
 def test_a_defect_outlives_a_fault_reset(drive: Drive, lab: Path) -> None:
     """Only a reset of the device mends it."""
     inject(lab, "drive_error", channel="can0", node=1, code=0x5280)

@@ -110,7 +110,6 @@ def test_what_was_saved_is_there_after_a_reset_until_it_is_restored(drive: Drive
     assert drive.number(0x6065) == 2000
 
 
-@pytest.mark.xfail(strict=True, reason="restoring leaves the saved communication objects alone")
 def test_the_saved_mapping_is_restored_as_well(drive: Drive) -> None:
     drive.map_torque(transmission=1)
     drive.sdo.download(0x1010, 1, b"save")
