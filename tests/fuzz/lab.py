@@ -25,6 +25,7 @@ CHECK_EVERY = 1000
 """shots between two checks"""
 GROWTH = 20_000
 """memory blocks that may be held more than after the first check"""
+_HISTORY, _RESTORE = 0x1003, (0x1011, 1)
 _DRAIN_EVERY = 32
 _BOOT_MS = 30
 _PATTERNS = {int(state) for state in State}
@@ -76,6 +77,7 @@ class LabUnderFire:
         self._bench.wait(2)
         self._shots = 0
         self._blocks = 0
+        self._settings = self._settings_now()
         self.refused = 0
         """frames that found the sender's queue full"""
         self.states: Counter[str] = Counter()
@@ -139,8 +141,8 @@ class LabUnderFire:
             bench.send(name, 0x000, b"\x81\x00")
         bench.wait(_BOOT_MS)
         for (channel, number), node in bench.lab.nodes.items():
-            if isinstance(node.device, Epos4):
-                code = bench.write(channel, number, 0x1011, 1, LOAD, 4)
+            if _RESTORE in node.device.objects.entries:
+                code = bench.write(channel, number, *_RESTORE, LOAD, 4)
                 if code:
                     raise FallenError(f"{channel}/{number} keeps what was saved: {code:08X}")
         for name in bench.buses:
@@ -162,6 +164,23 @@ class LabUnderFire:
         for drive in bench.lab.drives:
             if drive.statusword() & 0x6F != State.SWITCH_ON_DISABLED:
                 raise FallenError(f"drive {drive.axis} shows {drive.statusword():04X} after reset")
+        now = self._settings_now()
+        for place, before in self._settings.items():
+            changed = [key for key, value in before.items() if now[place][key] != value]
+            if changed:
+                index, sub = changed[0]
+                raise FallenError(f"{place}: 0x{index:04X}:{sub} is not what it was delivered with")
+
+    def _settings_now(self) -> dict[tuple[str, int], dict[tuple[int, int], object]]:
+        """What can be set, of every node."""
+        return {
+            place: {
+                key: entry.value
+                for key, entry in node.device.objects.entries.items()
+                if entry.access == "rw" and entry.read is None and key[0] != _HISTORY
+            }
+            for place, node in self._bench.lab.nodes.items()
+        }
 
     def weigh(self) -> None:
         """That no more is held than at the first call; a full collection is not cheap."""

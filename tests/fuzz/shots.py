@@ -219,6 +219,9 @@ class Storm:
                 last = length == 0 and choose.random() < 0.95
                 yield bytes((toggle << 4 | (7 - part) << 1 | last,)) + choose.randbytes(7)
                 toggle ^= choose.random() < 0.98
+        elif draw < 0.82:
+            index, word = choose.choice(((0x1010, SAVE), (0x1011, LOAD)))
+            yield struct.pack("<BHBI", 0x23, index, 1, word)
         elif draw < 0.9:
             # A service out of turn, block transfer, an abort.
             command = choose.choice((0x00, 0x10, 0x60, 0x70, 0x80, 0xA0, 0xA3, 0xC0, 0xC6, 0xE0))
