@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import cache
 from types import TracebackType
 from typing import Any, Self
 
@@ -16,6 +17,11 @@ from sim.lab import Lab
 MS = 1_000_000
 
 
+@cache
+def _config(name: str) -> Config:
+    return load(name)[0]
+
+
 class Bench:
     """``now`` is the time; nothing happens on its own."""
 
@@ -26,7 +32,8 @@ class Bench:
         seed: int = 1,
         **over: Any,
     ) -> None:
-        self.config: Config = load(name, overrides=over.get("overrides"))[0]
+        overrides = over.get("overrides")
+        self.config: Config = load(name, overrides=overrides)[0] if overrides else _config(name)
         self.now = 0
         self.lab = Lab(
             self.config,

@@ -1,0 +1,1 @@
+"""Random, mutated and out-of-order frames against whatever has to stay standing."""

@@ -1,0 +1,27 @@
+"""`tonus lab` as a process, for clients that know only its sockets."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+COMMAND = (sys.executable, "-m", "tools.cli", "lab", "config/can.yaml")
+DRIVES = {"can0": (1, 2), "can1": (3, 4), "can2": (5, 6), "can3": (7, 8)}
+CELLS = {"can0": (17, 18), "can1": (19, 20), "can2": (21, 22), "can3": (23, 24, 25)}
+
+
+def environment(directory: Path) -> dict[str, str]:
+    return {**os.environ, "TONUS_RUNTIME_DIR": str(directory), "PYTHONUNBUFFERED": "1"}
+
+
+def start(directory: Path) -> subprocess.Popen[str]:
+    """A lab whose sockets are open in ``directory``."""
+    process = subprocess.Popen(
+        COMMAND, env=environment(directory), stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert str(directory) in line, line
+    return process
