@@ -13,6 +13,8 @@ class Stream(IntEnum):
     PLANT = 0
     CELLS = 1
     TRACKER = 2
+    MISMATCH = 3
+    TRACKER_ERRORS = 4
 
 
 def generator(seed: int, stream: Stream) -> np.random.Generator:
