@@ -284,6 +284,8 @@ class Lab:
                 return
         self._started = True
         self.plant.start_schedule(now_ns)
+        script = self._script
+        self._tracker.start_script(now_ns, script.occlusions, script.tracker_shifts)
         for fault in self._script.faults:
             at_ns = now_ns + round(fault.at * _SECOND_NS)
             self.call_at(at_ns, self._injection(fault))

@@ -113,13 +113,13 @@ class TrackerNoise(Section):
     latency_ms: tuple[NonNegative, NonNegative] | None = None
     """range from which the true mean latency is drawn once per seed; none: the nominal one"""
     position_bias_sigma: NonNegative = 0.0
-    """m, drawn once per seed for each coordinate: the tracker's frame is not quite the robot's"""
+    """m, base frame, drawn once per seed for each coordinate"""
     rotation_bias_sigma: NonNegative = 0.0
-    """rad, likewise"""
+    """rad, platform frame, likewise: how the markers are mounted"""
     dropout_probability: Fraction = 0.0
-    """at each exposure, that the platform is lost from sight"""
+    """that the platform is lost from sight at an exposure"""
     dropout_ms: NonNegative = 0.0
-    """for how long; 0: one exposure"""
+    """for how long it then stays lost; 0: that exposure only"""
 
     @model_validator(mode="after")
     def _ordered(self) -> TrackerNoise:
@@ -210,7 +210,7 @@ class Occlusion(Section):
 
 
 class TrackerShift(Section):
-    """The tracker stands or is calibrated wrong for a while: its poses are off by this much."""
+    """The tracker's poses are off by this much, as after a knock against it."""
 
     at: NonNegative
     """s after the lab saw every drive enabled"""
