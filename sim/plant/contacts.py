@@ -39,11 +39,13 @@ def press(s: Any, p: Any) -> None:
     stiffness, second = p.contact_stiffness, p.relaxing_stiffness
     surface = _surface(s, p)
     push = 0.0
-    if depth > surface:
+    if depth > 0.0 and depth >= surface:
         surface = depth
         springs = stiffness * depth + second * (depth - s.relaxed)
         push = max(0.0, springs + p.contact_damping * rate)
         s.dissipation += (push - springs) * rate
+        if p.solid == 0.0:
+            s.relaxed = depth
     s.contact_penetration = max(0.0, depth)
     s.contact_force = push
     s.relaxation = second * (surface - s.relaxed) ** 2 * p.relaxation_rate
@@ -56,13 +58,10 @@ def press(s: Any, p: Any) -> None:
 def relax(s: Any, p: Any, dt: float) -> None:
     """The dashpot's creep over a step: exact for a solid whose port stays where it was at its
     start, and for a Kelvin-Voigt body whose port is faster than its surface can follow."""
-    pressed = s.contact_penetration > _surface(s, p)
-    if p.solid > 0.0 and pressed:
+    if p.solid > 0.0 and s.contact_penetration > _surface(s, p):
         depth = s.contact_penetration
         s.relaxed = depth + (s.relaxed - depth) * exp(-dt * p.relaxation_rate)
         return
-    if pressed:
-        s.relaxed = s.contact_penetration
     start = s.relaxed
     s.relaxed *= exp(-dt * p.recovery_rate)
     if p.solid == 0.0 and _depth(s, p) <= s.relaxed:
