@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from plant_setup import (
+    PULLEY_RADIUS as RADIUS,
+)
+from plant_setup import (
     ROBOT,
+    STIFFENING,
     UPRIGHT,
     frictionless,
     placed,
@@ -17,13 +21,10 @@ from plant_setup import (
 )
 from scipy.optimize import brentq
 
-from config.schema.lab import Stiffening
 from sim.plant import Plant
 
 Floats = NDArray[np.float64]
-RADIUS = 0.04
 PLACES = [(0.0, 0.0, 0.0), (0.22, -0.15, 0.18), (-0.2, 0.24, -0.19)]
-STIFFENING = Stiffening(tension=45.0, share=0.4)
 
 
 def round_the_pulley(anchor: Floats, tip: Floats) -> float:

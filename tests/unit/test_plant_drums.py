@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from plant_setup import (
+    BACKLASH,
     LAB,
     ROBOT,
+    STRIBECK,
     TICK_NS,
     frictionless,
     placed,
@@ -17,12 +19,10 @@ from plant_setup import (
 )
 from scipy.integrate import quad
 
-from config.schema.lab import Backlash, Lab, Stribeck
+from config.schema.lab import Lab
 from sim.errors import LabError
 from sim.plant import Plant
 
-STRIBECK = Stribeck(share=0.2, speed=0.01)
-BACKLASH = Backlash(play_deg=0.7, rotor_share=0.8, stiffness=1000.0, damping=0.5)
 R, J, B = ROBOT.drum.radius, ROBOT.drum.inertia, ROBOT.drum.viscous_friction
 
 
