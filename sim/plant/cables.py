@@ -26,7 +26,7 @@ def _course(s: Any, p: Any, i: int) -> None:
     if p.pulley_radius > 0.0:
         # The pulley stands upright and turns about the vertical through the anchor, up which the
         # cable comes; it leaves on a tangent after winding round by `wrap`.
-        across = sqrt(ux * ux + uy * uy)
+        across = max(1e-12, sqrt(ux * ux + uy * uy))
         beyond = across - p.pulley_radius
         free = sqrt(max(0.0, beyond * beyond + uz * uz - p.pulley_radius * p.pulley_radius))
         wrap = atan2(beyond, -uz) + atan2(p.pulley_radius, free)

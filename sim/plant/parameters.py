@@ -34,6 +34,13 @@ def parameters(
     ones. Draws the same numbers whatever is configured. Raises `LabError`."""
     record = np.zeros(1, PARAMETERS)
     plant, cradle = lab.plant, lab.cradle
+    ways = anchors - np.array(robot.rest) - np.array(robot.geometry.platform)
+    shortest = float(np.min(np.linalg.norm(ways, axis=1)))
+    if 2.0 * plant.pulley_radius >= shortest:
+        raise LabError(
+            f"lab.plant.pulley_radius: pulleys of {plant.pulley_radius:g} m reach the platform at "
+            f"rest; choose less than {0.5 * shortest:.2f}"
+        )
     stiffness = 1.0 + plant.stiffness_spread * random.uniform(-1.0, 1.0, CABLES)
     friction = 1.0 + plant.friction_spread * random.uniform(-1.0, 1.0, CABLES)
     scale = plant.mass_scale * (1.0 + plant.mass_spread * random.uniform(-1.0, 1.0))

@@ -21,6 +21,7 @@ from plant_setup import (
 )
 from scipy.optimize import brentq
 
+from sim.errors import LabError
 from sim.plant import Plant
 
 Floats = NDArray[np.float64]
@@ -87,6 +88,11 @@ def test_a_tiny_pulley_is_no_pulley() -> None:
     tiny, none = plant(lab=with_plant(pulley_radius=1e-9)), plant()
     assert tiny.cable_lengths() == pytest.approx(none.cable_lengths(), abs=1e-8)
     assert tiny.structure_matrix() == pytest.approx(none.structure_matrix(), abs=1e-8)
+
+
+def test_pulleys_that_reach_the_platform_are_refused() -> None:
+    with pytest.raises(LabError, match=r"lab\.plant\.pulley_radius: .* choose less than 0\.\d+"):
+        plant(lab=with_plant(pulley_radius=0.7))
 
 
 def slopes(p: Plant) -> tuple[Floats, Floats]:
