@@ -58,10 +58,10 @@ def worst_frame_bits(data_bytes: int) -> int:
 def channel_load(bus: CanopenBus, channel: Channel, period_us: int) -> ChannelLoad:
     """The load of ``channel`` when SYNC is sent every ``period_us``."""
     sizes = [0]  # SYNC
-    for device, nodes in ((bus.drive, channel.drives), (bus.force_cell, channel.force_cells)):
-        for mapping in (device.rpdo, device.tpdo):
-            if mapping:
-                sizes += [_data_bytes(mapping)] * len(nodes)
+    for _ in channel.drives:
+        sizes += _sizes(bus.drive.rpdo, bus.drive.tpdo)
+    for node in channel.force_cells:
+        sizes += _sizes(bus.force_cell.rpdo, bus.force_cell.mapping(len(node.cells)))
     per_ms = 1.0 / bus.master.heartbeat_ms
     per_ms += len(channel.drives) / bus.drive.heartbeat_ms
     per_ms += len(channel.force_cells) / bus.force_cell.heartbeat_ms
@@ -74,6 +74,10 @@ def channel_load(bus: CanopenBus, channel: Channel, period_us: int) -> ChannelLo
         heartbeat_us=heartbeats * worst_frame_bits(HEARTBEAT_BYTES) * bit_us,
         period_us=period_us,
     )
+
+
+def _sizes(*mappings: tuple[int, ...]) -> list[int]:
+    return [_data_bytes(mapping) for mapping in mappings if mapping]
 
 
 def _data_bytes(mapping: tuple[int, ...]) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from config.schema.bus import ForceCell
-from drivers.errors import DriverError
 from drivers.setting import Kind, Setting
 
 REAL32 = 0x61300120
@@ -20,18 +19,6 @@ NEWTON = 0x00210000
 def of_channel(entry: int, channel: int) -> int:
     """The mapping word of the same object on another channel, from 1."""
     return entry & ~0xFF00 | channel << 8
-
-
-def mapping(cell: ForceCell, channels: int) -> tuple[int, ...]:
-    """What a node of so many channels maps: an amplifier of several fits a frame with 16 bits each.
-
-    Raises `DriverError` where the two kinds of node would not have one scale.
-    """
-    if channels == 1:
-        return cell.tpdo
-    if REAL32 in cell.tpdo:
-        raise DriverError("an amplifier with several cells has no scale in common with 0x6130")
-    return tuple(of_channel(INT16, channel) for channel in range(1, channels + 1))
 
 
 def settings(cell: ForceCell, channels: int) -> tuple[Setting, ...]:

@@ -323,6 +323,8 @@ class Lab:
                 return
         self._started = True
         self.plant.start_schedule(now_ns)
+        script = self._script
+        self._tracker.start_script(now_ns, script.occlusions, script.tracker_shifts)
         for fault in self._script.faults:
             self._inject_later(fault)
 

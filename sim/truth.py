@@ -25,13 +25,18 @@ TRUTH_FIELDS: tuple[tuple[str, str, int, str, str], ...] = (
     ("contact_penetration", "float64", 0, "m", "depth of the contact port in the phantom"),
     ("kinetic", "float64", 0, "J", "of platform and drums"),
     ("potential", "float64", 0, "J", "of the platform's weight, zero at the base frame's origin"),
-    ("strain", "float64", 0, "J", "of the free cables"),
+    ("strain", "float64", 0, "J", "of the free cables, and of the gearboxes' teeth"),
     ("phantom", "float64", 0, "J", "of the phantom's springs"),
     ("cradle", "float64", 0, "J", "of the cradle's vertical spring"),
     ("wound", "float64", 0, "J", "account of cable wound on and off under tension, see Energy"),
     ("losses", "float64", 0, "J", "dissipated since the start"),
+    ("friction_losses", "float64", 0, "J", "the drums' share: bearings, gearboxes, brakes"),
+    ("cable_losses", "float64", 0, "J", "the share of the cables' damping"),
+    ("copper_losses", "float64", 0, "J", "in the windings since the start, not part of losses"),
     ("input_work", "float64", 0, "J", "done by the motors' torque since the start"),
     ("load_work", "float64", 0, "J", "done by the load port since the start"),
+    ("platform_power", "float64", 0, "W", "of the cables on the platform"),
+    ("electrical_power", "float64", 0, "W", "the motors' mechanical power and copper losses"),
 )
 """Name, type, size (0: scalar), unit, meaning; widest first, as a CDR body wants it."""
 

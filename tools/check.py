@@ -150,7 +150,7 @@ def _nodes(bus: CanopenBus, channel: Channel) -> Iterator[_Node]:
         )
     for cell in channel.force_cells:
         pdos = _pdos(bus.force_cell.rpdo, bus.force_cell.tpdo)
-        yield _Node(f"cell {cell.cell}", cell.node_id, (*every, *pdos))
+        yield _Node(f"cell {' '.join(map(str, cell.cells))}", cell.node_id, (*every, *pdos))
 
 
 def _pdos(rpdo: tuple[int, ...], tpdo: tuple[int, ...]) -> tuple[int, ...]:

@@ -13,6 +13,7 @@ CONTACT_CELL = CABLES
 """Row of the contact port's cell: the ninth, behind the eight cable cells."""
 CELLS = CABLES + 1
 AMPLIFIER_CHANNELS = 4
+_REAL32 = 0x6130
 """Cells that one node carries at most: as many 16-bit values as a frame holds."""
 CellNumber = Annotated[int, Field(ge=0, lt=CELLS)]
 
@@ -79,6 +80,13 @@ class ForceCell(Device):
 
     decimal_digits: Annotated[int, Field(ge=0, le=6)]
     """0x6132: the integer process value is the force times ten to this power"""
+
+    def mapping(self, channels: int) -> tuple[int, ...]:
+        """What a node of so many channels sends: an amplifier of several fits a frame with 16 bits
+        each (0x7130)."""
+        if channels == 1:
+            return self.tpdo
+        return tuple(0x71300010 | channel << 8 for channel in range(1, channels + 1))
 
 
 class DriveNode(Section):
@@ -167,6 +175,15 @@ class CanopenBus(Section):
             if missing:
                 raise ValueError(f"no node for {kind} {missing[0]}; add one")
         return channels
+
+    @model_validator(mode="after")
+    def _one_scale_for_all_cells(self) -> CanopenBus:
+        several = any(len(node.cells) > 1 for c in self.channels for node in c.force_cells)
+        if several and any(entry >> 16 == _REAL32 for entry in self.force_cell.tpdo):
+            raise ValueError(
+                "an amplifier with several cells has no scale in common with 0x6130; map 0x9130"
+            )
+        return self
 
 
 class DirectBus(Section):

@@ -12,11 +12,45 @@ from config.schema.base import (
     Finite,
     Fraction,
     NonNegative,
+    Number,
     Positive,
     Section,
     Vector3,
 )
 from config.schema.faults import Fault
+
+Share = Annotated[Number, Field(gt=0, lt=1)]
+Spread = Annotated[Number, Field(ge=0, lt=1)]
+"""A true value is drawn once per seed, evenly within this share of the nominal one either way."""
+
+
+class Stribeck(Section):
+    """Friction rises towards standstill: times 1 + share exp(-(v/speed)^2)."""
+
+    share: Positive
+    speed: Positive
+    """m/s of cable"""
+
+
+class Stiffening(Section):
+    """A cable's EA grows linearly with its tension: EA (1 - share + share T/tension)."""
+
+    tension: Positive
+    """N, where EA is as configured"""
+    share: Share
+
+
+class Backlash(Section):
+    """Play in the gearbox; rotor and drum are then two bodies. All values at the drum."""
+
+    play_deg: Positive
+    """from flank to flank"""
+    rotor_share: Share
+    """of the drum's inertia, viscous and Coulomb friction that belongs to the rotor"""
+    stiffness: Positive
+    """N m/rad, of the teeth in contact"""
+    damping: NonNegative
+    """N m s/rad"""
 
 
 class Plant(Section):
@@ -27,10 +61,24 @@ class Plant(Section):
     """share of the tension that adds to the Coulomb friction"""
     gearbox_losses: bool
     """gearbox efficiency acts against the direction of motion"""
+    stribeck: Stribeck | None = None
+    backlash: Backlash | None = None
+    winding_resistance: Positive
+    """ohm, of a motor as its current sees it"""
     current_loop_hz: Positive
+    pulley_radius: NonNegative = 0.0
+    """m: at each frame anchor an upright pulley that turns about the vertical; 0: none"""
+    stiffening: Stiffening | None = None
     stiffness_scale: Positive = 1.0
     """true EA over the nominal one"""
+    stiffness_spread: Spread = 0.0
+    """each cable by itself, about stiffness_scale"""
     mass_scale: Positive = 1.0
+    """of the platform's mass and inertia"""
+    mass_spread: Spread = 0.0
+    """about mass_scale"""
+    friction_spread: Fraction = 0.0
+    """each drum's Coulomb and load-dependent friction by itself"""
     anchor_sigma: NonNegative = 0.0
     """m, drawn once per seed for each frame anchor coordinate"""
     holding_brake: bool = False
@@ -64,6 +112,23 @@ class TrackerNoise(Section):
     rotation_sigma: NonNegative
     jitter_ms: NonNegative
     """latency varies evenly by up to this much either way"""
+    latency_ms: tuple[NonNegative, NonNegative] | None = None
+    """range from which the true mean latency is drawn once per seed; none: the nominal one"""
+    position_bias_sigma: NonNegative = 0.0
+    """m, base frame, drawn once per seed for each coordinate"""
+    rotation_bias_sigma: NonNegative = 0.0
+    """rad, platform frame, likewise: how the markers are mounted"""
+    dropout_probability: Fraction = 0.0
+    """that the platform is lost from sight at an exposure"""
+    dropout_ms: NonNegative = 0.0
+    """for how long it then stays lost; 0: that exposure only"""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> TrackerNoise:
+        if self.latency_ms is not None and self.latency_ms[0] > self.latency_ms[1]:
+            low, high = self.latency_ms
+            raise ValueError(f"latency_ms must run from low to high, not {low} to {high}")
+        return self
 
 
 class Noise(Section):
@@ -163,9 +228,31 @@ class Load(Section):
         return self
 
 
+class Occlusion(Section):
+    """The platform is hidden from the tracker."""
+
+    at: NonNegative
+    """s after the lab saw every drive enabled"""
+    duration: Positive
+
+
+class TrackerShift(Section):
+    """The tracker's poses are off by this much, as after a knock against it."""
+
+    at: NonNegative
+    """s after the lab saw every drive enabled"""
+    duration: Positive
+    position: Vector3 = (0.0, 0.0, 0.0)
+    """m, base frame"""
+    rotation: Vector3 = (0.0, 0.0, 0.0)
+    """rad, rotation vector in the platform frame"""
+
+
 class LabScript(Section):
     """What a scenario asks of the lab. It cannot be heard by the daemon."""
 
     load: Load | None = None
     phantom: Phantom | None = None
+    occlusions: tuple[Occlusion, ...] = ()
+    tracker_shifts: tuple[TrackerShift, ...] = ()
     faults: tuple[Fault, ...] = ()

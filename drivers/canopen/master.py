@@ -231,7 +231,7 @@ class CanopenFieldbus:
         device, exchange = self._bus.force_cell, self._exchange
         for cell in self._bus.channels[number].force_cells:
             channels = len(cell.cells)
-            tpdo = force_cell.mapping(device, channels)
+            tpdo = device.mapping(channels)
             mapping = Mapping.of(tpdo)
             kind = "force cell" if channels == 1 else "force cells"
             title = f"{kind} {', '.join(map(str, cell.cells))}"

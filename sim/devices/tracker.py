@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
+from collections.abc import Sequence
 from math import cos, sin, sqrt
 from typing import Protocol
 
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.schema.bus import Tracker as TrackerConfig
-from config.schema.lab import TrackerNoise
+from config.schema.lab import Occlusion, TrackerNoise, TrackerShift
 from sim.plant.streams import Stream, generator
 
 DATAGRAM = struct.Struct("<4sHHIIq3d4df")
@@ -50,7 +51,8 @@ class Seen(Protocol):
 class Tracker:
     """Exposes at ``next_ns``; whoever owns the plant brings it to that time and calls `expose`.
 
-    ``blocked`` hides the platform: the tracker goes on sending, with the pose marked invalid.
+    ``blocked`` hides the platform: the tracker goes on sending, with the pose marked invalid. So do
+    the occlusions of a script and drop-outs of its own.
     """
 
     def __init__(self, tracker: TrackerConfig, noise: TrackerNoise, plant: Seen, seed: int) -> None:
@@ -59,7 +61,17 @@ class Tracker:
         self._random = generator(seed, Stream.TRACKER)
         self._origin_ns = plant.now_ns
         self._rate_hz = tracker.rate_hz
-        self._latency_ns = round(tracker.latency_ms * 1e6)
+        self._errors = generator(seed, Stream.TRACKER_ERRORS)
+        """what is wrong with this tracker, apart from its noise"""
+        low, high = noise.latency_ms or (tracker.latency_ms, tracker.latency_ms)
+        self._latency_ns = round(self._errors.uniform(low, high) * 1e6)
+        draw = self._errors.standard_normal(6)
+        self._position_bias = noise.position_bias_sigma * draw[:3]
+        self._rotation_bias = noise.rotation_bias_sigma * draw[3:]
+        self._lost_until_ns = self._origin_ns
+        self._occlusions: tuple[Occlusion, ...] = ()
+        self._shifts: tuple[TrackerShift, ...] = ()
+        self._script_ns = 0
         self._jitter_ns = noise.jitter_ms * 1e6
         self._sent: deque[tuple[int, bytes]] = deque()
         self._arrival_ns = self._origin_ns
@@ -73,18 +85,41 @@ class Tracker:
         """When the next datagram that is under way arrives."""
         return self._sent[0][0] if self._sent else None
 
+    def start_script(
+        self,
+        now_ns: int,
+        occlusions: Sequence[Occlusion] = (),
+        shifts: Sequence[TrackerShift] = (),
+    ) -> None:
+        """From now on the platform is hidden, and the tracker is off, at the times of a script."""
+        self._script_ns = now_ns
+        self._occlusions, self._shifts = tuple(occlusions), tuple(shifts)
+
+    def _active(self, event: Occlusion | TrackerShift, now_ns: int) -> bool:
+        passed = (now_ns - self._script_ns) * 1e-9
+        return event.at <= passed < event.at + event.duration
+
+    def _hidden(self, now_ns: int) -> bool:
+        if self._errors.random() < self._noise.dropout_probability:
+            self._lost_until_ns = now_ns + 1 + round(self._noise.dropout_ms * 1e6)
+        covered = any(self._active(occlusion, now_ns) for occlusion in self._occlusions)
+        return self.blocked or covered or now_ns < self._lost_until_ns
+
     def expose(self, now_ns: int) -> None:
         """Look at the plant, which stands at ``now_ns``."""
         # Every exposure draws alike, seen or not, so that an occlusion shifts no later noise.
         draw = self._random.standard_normal(6)
         jitter_ns = round(self._random.uniform(-1.0, 1.0) * self._jitter_ns)
         position, quaternion, residual = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0
-        if not self.blocked:
+        hidden = self._hidden(now_ns)
+        if not hidden:
             error = self._noise.position_sigma * draw[:3]
-            position = self._on_grid(self._plant.position + error)
-            quaternion = _turned(self._plant.quaternion, self._noise.rotation_sigma * draw[3:])
+            shift, turn = self._bias(now_ns)
+            position = self._on_grid(self._plant.position + error + shift)
+            turn = turn + self._noise.rotation_sigma * draw[3:]
+            quaternion = _turned(self._plant.quaternion, turn)
             residual = sqrt(float(error @ error) / 3.0)
-        flags = 0 if self.blocked else VALID
+        flags = 0 if hidden else VALID
         head = (MAGIC, VERSION, PLATFORM, self._sequence & 0xFFFFFFFF, flags, now_ns)
         datagram = DATAGRAM.pack(*head, *position, *quaternion, residual)
         # One link, so nothing overtakes.
@@ -93,6 +128,15 @@ class Tracker:
         self._sequence += 1
         # From the origin each time: a sum of rounded periods would run away from the rate.
         self.next_ns = self._origin_ns + round(self._sequence * _SECOND_NS / self._rate_hz)
+
+    def _bias(self, now_ns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Metres, base frame, and rotation vector, platform frame."""
+        position, rotation = self._position_bias.copy(), self._rotation_bias.copy()
+        for shift in self._shifts:
+            if self._active(shift, now_ns):
+                position += shift.position
+                rotation += shift.rotation
+        return position, rotation
 
     def _on_grid(self, position: NDArray[np.float64]) -> tuple[float, float, float]:
         grid = self._noise.position_grid

@@ -6,9 +6,12 @@ The types are part of the kernel's compiled signature: changing them here recomp
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from config.schema.robot import CABLES
+from sim.plant.compiled import sources
 from sim.truth import TRUTH_FIELDS
 
 _FLOAT = "<f8"
@@ -28,19 +31,31 @@ STATE = np.dtype(
             motor_rate=_PER_CABLE,  # rad/s, motor side
             current_reference=_PER_CABLE,  # A, written by the drives
             cell_force=(_FLOAT, (CABLES + 1,)),  # N, behind each cell's low-pass
+            rotor_angle=_PER_CABLE,  # rad at the drum; moves with backlash only
+            rotor_rate=_PER_CABLE,  # rad/s at the drum
             relaxed=_FLOAT,  # m, how far the phantom's dashpot has given way
             # What follows is the kernel's own, valid within one call.
             rotation=(_FLOAT, (3, 3)),  # platform to base
+            lever=(_FLOAT, (CABLES, 3)),  # m, r_i in the base frame
+            direction=(_FLOAT, (CABLES, 3)),  # u_i
+            length=_PER_CABLE,  # m, from the frame's anchor to the platform's
             elastic=_PER_CABLE,  # N, tension without the damper's share
             strain_length=_PER_CABLE,  # m, unstretched free length
+            stored=_PER_CABLE,  # J, in the free cable
+            teeth_torque=_PER_CABLE,  # N m, of the rotor on the drum
+            teeth_energy=_PER_CABLE,  # J
             force=_VECTOR,  # N, total on the platform
             moment=_VECTOR,  # N m, total about the platform origin, base frame
             dissipation=_FLOAT,  # W, in cables, phantom and cradle
-            relaxation=_FLOAT,  # W, in the phantom's second dashpot
+            cable_dissipation=_FLOAT,  # W, the cables' share of it
+            teeth_dissipation=_FLOAT,  # W, in the gearboxes' teeth
+            relaxation=_FLOAT,  # W, in the solid's dashpot
             half_velocity=_VECTOR,  # m/s, in mid-step
             half_momentum=_VECTOR,  # kg m2/s, angular, base frame, in mid-step
             half_rate=_PER_CABLE,  # rad/s, in mid-step
+            half_rotor_rate=_PER_CABLE,  # rad/s, in mid-step
             drum_acceleration=_PER_CABLE,  # rad/s2, of the last kick
+            rotor_acceleration=_PER_CABLE,  # rad/s2, of the last kick
             powered=("u1", (CABLES,)),  # power stage on
             locked=("u1", (CABLES,)),  # holding brake engaged
         ),
@@ -54,17 +69,29 @@ PARAMETERS = np.dtype(
         gravity=_FLOAT,
         anchors=(_FLOAT, (CABLES, 3)),  # base frame
         tips=(_FLOAT, (CABLES, 3)),  # platform frame
-        axial_stiffness=_PER_CABLE,  # N: EA, zero for a cable that is cut
+        pulley_radius=_FLOAT,  # m, zero: the cable ends in the anchor
+        axial_stiffness=_PER_CABLE,  # N: EA without tension, zero for a cable that is cut
+        stiffening=_PER_CABLE,  # N of EA per N of tension
         cable_damping=_FLOAT,
         start_length=_PER_CABLE,  # m, unstretched free length at drum angle zero
         radius=_FLOAT,
         drum_inertia=_FLOAT,
         viscous=_FLOAT,
-        coulomb=_FLOAT,  # N m at the drum
-        load_friction=_FLOAT,  # share of the tension
+        coulomb=_PER_CABLE,  # N m at the drum
+        load_friction=_PER_CABLE,  # share of the tension
+        stribeck=_FLOAT,  # share by which friction is higher at standstill
+        stribeck_rate=_FLOAT,  # rad/s of the drum
+        backlash=_FLOAT,  # 1: rotor and drum are two bodies; then drum's values are its own
+        half_play=_FLOAT,  # rad at the drum
+        rotor_inertia=_FLOAT,  # kg m2 at the drum
+        rotor_viscous=_FLOAT,
+        rotor_coulomb=_PER_CABLE,
+        teeth_stiffness=_FLOAT,  # N m/rad at the drum
+        teeth_damping=_FLOAT,
         driving_loss=_FLOAT,  # share of the motor's torque lost while the motor drives
         driven_loss=_FLOAT,  # share of it added while the cable drives
         torque_per_amp=_FLOAT,  # N m/A at the drum, without losses
+        resistance=_FLOAT,  # ohm
         ratio=_FLOAT,
         current_limit=_FLOAT,
         current_pole=_FLOAT,  # rad/s
@@ -75,7 +102,9 @@ PARAMETERS = np.dtype(
         contact_stiffness=_FLOAT,
         contact_damping=_FLOAT,
         relaxing_stiffness=_FLOAT,
-        relaxation_rate=_FLOAT,  # 1/s
+        solid=_FLOAT,  # 1: standard linear solid, 0: Kelvin-Voigt
+        relaxation_rate=_FLOAT,  # 1/s, of the solid's dashpot while pressed
+        recovery_rate=_FLOAT,  # 1/s, of the surface while free
         cradle_height=_FLOAT,  # m, where the vertical spring begins
         cradle_place=_VECTOR,  # m, where the platform lies
         cradle_stiffness=_FLOAT,
@@ -85,5 +114,7 @@ PARAMETERS = np.dtype(
         load_direction=_VECTOR,
         load_point=_VECTOR,  # platform frame
         opening=_FLOAT,  # share of the step before the first drift: 1/2, or 1 (see kernel.advance)
+        # Never read: see `sim.plant.compiled`.
+        **{f"sources_{sources(Path(__file__).parent)}": _FLOAT},
     )
 )

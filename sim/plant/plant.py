@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import inf, pi
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -13,108 +12,13 @@ from numpy.typing import NDArray
 from config.schema.lab import Lab, Load, Phantom
 from config.schema.robot import CABLES, Robot
 from sim.plant import kernel
-from sim.plant.layout import PARAMETERS, STATE
+from sim.plant.energy import Energy
+from sim.plant.layout import STATE
+from sim.plant.parameters import add_load, add_phantom, parameters, strain
 from sim.plant.streams import Stream, generator
 from sim.truth import TRUTH
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Energy:
-    """The plant's energy accounts, all J.
-
-    A free cable of unstretched length L0 stores E = EA stretch^2 / (2 L0), so that with T = EA
-    stretch/L0
-
-        dE = T dl - (T + T^2/(2 EA)) dL0,    dL0 = -r dtheta.
-
-    The drum feels the torque r T (eq. 6), whose work is r T dtheta only. The difference,
-    r T^2/(2 EA) dtheta, belongs to the cable wound on while strained; ``wound`` integrates its
-    negative. ``total`` therefore changes by ``input_work + load_work - losses`` and nothing else,
-    and ``balance`` is a constant of the motion.
-
-    ``losses`` hold friction, gearbox, brake, cable and phantom damping and what the cradle takes
-    sideways; copper losses are none of the mechanics'.
-    """
-
-    kinetic: float
-    potential: float
-    strain: float
-    phantom: float
-    cradle: float
-    wound: float
-    losses: float
-    input_work: float
-    load_work: float
-
-    @property
-    def total(self) -> float:
-        stored = self.potential + self.strain + self.phantom + self.cradle
-        return self.kinetic + stored + self.wound
-
-    @property
-    def balance(self) -> float:
-        return self.total + self.losses - self.input_work - self.load_work
-
-
-def _unit(vector: Sequence[float], what: str) -> Floats:
-    direction = np.array(vector, dtype=np.float64)
-    length = float(np.linalg.norm(direction))
-    if length == 0.0:
-        raise ValueError(f"{what} has no direction")
-    return direction / length
-
-
-def _parameters(robot: Robot, lab: Lab, anchors: Floats) -> NDArray[Any]:
-    record = np.zeros(1, PARAMETERS)
-    plant, cradle = lab.plant, lab.cradle
-    weight = robot.platform.mass * plant.mass_scale * robot.gravity
-    # Driven backwards, a gearbox of efficiency eta holds the cable with motor torque / eta.
-    efficiency = robot.gearbox.efficiency if plant.gearbox_losses else 1.0
-    values = {
-        "mass": robot.platform.mass * plant.mass_scale,
-        "inertia": np.array(robot.platform.inertia) * plant.mass_scale,
-        "gravity": robot.gravity,
-        "anchors": anchors,
-        "tips": robot.geometry.platform,
-        "axial_stiffness": robot.cable.axial_stiffness * plant.stiffness_scale,
-        "cable_damping": robot.cable.damping,
-        "radius": robot.drum.radius,
-        "drum_inertia": robot.drum.inertia,
-        "viscous": robot.drum.viscous_friction,
-        "coulomb": plant.coulomb_friction * robot.drum.radius,
-        "load_friction": plant.load_friction,
-        "driving_loss": 1.0 - efficiency,
-        "driven_loss": 1.0 / efficiency - 1.0,
-        "torque_per_amp": robot.motor.torque_constant * robot.gearbox.ratio,
-        "ratio": robot.gearbox.ratio,
-        "current_limit": robot.motor.current_limit,
-        "current_pole": 2.0 * pi * plant.current_loop_hz,
-        "cell_pole": 2.0 * pi * lab.noise.force_cell.bandwidth_hz,
-        # The spring begins so high that the platform lies at `rest` exactly.
-        "cradle_height": robot.rest[2] + weight / cradle.stiffness,
-        "cradle_place": robot.rest,
-        "cradle_stiffness": cradle.stiffness,
-        "cradle_damping": cradle.damping,
-        "cradle_rotational_stiffness": cradle.rotational_stiffness,
-        "cradle_rotational_damping": cradle.rotational_damping,
-        "opening": 0.5,
-    }
-    for name, value in values.items():
-        record[name] = value
-    return record
-
-
-def _add_phantom(record: NDArray[Any], phantom: Phantom) -> None:
-    solid = phantom.model == "standard_linear_solid"
-    record["contact"] = 1.0
-    record["contact_point"] = phantom.point
-    record["contact_normal"] = _unit(phantom.normal, "the phantom's normal")
-    record["contact_stiffness"] = phantom.stiffness
-    record["contact_damping"] = 0.0 if solid else phantom.damping
-    record["relaxing_stiffness"] = phantom.relaxing_stiffness if solid else 0.0
-    record["relaxation_rate"] = 1.0 / phantom.relaxation_time
 
 
 class Plant:
@@ -141,10 +45,10 @@ class Plant:
         random = generator(seed, Stream.PLANT)
         anchors = np.array(robot.geometry.frame, dtype=np.float64)
         anchors += lab.plant.anchor_sigma * random.standard_normal(anchors.shape)
-        self.parameters = _parameters(robot, lab, anchors)
+        self.parameters = parameters(robot, lab, anchors, generator(seed, Stream.MISMATCH))
         """one record of `layout.PARAMETERS`: the true robot, mismatch included"""
         if phantom is not None:
-            _add_phantom(self.parameters, phantom)
+            add_phantom(self.parameters, phantom)
         self._knots = np.zeros(0)
         self._loads = np.zeros(0)
         if load is not None:
@@ -152,8 +56,7 @@ class Plant:
             self._loads = np.array([point.force for point in load.profile])
             if np.any(np.diff(self._knots) < 0.0):
                 raise ValueError("the load's profile must run forward in time")
-            self.parameters["load_direction"] = _unit(load.direction, "the load")
-            self.parameters["load_point"] = load.point
+            add_load(self.parameters, load)
         self.state = np.zeros(1, STATE)
         state = self.state
         self.truth: Floats = state.view(np.float64).reshape(-1)[: TRUTH.itemsize // 8]
@@ -174,6 +77,8 @@ class Plant:
         self.contact_force: Floats = state["contact_force"].reshape(())
         self.contact_penetration: Floats = state["contact_penetration"].reshape(())
         self.losses: Floats = state["losses"].reshape(())
+        self.platform_power: Floats = state["platform_power"].reshape(())
+        self.electrical_power: Floats = state["electrical_power"].reshape(())
         self.powered: NDArray[np.bool_] = state["powered"][0].view(np.bool_)
         self.locked: NDArray[np.bool_] = state["locked"][0].view(np.bool_)
         self.now_ns = start_ns
@@ -182,7 +87,7 @@ class Plant:
         self.position[:] = robot.rest
         self.quaternion[0] = 1.0
         slack = random.uniform(*lab.plant.slack_at_start, size=CABLES)
-        self.parameters["start_length"] = self._vectors()[1] + slack
+        self.parameters["start_length"] = self.cable_lengths() + slack
         self._run(0, 0.0, -inf)
 
     def advance(self, to_ns: int) -> None:
@@ -206,25 +111,20 @@ class Plant:
         state = self.state[0]
         return Energy(**{name: float(state[name]) for name in Energy.__dataclass_fields__})
 
-    def _vectors(self) -> tuple[Floats, Floats, Floats]:
-        """Levers r_i (8, 3) in the base frame, cable lengths (8,), unit vectors u_i (8, 3)."""
-        w, x, y, z = self.quaternion
-        rotation = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        levers = self.parameters["tips"][0] @ rotation.T
-        cables = self.parameters["anchors"][0] - self.position - levers
-        lengths = np.linalg.norm(cables, axis=1)
-        return levers, lengths, cables / lengths[:, None]
+    def _at_rest(self) -> Any:
+        """A copy of the state's record, at rest, with the geometry of the present pose."""
+        trial = self.state.copy()
+        kernel.static_wrench(trial, self.parameters, False)
+        return trial[0]
+
+    def cable_lengths(self) -> Floats:
+        """m (8,): from each frame anchor, round the pulley if there is one, to the platform's."""
+        return np.array(self._at_rest()["length"])
 
     def structure_matrix(self) -> Floats:
         """W (6, 8) of the present pose: the cables' wrench about the platform origin is W T."""
-        levers, _, units = self._vectors()
-        return np.vstack([units.T, np.cross(levers, units).T])
+        still = self._at_rest()
+        return np.vstack([still["direction"].T, np.cross(still["lever"], still["direction"]).T])
 
     def wrench(
         self,
@@ -261,8 +161,13 @@ class Plant:
         self.drum_rate[:] = 0.0
         p = self.parameters[0]
         pull = np.asarray(tensions, dtype=np.float64)
-        free = self._vectors()[1] / (1.0 + pull / p["axial_stiffness"])
+        free = self.cable_lengths() / (1.0 + strain(self.parameters, pull))
         self.drum_angle[:] = (p["start_length"] - free) / p["radius"]
+        twist = np.where(
+            pull > 0.0, p["half_play"] + pull * p["radius"] / p["teeth_stiffness"], 0.0
+        )
+        self.state["rotor_angle"][0] = self.drum_angle + twist
+        self.state["rotor_rate"] = 0.0
         self.current[:] = pull * p["radius"] / p["torque_per_amp"]
         self.current_reference[:] = self.current
         self.cell_force[:CABLES] = pull
@@ -274,7 +179,6 @@ class Plant:
         state, p = self.state[0], self.parameters[0]
         if p["axial_stiffness"][cable] == 0.0:
             return
-        tension, free = state["elastic"][cable], state["strain_length"][cable]
-        state["losses"] += 0.5 * tension**2 * free / p["axial_stiffness"][cable]
+        state["losses"] += state["stored"][cable]
         p["axial_stiffness"][cable] = 0.0
         self._run(0, 0.0, -inf)

@@ -13,7 +13,9 @@ class Stream(IntEnum):
     PLANT = 0
     CELLS = 1
     TRACKER = 2
-    FAULTS = 3
+    MISMATCH = 3
+    TRACKER_ERRORS = 4
+    FAULTS = 5
 
 
 def generator(seed: int, stream: Stream) -> np.random.Generator:

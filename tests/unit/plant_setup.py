@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from config import load
-from config.schema.lab import Lab, Phantom
+from config.schema.lab import Backlash, Lab, Phantom, Stiffening, Stribeck
 from config.schema.robot import Robot
 from sim.plant import Plant
 
@@ -29,6 +29,17 @@ KELVIN_VOIGT = Phantom(
     relaxing_stiffness=105.0,
     relaxation_time=0.5,
 )
+STRIBECK = Stribeck(share=0.2, speed=0.01)
+BACKLASH = Backlash(play_deg=0.7, rotor_share=0.8, stiffness=1000.0, damping=0.5)
+STIFFENING = Stiffening(tension=45.0, share=0.4)
+PULLEY_RADIUS = 0.04
+OPTIONS: dict[str, dict[str, Any]] = {
+    "none": {},
+    "pulleys": {"pulley_radius": PULLEY_RADIUS},
+    "stiffening cables": {"stiffening": STIFFENING},
+    "Stribeck friction": {"stribeck": STRIBECK},
+    "backlash": {"backlash": BACKLASH},
+}
 
 
 def with_plant(lab: Lab = LAB, **changes: Any) -> Lab:

@@ -242,20 +242,6 @@ def test_an_amplifier_with_several_cells_sends_16_bits_of_each() -> None:
     assert number(node, 0x6132, 2) == 2
 
 
-def test_an_amplifier_with_several_cells_cannot_share_a_scale_with_floats() -> None:
-    overrides = {**FOUR_CHANNELS, "fieldbus.force_cell.tpdo": [0x61300120]}
-    config = load("config/can.yaml", overrides=overrides)[0]
-    robot = Robot()
-    robot.fieldbus = CanopenFieldbus(config, robot.image, open_bus=lambda name: robot.buses[name])
-
-    async def work() -> None:
-        with pytest.raises(DriverError, match="no scale in common with 0x6130"):
-            await robot.start()
-
-    in_virtual_time(work())
-    assert all(bus.closed for bus in robot.buses.values())
-
-
 def test_between_start_and_the_first_tick_the_heartbeat_goes_on() -> None:
     robot = Robot()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plant_setup import LAB, frictionless, placed, plant, undamped, with_plant
+from plant_setup import LAB, OPTIONS, frictionless, placed, plant, undamped, with_plant
 
 from sim.plant import Plant
 
@@ -35,9 +35,13 @@ def test_a_step_is_never_longer_than_configured() -> None:
     assert whole.state.tobytes() == fine.state.tobytes()
 
 
-def error_at(substep_us: int, damped: bool, opening: float = 0.5) -> np.ndarray:
+def state_at(
+    substep_us: int, damped: bool, opening: float = 0.5, option: str = "none"
+) -> np.ndarray:
+    """After a fifth of a second of swinging with turning drums."""
     robots = {} if damped else {"robot": undamped()}
-    p = placed(plant(lab=with_plant(frictionless(), substep_us=substep_us), **robots))
+    lab = with_plant(frictionless(), substep_us=substep_us, **OPTIONS[option])
+    p = placed(plant(lab=lab, **robots))
     p.parameters["opening"] = opening
     p.velocity[:] = (0.1, -0.05, 0.08)
     p.angular_velocity[:] = (0.3, 0.2, -0.4)
@@ -47,17 +51,31 @@ def error_at(substep_us: int, damped: bool, opening: float = 0.5) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("damped", "opening", "order"), [(False, 0.5, 2), (True, 0.5, 2), (True, 1.0, 1)]
+    ("damped", "opening", "option", "order"),
+    [
+        (False, 0.5, "none", 2),
+        (True, 0.5, "none", 2),
+        (True, 0.5, "pulleys", 2),
+        (True, 0.5, "stiffening cables", 2),
+        (True, 0.5, "backlash", 2),
+        (True, 1.0, "none", 1),
+    ],
 )
-def test_convergence_order(damped: bool, opening: float, order: int) -> None:
-    truth = error_at(20, damped)
+def test_the_errors_slope_over_the_step_is_the_order(
+    damped: bool, opening: float, option: str, order: int
+) -> None:
+    truth = state_at(5, damped, opening, option)
+    steps = np.array([400, 200, 100, 50])
     errors = [
-        float(np.max(np.abs(error_at(step, damped, opening) - truth))) for step in (1000, 500)
+        float(np.max(np.abs(state_at(int(step), damped, opening, option) - truth)))
+        for step in steps
     ]
-    assert errors[0] / errors[1] == pytest.approx(2.0**order, rel=0.25)
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope == pytest.approx(order, abs=0.2)
 
 
-def test_the_configured_step_is_fine_enough() -> None:
+@pytest.mark.parametrize("option", OPTIONS)
+def test_the_configured_step_is_fine_enough(option: str) -> None:
     """Micrometres over a fifth of a second of free swinging."""
-    configured = error_at(LAB.plant.substep_us, damped=True)
-    assert np.max(np.abs(configured - error_at(20, damped=True))[:3]) < 5e-6
+    configured = state_at(LAB.plant.substep_us, damped=True, option=option)
+    assert np.max(np.abs(configured - state_at(20, damped=True, option=option))[:3]) < 5e-6

@@ -306,6 +306,27 @@ def test_mismatch_changes_the_true_robot_only_by_configuration() -> None:
     assert p.position == pytest.approx(ROBOT.rest, abs=1e-9)
 
 
+def test_spreads_are_drawn_evenly_once_per_seed_and_shift_no_other_draw() -> None:
+    spread = {"stiffness_spread": 0.15, "mass_spread": 0.2, "friction_spread": 1.0}
+    records = [plant(lab=with_plant(**spread), seed=seed).parameters[0] for seed in range(200)]
+    nominal = plant().parameters[0]
+    for name, bound in (("axial_stiffness", 0.15), ("mass", 0.2), ("coulomb", 1.0)):
+        shares = np.array([record[name] for record in records]) / nominal[name] - 1.0
+        assert np.max(np.abs(shares)) <= bound
+        assert np.std(shares) == pytest.approx(bound / np.sqrt(3.0), rel=0.1)
+        assert np.mean(shares) == pytest.approx(0.0, abs=0.1 * bound)
+        if shares.ndim == 2:
+            assert len(np.unique(shares)) == shares.size
+    for seed, record in enumerate(records[:20]):
+        alone = plant(lab=with_plant(mass_spread=0.2), seed=seed).parameters[0]
+        assert alone["mass"] == record["mass"]
+        assert np.array_equal(alone["start_length"], record["start_length"])
+        inertia = record["inertia"] / record["mass"]
+        assert inertia == pytest.approx(nominal["inertia"] / nominal["mass"])
+        friction = record["load_friction"] / record["coulomb"]
+        assert friction == pytest.approx(nominal["load_friction"] / nominal["coulomb"])
+
+
 def test_what_the_wrench_is_asked_changes_nothing() -> None:
     p = placed(plant())
     before = p.state.tobytes()

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from plant_setup import CONFIG, LAB
 
+from config.schema.lab import Occlusion, TrackerShift
 from sim.devices.tracker import Tracker
 
 NOISE = LAB.noise.tracker
 POSE = {"position": np.array([0.0123, -0.05, 0.2]), "quaternion": np.array([0.5, 0.5, -0.5, 0.5])}
 
 
-def tracker(seed: int = 1, **noise: float) -> Tracker:
+def tracker(seed: int = 1, **noise: object) -> Tracker:
     seen = SimpleNamespace(now_ns=1_000, **POSE)
     return Tracker(CONFIG.tracker, NOISE.model_copy(update=noise), seen, seed)
 
@@ -89,6 +90,54 @@ def test_a_blocked_tracker_says_so_and_its_noise_goes_on_alike() -> None:
     a, b = watched(seen, 5), watched(hidden, 5)
     assert [p[4] for p in b] == [0] * 10 + [1] * 5
     assert a[10:] == b[10:]
+
+
+def test_a_script_hides_the_platform_and_shifts_its_pose_for_a_while() -> None:
+    t = tracker(position_sigma=0.0, rotation_sigma=0.0, position_grid=0.0)
+    turn = (0.0, 0.0, 0.02)
+    shift = TrackerShift(at=0.5, duration=0.25, position=(0.0, 0.003, 0.0), rotation=turn)
+    t.start_script(1_000, [Occlusion(at=0.1, duration=0.2)], [shift])
+    poses = watched(t, 121)
+    times = (np.array([p[5] for p in poses]) - 1_000) * 1e-9
+    hidden = np.array([p[4] == 0 for p in poses])
+    assert np.array_equal(hidden, (times >= 0.1) & (times < 0.3))
+    off = np.array([p[6:9] for p in poses])[~hidden] - POSE["position"]
+    shifted = ((times >= 0.5) & (times < 0.75))[~hidden]
+    assert off[shifted] == pytest.approx(np.tile([0.0, 0.003, 0.0], (int(np.sum(shifted)), 1)))
+    assert off[~shifted] == pytest.approx(0.0, abs=1e-12)
+    quaternions = np.array([p[9:13] for p in poses])[~hidden]
+    angles = 2 * np.arccos(np.clip(np.abs(quaternions @ POSE["quaternion"]), -1, 1))
+    assert angles == pytest.approx(np.where(shifted, 0.02, 0.0), abs=1e-6)
+
+
+def test_drop_outs_begin_at_random_and_last_as_long_as_configured() -> None:
+    single = np.array([p[4] == 0 for p in watched(tracker(dropout_probability=0.05), 4000)])
+    assert np.mean(single) == pytest.approx(0.05, rel=0.2)
+    long = watched(tracker(dropout_probability=0.01, dropout_ms=40.0), 4000)
+    lost = np.array([p[4] == 0 for p in long]).astype(int)
+    begins, ends = np.flatnonzero(np.diff(lost) > 0), np.flatnonzero(np.diff(lost) < 0)
+    lengths = ends[: len(begins)] - begins[: len(ends)]
+    assert len(lengths) > 20
+    assert min(lengths) == 5  # exposures of 8.3 ms in 40 ms, the first included
+    seen = watched(tracker(), 4000)
+    assert all(a == b for a, b in zip(seen, long, strict=True) if b[4])
+
+
+def test_what_is_wrong_with_a_tracker_is_drawn_once_per_seed() -> None:
+    quiet = {"position_sigma": 0.0, "rotation_sigma": 0.0, "position_grid": 0.0, "jitter_ms": 0.0}
+    biases, latencies = [], []
+    for seed in range(200):
+        t = tracker(seed, position_bias_sigma=1e-3, latency_ms=(4.0, 10.0), **quiet)
+        at = t.next_ns
+        t.expose(at)
+        assert t.next_arrival_ns is not None
+        latencies.append((t.next_arrival_ns - at) * 1e-6)
+        first, second = (np.array(p[6:9]) for p in watched(t, 1))
+        assert np.array_equal(first, second)
+        biases.append(first - POSE["position"])
+    assert np.std(biases) == pytest.approx(1e-3, rel=0.1)
+    assert 4.0 <= min(latencies) < 4.3
+    assert 9.7 < max(latencies) <= 10.0
 
 
 def test_seeds() -> None:

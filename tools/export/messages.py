@@ -12,6 +12,7 @@ from drivers import cia402, epos4, force_cell
 from drivers.canopen import emcy, identifiers
 from drivers.canopen.pdo import Mapping as PdoMapping
 from drivers.canopen.pdo import PdoError
+from drivers.epos4_errors import ERRORS
 from drivers.process_image import AxisState
 from tools.errors import ToolError
 from tools.export.dbc import Message, Signal
@@ -64,7 +65,7 @@ def nodes(bus: CanopenBus, channels: tuple[Channel, ...]) -> dict[str, str]:
         for drive in channel.drives:
             found[f"Axis{drive.axis}"] = f"drive, node {drive.node_id} on {channel.name}"
         for cell in channel.force_cells:
-            found[_cell_name(cell.cell)] = f"force cell, node {cell.node_id} on {channel.name}"
+            found[_cells_name(cell.cells)] = f"force cell, node {cell.node_id} on {channel.name}"
     return found
 
 
@@ -106,17 +107,25 @@ def _channel(
     yield _heartbeat(MASTER, bus.master.node_id, bus.master.heartbeat_ms, everyone)
     for drive in channel.drives:
         name, known = f"Axis{drive.axis}", _of_drive(config)
-        yield from _node(name, drive.node_id, "drive", bus.drive, known, cycle_ms)
+        tpdo = bus.drive.tpdo
+        yield from _node(name, drive.node_id, "drive", bus.drive, tpdo, known, cycle_ms)
     for cell in channel.force_cells:
-        name = _cell_name(cell.cell)
-        known = _of_cell(bus.force_cell.decimal_digits)
-        yield from _node(name, cell.node_id, "force_cell", bus.force_cell, known, cycle_ms)
+        name = _cells_name(cell.cells)
+        known = _of_cells(cell.cells, bus.force_cell.decimal_digits)
+        tpdo = bus.force_cell.mapping(len(cell.cells))
+        yield from _node(name, cell.node_id, "force_cell", bus.force_cell, tpdo, known, cycle_ms)
 
 
 def _node(
-    name: str, node_id: int, kind: str, device: Device, known: Known, cycle_ms: int
+    name: str,
+    node_id: int,
+    kind: str,
+    device: Device,
+    tpdo: tuple[int, ...],
+    known: Known,
+    cycle_ms: int,
 ) -> Iterator[Message]:
-    codes = emcy.WORDS if kind == "drive" else {}
+    codes = {code: error.words for code, error in ERRORS.items()} if kind == "drive" else {}
     yield Message(
         identifiers.EMCY + node_id,
         f"{name}_EMCY",
@@ -124,13 +133,13 @@ def _node(
         (MASTER,),
         8,
         (
-            Signal("ErrorCode", 0, 16, values={0: emcy.words(0), **codes}),
+            Signal("ErrorCode", 0, 16, values={0: emcy.words(0, drive=False), **codes}),
             Signal("ErrorRegister", 16, 8, about="0x1001"),
             Signal("Manufacturer", 24, 40),
         ),
     )
     for mapping, base, suffix, sender, receiver in (
-        (device.tpdo, identifiers.TPDO1, "TPDO1", name, MASTER),
+        (tpdo, identifiers.TPDO1, "TPDO1", name, MASTER),
         (device.rpdo, identifiers.RPDO1, "RPDO1", MASTER, name),
     ):
         if mapping:
@@ -238,15 +247,25 @@ def _statusword(start: int) -> list[Signal]:
     return [state, *flags]
 
 
-def _of_cell(digits: int) -> Known:
-    force = Signal("Force", 0, 32, "signed", 10.0**-digits, "N")
-    status = Signal("Status", 0, 8, about="CiA 404, 0x6150", values=_CELL_STATUS)
-    return {
-        force_cell.INT32: partial(_placed, force),
-        force_cell.INT16: partial(_placed, replace(force, bits=16)),
-        force_cell.REAL32: partial(_placed, replace(force, kind="real", factor=1.0)),
-        force_cell.STATUS: partial(_placed, status),
-    }
+def _of_cells(cells: tuple[int, ...], digits: int) -> Known:
+    """Each channel's signals; where there are several they carry their cell's name."""
+    known: dict[int, Callable[[int], list[Signal]]] = {}
+    for channel, cell in enumerate(cells, start=1):
+        suffix = f"_{_cell_name(cell)}" if len(cells) > 1 else ""
+        force = Signal(f"Force{suffix}", 0, 32, "signed", 10.0**-digits, "N")
+        status = Signal(f"Status{suffix}", 0, 8, about="CiA 404, 0x6150", values=_CELL_STATUS)
+        for entry, signal in (
+            (force_cell.INT32, force),
+            (force_cell.INT16, replace(force, bits=16)),
+            (force_cell.REAL32, replace(force, kind="real", factor=1.0)),
+            (force_cell.STATUS, status),
+        ):
+            known[force_cell.of_channel(entry, channel)] = partial(_placed, signal)
+    return known
+
+
+def _cells_name(cells: tuple[int, ...]) -> str:
+    return "_".join(map(_cell_name, cells))
 
 
 def _cell_name(cell: int) -> str:

@@ -1,0 +1,141 @@
+"""Motors, gearboxes and drums. A positive angle, torque or current winds cable in.
+
+Inertia, friction and the rotor's angle are taken at the drum. As a rule rotor and drum are one
+body; with backlash they are two, with the play and the elastic teeth between them.
+"""
+
+from __future__ import annotations
+
+from math import exp
+from typing import Any
+
+from sim.plant.cables import stored
+from sim.plant.compiled import inner
+
+
+@inner
+def follow_currents(s: Any, p: Any, keep: float) -> None:
+    """Bring every current nearer to its reference, which is bounded; ``keep`` is the share of the
+    difference that remains."""
+    for i in range(8):
+        goal = s.current_reference[i] if s.powered[i] else 0.0
+        goal = min(p.current_limit, max(-p.current_limit, goal))
+        s.current[i] = goal + (s.current[i] - goal) * keep
+
+
+@inner
+def _slowed(trial: float, slowing: float) -> float:
+    """A rate that friction lowers by ``slowing``, to a standstill at most."""
+    if abs(trial) <= slowing:
+        return 0.0
+    return trial - slowing if trial > 0.0 else trial + slowing
+
+
+@inner
+def _sliding(p: Any, friction: float, rate: float) -> float:
+    """Friction torque at a speed: it rises towards standstill as Stribeck found."""
+    if p.stribeck > 0.0:
+        ratio = rate / p.stribeck_rate
+        return float(friction * (1.0 + p.stribeck * exp(-ratio * ratio)))
+    return friction
+
+
+@inner
+def _gearbox(p: Any, motor: float, rate: float) -> float:
+    """The torque that the gearbox takes, against the motion: driving the cable, the motor loses
+    1 - eta of its own; driven by it, it holds 1/eta as much as its own."""
+    return float((p.driving_loss if motor * rate > 0.0 else p.driven_loss) * abs(motor))
+
+
+@inner
+def teeth(s: Any, p: Any) -> None:
+    """Torque from rotor to drum through the play: nothing inside it, elastic teeth on either side,
+    which push and do not stick."""
+    s.teeth_dissipation = 0.0
+    for i in range(8):
+        twist = s.rotor_angle[i] - s.drum_angle[i]
+        bent = max(0.0, abs(twist) - p.half_play)
+        side = 1.0 if twist > 0.0 else -1.0
+        elastic = p.teeth_stiffness * bent
+        torque = 0.0
+        if bent > 0.0:
+            rate = s.rotor_rate[i] - s.drum_rate[i]
+            torque = side * max(0.0, elastic + side * p.teeth_damping * rate)
+            s.teeth_dissipation += (torque - side * elastic) * rate
+        s.teeth_torque[i] = torque
+        s.teeth_energy[i] = 0.5 * elastic * bent
+
+
+@inner
+def _kick_rotor(s: Any, p: Any, i: int, motor: float, dt: float) -> tuple[float, float]:
+    """The rotor's mean rate over the kick and the power it loses."""
+    drag = p.rotor_viscous * s.rotor_rate[i]
+    old = s.half_rotor_rate[i]
+    trial = old + dt / p.rotor_inertia * (motor - s.teeth_torque[i] - drag)
+    friction = _sliding(p, p.rotor_coulomb[i], s.rotor_rate[i]) + _gearbox(p, motor, trial)
+    new = 0.0 if s.locked[i] else _slowed(trial, dt / p.rotor_inertia * friction)
+    mean = 0.5 * (old + new)
+    s.rotor_acceleration[i] = (new - old) / dt
+    s.half_rotor_rate[i] = new
+    return mean, drag * s.rotor_rate[i] + p.rotor_inertia * (trial - new) * mean / dt
+
+
+@inner
+def kick_drums(s: Any, p: Any, dt: float, losses: float) -> float:
+    """Change the rates of mid-step; returns ``losses`` (W) with those of the drums added.
+
+    Friction and gearbox loss are solved implicitly: they slow a drum at most to a standstill, where
+    they hold it with any torque up to their limit.
+    """
+    before = losses
+    losses += s.teeth_dissipation
+    copper = 0.0
+    for i in range(8):
+        torque = p.torque_per_amp * s.current[i]
+        copper += p.resistance * s.current[i] * s.current[i]
+        drag = p.viscous * s.drum_rate[i]
+        old = s.half_rate[i]
+        friction = _sliding(
+            p, p.coulomb[i] + p.load_friction[i] * p.radius * s.tension[i], s.drum_rate[i]
+        )
+        held = s.locked[i] != 0
+        if p.backlash > 0.0:
+            mean, lost = _kick_rotor(s, p, i, torque, dt)
+            s.input_work += dt * torque * mean
+            losses += lost
+            torque, held = s.teeth_torque[i], False
+        trial = old + dt / p.drum_inertia * (torque - p.radius * s.tension[i] - drag)
+        if p.backlash == 0.0:
+            friction += _gearbox(p, torque, trial)
+        new = 0.0 if held else _slowed(trial, dt / p.drum_inertia * friction)
+        mean = 0.5 * (old + new)
+        losses += drag * s.drum_rate[i] + p.drum_inertia * (trial - new) * mean / dt
+        if p.backlash == 0.0:
+            s.input_work += dt * torque * mean
+        if s.elastic[i] > 0.0:
+            s.wound -= stored(p, i, s.elastic[i], dt * p.radius * mean)[1]
+        s.drum_acceleration[i] = (new - old) / dt
+        s.half_rate[i] = new
+    s.friction_losses += dt * (losses - before)
+    s.copper_losses += dt * copper
+    return losses
+
+
+@inner
+def drift_drums(s: Any, p: Any, dt: float) -> None:
+    """Turn with the rates of mid-step."""
+    for i in range(8):
+        s.drum_angle[i] += dt * s.half_rate[i]
+        if p.backlash > 0.0:
+            s.rotor_angle[i] += dt * s.half_rotor_rate[i]
+
+
+@inner
+def predict_drums(s: Any, p: Any, dt: float) -> None:
+    """Rates ``dt`` after mid-step by the last torques. What friction holds is taken as held."""
+    for i in range(8):
+        rate = s.half_rate[i]
+        s.drum_rate[i] = rate + dt * s.drum_acceleration[i] if rate != 0.0 else 0.0
+        if p.backlash > 0.0:
+            rate = s.half_rotor_rate[i]
+            s.rotor_rate[i] = rate + dt * s.rotor_acceleration[i] if rate != 0.0 else 0.0

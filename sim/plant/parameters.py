@@ -1,0 +1,154 @@
+"""The true robot as one record: the configured one and what the seed makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, pi, radians, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.schema.lab import Backlash, Lab, Load, Phantom, Stiffening
+from config.schema.robot import CABLES, Robot
+from sim.errors import LabError
+from sim.plant.layout import PARAMETERS
+
+Floats = NDArray[np.float64]
+_COARSEST = 0.5
+"""rad of the teeth's vibration per step, beyond which the integrator distorts it"""
+
+
+def _unit(vector: Sequence[float], what: str) -> Floats:
+    direction = np.array(vector, dtype=np.float64)
+    length = float(np.linalg.norm(direction))
+    if length == 0.0:
+        raise ValueError(f"{what} has no direction")
+    return direction / length
+
+
+def parameters(
+    robot: Robot, lab: Lab, anchors: Floats, random: np.random.Generator
+) -> NDArray[Any]:
+    """One record of `PARAMETERS` without phantom and load. ``anchors`` (8, 3) are the frame's true
+    ones. Draws the same numbers whatever is configured. Raises `LabError`."""
+    record = np.zeros(1, PARAMETERS)
+    plant, cradle = lab.plant, lab.cradle
+    ways = anchors - np.array(robot.rest) - np.array(robot.geometry.platform)
+    shortest = float(np.min(np.linalg.norm(ways, axis=1)))
+    if 2.0 * plant.pulley_radius >= shortest:
+        raise LabError(
+            f"lab.plant.pulley_radius: pulleys of {plant.pulley_radius:g} m reach the platform at "
+            f"rest; choose less than {0.5 * shortest:.2f}"
+        )
+    stiffness = 1.0 + plant.stiffness_spread * random.uniform(-1.0, 1.0, CABLES)
+    friction = 1.0 + plant.friction_spread * random.uniform(-1.0, 1.0, CABLES)
+    scale = plant.mass_scale * (1.0 + plant.mass_spread * random.uniform(-1.0, 1.0))
+    weight = robot.platform.mass * scale * robot.gravity
+    # Driven backwards, a gearbox of efficiency eta holds the cable with motor torque / eta.
+    efficiency = robot.gearbox.efficiency if plant.gearbox_losses else 1.0
+    values = {
+        "mass": robot.platform.mass * scale,
+        "inertia": np.array(robot.platform.inertia) * scale,
+        "gravity": robot.gravity,
+        "anchors": anchors,
+        "tips": robot.geometry.platform,
+        "pulley_radius": plant.pulley_radius,
+        "axial_stiffness": robot.cable.axial_stiffness * plant.stiffness_scale * stiffness,
+        "cable_damping": robot.cable.damping,
+        "radius": robot.drum.radius,
+        "drum_inertia": robot.drum.inertia,
+        "viscous": robot.drum.viscous_friction,
+        "coulomb": plant.coulomb_friction * robot.drum.radius * friction,
+        "load_friction": plant.load_friction * friction,
+        "teeth_stiffness": inf,
+        "driving_loss": 1.0 - efficiency,
+        "driven_loss": 1.0 / efficiency - 1.0,
+        "torque_per_amp": robot.motor.torque_constant * robot.gearbox.ratio,
+        "resistance": plant.winding_resistance,
+        "ratio": robot.gearbox.ratio,
+        "current_limit": robot.motor.current_limit,
+        "current_pole": 2.0 * pi * plant.current_loop_hz,
+        "cell_pole": 2.0 * pi * lab.noise.force_cell.bandwidth_hz,
+        # The spring begins so high that the platform lies at `rest` exactly.
+        "cradle_height": robot.rest[2] + weight / cradle.stiffness,
+        "cradle_place": robot.rest,
+        "cradle_stiffness": cradle.stiffness,
+        "cradle_damping": cradle.damping,
+        "cradle_rotational_stiffness": cradle.rotational_stiffness,
+        "cradle_rotational_damping": cradle.rotational_damping,
+        "opening": 0.5,
+    }
+    for name, value in values.items():
+        record[name] = value
+    if plant.stribeck is not None:
+        record["stribeck"] = plant.stribeck.share
+        record["stribeck_rate"] = plant.stribeck.speed / robot.drum.radius
+    if plant.stiffening is not None:
+        _stiffen(record, plant.stiffening)
+    if plant.backlash is not None:
+        _divide(record, plant.backlash, plant.substep_us * 1e-6)
+    return record
+
+
+def _stiffen(record: NDArray[Any], stiffening: Stiffening) -> None:
+    """EA as configured holds at the stated tension; this share of it grows with tension."""
+    record["stiffening"] = record["axial_stiffness"] * stiffening.share / stiffening.tension
+    record["axial_stiffness"] *= 1.0 - stiffening.share
+
+
+def _divide(record: NDArray[Any], backlash: Backlash, step: float) -> None:
+    """Make rotor and drum two bodies with the play between them. Raises `LabError`."""
+    share = backlash.rotor_share
+    reduced = share * (1.0 - share) * float(record["drum_inertia"][0])
+    if step * sqrt(backlash.stiffness / reduced) > _COARSEST:
+        finest = 1e6 * _COARSEST / sqrt(backlash.stiffness / reduced)
+        raise LabError(
+            f"lab.plant.backlash: teeth of {backlash.stiffness:g} N m/rad vibrate too fast for "
+            f"substep_us {step * 1e6:g}; set it to {finest:.0f} or less, or choose softer teeth"
+        )
+    record["backlash"] = 1.0
+    record["half_play"] = 0.5 * radians(backlash.play_deg)
+    record["teeth_stiffness"] = backlash.stiffness
+    record["teeth_damping"] = backlash.damping
+    for of_both, of_rotor in (
+        ("drum_inertia", "rotor_inertia"),
+        ("viscous", "rotor_viscous"),
+        ("coulomb", "rotor_coulomb"),
+    ):
+        record[of_rotor] = share * record[of_both]
+        record[of_both] *= 1.0 - share
+
+
+def add_phantom(record: NDArray[Any], phantom: Phantom) -> None:
+    """Put a phantom where there was none."""
+    solid = phantom.model == "standard_linear_solid"
+    second = phantom.relaxing_stiffness if solid else 0.0
+    record["contact"] = 1.0
+    record["contact_point"] = phantom.point
+    record["contact_normal"] = _unit(phantom.normal, "the phantom's normal")
+    record["contact_stiffness"] = phantom.stiffness
+    record["contact_damping"] = 0.0 if solid else phantom.damping
+    record["relaxing_stiffness"] = second
+    record["relaxation_rate"] = 1.0 / phantom.relaxation_time
+    record["solid"] = float(solid)
+    if solid:
+        balance = phantom.stiffness / (phantom.stiffness + second)
+        record["recovery_rate"] = balance / phantom.relaxation_time
+    else:
+        damping = phantom.damping
+        record["recovery_rate"] = phantom.stiffness / damping if damping > 0.0 else inf
+
+
+def add_load(record: NDArray[Any], load: Load) -> None:
+    """Direction and point; the profile is the caller's."""
+    record["load_direction"] = _unit(load.direction, "the load")
+    record["load_point"] = load.point
+
+
+def strain(record: NDArray[Any], tension: Floats) -> Floats:
+    """Of every cable (8,) under these tensions: the inverse of the elastic law."""
+    stiffness, growth = record["axial_stiffness"][0], record["stiffening"][0]
+    if not growth.any():
+        return np.asarray(tension / stiffness)
+    return np.asarray(np.log1p(growth * tension / stiffness) / growth)
