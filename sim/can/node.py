@@ -252,8 +252,7 @@ class Node:
         wait = _POLL_NS
         for pdo in self._events:
             frame = pdo.frame()
-            if frame.data != pdo.last:
-                pdo.last = frame.data
+            if pdo.wants(frame.data, now_ns):
                 self.channel.answer(self.port, frame, now_ns)
                 wait = max(wait, pdo.inhibit_ns)
         self._timers.call_at(now_ns + wait, lambda at_ns: self._poll(at_ns, epoch))
