@@ -306,8 +306,7 @@ class Node:
         self.device.sample(now_ns)
         frame = pdo.frame()
         wait_ns = _POLL_NS
-        if frame.data != pdo.last:
-            pdo.last = frame.data
+        if pdo.wants(frame.data, now_ns):
             self.port.channel.answer(self.port, frame, now_ns)
             wait_ns = max(wait_ns, pdo.inhibit_ns)
         self._timers.call_at(now_ns + wait_ns, lambda at_ns: self._look(pdo, at_ns, epoch))

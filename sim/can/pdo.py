@@ -10,11 +10,11 @@ from sim.can.timing import arbitration_key
 from sim.devices.device import Device, PdoDefault, Reader, Writer
 from sim.devices.objects import (
     INCOMPATIBLE,
+    NMT_STATE,
     NOT_MAPPABLE,
     PDO_LENGTH,
     RANGE,
     SUB0_FIRST,
-    WRONG_STATE,
     AbortError,
     Entry,
     Kind,
@@ -78,10 +78,12 @@ class TransmitPdo:
         "_getters",
         "_key",
         "_pack",
+        "_sent_ns",
         "event",
         "identifier",
         "inhibit_ns",
         "last",
+        "period_ns",
         "phase",
         "rate",
         "remote",
@@ -104,10 +106,21 @@ class TransmitPdo:
         """sent when a remote frame asks for it"""
         self.phase = 0
         self.inhibit_ns = inhibit_ns
+        self.period_ns = 0
+        """event timer: sent at the latest so long after the last time; 0: only on change"""
         self.last = b""
+        self._sent_ns = 0
         self._key = arbitration_key(identifier)
         self._pack = struct.Struct("<" + letters).pack
         self._getters = tuple(getters)
+
+    def wants(self, data: bytes, now_ns: int) -> bool:
+        """Whether an event-driven PDO with these data is to be sent now, which then is booked."""
+        late = 0 < self.period_ns <= now_ns - self._sent_ns
+        if data == self.last and not late:
+            return False
+        self.last, self._sent_ns = data, now_ns
+        return True
 
     def frame(self) -> Frame:
         data = self._pack(*[get() for get in self._getters])
@@ -149,6 +162,8 @@ class Pdos:
         add(parameters + number, 2, kind)
         if parameters == TPDO_PARAMETERS:
             add(parameters + number, 3, Entry("Inhibit time", Kind.U16, "rw", _INHIBIT))
+            if self._device.event_timer:
+                add(parameters + number, 5, Entry("Event timer", Kind.U16, "rw", 0))
         longest = self._device.longest_mapping
         count = Entry("Number of mapped objects", Kind.U8, "rw", len(default.mapping), 0, longest)
         count.write = lambda value: self._check_count(mapping + number, cob, value)
@@ -163,7 +178,7 @@ class Pdos:
     def _check_state(self, value: int) -> None:
         del value
         if self._operational():
-            raise AbortError(WRONG_STATE)
+            raise AbortError(NMT_STATE)
 
     def _check_cob_id(self, cob: Entry, value: int) -> None:
         self._check_state(value)
@@ -233,5 +248,8 @@ class Pdos:
             kind = number(TPDO_PARAMETERS + n, 2)
             inhibit_ns = number(TPDO_PARAMETERS + n, 3) * 100_000
             letters = self._letters(words)
-            found.append(TransmitPdo(cob, kind, inhibit_ns, letters, getters))
+            pdo = TransmitPdo(cob, kind, inhibit_ns, letters, getters)
+            if self._device.event_timer:
+                pdo.period_ns = number(TPDO_PARAMETERS + n, 5) * 1_000_000
+            found.append(pdo)
         return found

@@ -38,6 +38,8 @@ class Device(Protocol):
     """entries one PDO may have"""
     consumers: int
     """heartbeat consumer entries"""
+    event_timer: bool
+    """whether a PDO can be sent by time"""
 
     def sample(self, now_ns: int) -> None:
         """Take the process data of this instant."""

@@ -12,6 +12,7 @@ from config.schema.lab import PowerStage
 from sim.devices.cia402 import POWERED, Command, Machine, State
 from sim.devices.device import ErrorSink, Reader, Writer
 from sim.devices.epos4_errors import (
+    CORRUPT_PARAMETERS,
     ERRORS,
     NEGATIVE_LIMIT,
     PDO_TIMEOUT,
@@ -25,14 +26,16 @@ from sim.devices.epos4_objects import (
     SENSORS,
     TRANSMIT_PDOS,
     dictionary,
+    has_sensors,
 )
 from sim.devices.epos4_values import connect, scale_speeds
 from sim.devices.error_memory import ErrorMemory
-from sim.devices.objects import CANNOT_STORE, WRONG_STATE, AbortError
+from sim.devices.objects import INTERNAL, PASSWORD, WRONG_STATE, AbortError
 from sim.devices.output import CYCLIC_POSITION, CYCLIC_TORQUE, CYCLIC_VELOCITY, HOMING, Output
 from sim.devices.samples import POSITION, TORQUE, Samples
 from sim.devices.servo import RPM
 from sim.devices.set_points import SetPoints
+from sim.devices.store import connect_store
 from sim.devices.terminals import Function, Terminals
 from sim.devices.timers import Timers
 
@@ -41,8 +44,6 @@ WARNING = 0x0080
 REMOTE = 0x0200
 REFERENCED = 0x8000
 _CYCLIC = (CYCLIC_POSITION, CYCLIC_VELOCITY, CYCLIC_TORQUE)
-_SAVE = 0x65766173
-_LOAD = 0x64616F6C
 _BUS_OBJECTS = (0x1000, 0x1FFF)
 _OWN_OBJECTS = (0x2000, 0xFFFF)
 _QUICK_STOP_RAMP = 0x6085
@@ -61,6 +62,7 @@ class Epos4:
     transmit_pdos = TRANSMIT_PDOS
     longest_mapping = 12
     consumers = 2
+    event_timer = False
 
     def __init__(
         self,
@@ -120,9 +122,7 @@ class Epos4:
             (0x6040, 0): self.controlword,
             (0x6071, 0): output.set_target,
             (0x60B2, 0): output.set_offset,
-            (0x1010, 1): self._store,
-            (0x1011, 1): self._restore,
-            (0x1011, 4): self._restore,
+            (0x1011, 4): self._locked,
         }
         for key, write in writes.items():
             find(*key).write = write
@@ -130,8 +130,8 @@ class Epos4:
             self._follow(key)
         for key in POWER_OFF_ONLY:
             self._guarded(key)
-        for key in ((0x1010, 1), (0x1011, 1), (0x1011, 4)):
-            find(*key).read = lambda: 1
+        find(0x1011, 4).read = lambda: 1
+        connect_store(self.objects, self._can_store)
 
     def _follow(self, key: tuple[int, int]) -> None:
         """Take the value over now, so that what depends on it can be computed from it."""
@@ -151,6 +151,8 @@ class Epos4:
         def write(value: int) -> None:
             if self._machine.state in POWERED:
                 raise AbortError(WRONG_STATE)
+            if key == (0x3000, 1) and not has_sensors(value):
+                raise AbortError(INTERNAL)
             entry.value = value
             if key[0] in SENSORS:
                 self._lose_position()
@@ -167,16 +169,14 @@ class Epos4:
         # Torque is relative to the rated torque; without a torque constant there is none.
         self._output.set_scale(nominal * 1e-3 if number(0x6076, 0) else 0.0)
 
-    def _store(self, value: int) -> None:
-        if value != _SAVE:
-            raise AbortError(CANNOT_STORE)
-        self.objects.save()
+    def _can_store(self) -> bool:
+        sound = CORRUPT_PARAMETERS not in self._errors.present
+        return sound and self._output.guard.supplied
 
-    def _restore(self, value: int) -> None:
-        """Takes effect with the next reset."""
-        if value != _LOAD:
-            raise AbortError(CANNOT_STORE)
-        self.objects.forget()
+    def _locked(self, value: int) -> None:
+        """The maker's own."""
+        del value
+        raise AbortError(PASSWORD)
 
     # -- process data ----------------------------------------------------------------------------
 

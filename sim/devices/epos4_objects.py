@@ -75,6 +75,8 @@ POWER_OFF_ONLY = (
 """Objects that are refused while the power stage is on."""
 SENSORS = (0x3000, 0x3010, 0x301A, 0x3020)
 """Writing to these loses the position."""
+_SENSORS = ((0, 1), (0, 1, 2, 3), (0, 0x10))
+"""What may be connected: an encoder; an encoder, sin/cos or SSI; Hall sensors."""
 _FLEETING = frozenset(
     (0x1003, 0x1010, 0x1011, 0x6040, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60B8, 0x60FE, 0x60FF)
 )
@@ -118,3 +120,10 @@ def dictionary(node_id: int) -> ObjectDictionary:
     node.set(node_id)
     node.relative = True
     return objects
+
+
+def has_sensors(word: int) -> bool:
+    """Whether there are terminals for the sensors of 0x3000:1."""
+    if word >> 24:
+        return False
+    return all(word >> 8 * n & 0xFF in known for n, known in enumerate(_SENSORS))

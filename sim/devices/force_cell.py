@@ -12,7 +12,6 @@ from collections.abc import Callable
 from config.schema.lab import CellNoise
 from sim.devices.device import ErrorSink, PdoDefault, Reader, Writer
 from sim.devices.objects import (
-    CANNOT_STORE,
     INCOMPATIBLE,
     RANGE,
     READ_ONLY,
@@ -24,6 +23,7 @@ from sim.devices.objects import (
     Value,
 )
 from sim.devices.samples import CELL, Samples
+from sim.devices.store import connect_store
 from sim.devices.timers import Timers
 
 DEVICE_TYPE = 0x00020194
@@ -56,8 +56,6 @@ _BIT_RATE = 7
 _SENSOR_ERROR = 0x5010
 """CiA 404: an open or broken sensor; error register bit 0."""
 _BUS_ERROR = 0x10
-_SAVE = 0x65766173
-_LOAD = 0x64616F6C
 _VALID_NO_REMOTE = 0x40000000
 _EVENT = 255
 _POINTS = ((0, "field value 1"), (1, "process value 1"), (2, "field value 2"))
@@ -156,6 +154,7 @@ class ForceCell:
     receive_pdos: tuple[PdoDefault, ...] = ()
     longest_mapping = 4
     consumers = 1
+    event_timer = True
 
     def __init__(
         self,
@@ -192,10 +191,9 @@ class ForceCell:
             0x1018: "Identity object",
             0x2004: "Autozero status",
         }
-        save = add(0x1010, 1, Entry("Save all parameters", Kind.U32, "rw", 1))
-        load = add(0x1011, 1, Entry("Restore all default parameters", Kind.U32, "rw", 1))
-        save.write, load.write = self._store, self._restore
-        save.read = load.read = lambda: 1
+        add(0x1010, 1, Entry("Save all parameters", Kind.U32, "rw", 1))
+        add(0x1011, 1, Entry("Restore all default parameters", Kind.U32, "rw", 1))
+        connect_store(objects)
         add(0x1018, 1, Entry("Vendor-ID", Kind.U32, "ro", VENDOR))
         add(0x1018, 2, Entry("Product code", Kind.U32, "ro", PRODUCT))
         add(0x1018, 3, Entry("Revision number", Kind.U32, "ro", REVISION))
@@ -268,17 +266,6 @@ class ForceCell:
         entry.write = lambda value: channel.change(place, value / scale())
         entry.lasting = False
         entry.set(read())
-
-    def _store(self, value: int) -> None:
-        if value != _SAVE:
-            raise AbortError(CANNOT_STORE)
-        self.objects.save()
-
-    def _restore(self, value: int) -> None:
-        """Takes effect with the next reset."""
-        if value != _LOAD:
-            raise AbortError(CANNOT_STORE)
-        self.objects.forget()
 
     # -- process data ----------------------------------------------------------------------------
 

@@ -22,6 +22,8 @@ NO_OBJECT = 0x06020000
 NOT_MAPPABLE = 0x06040041
 PDO_LENGTH = 0x06040042
 INCOMPATIBLE = 0x06040043
+INTERNAL = 0x06040047
+HARDWARE = 0x06060000
 TYPE_LENGTH = 0x06070010
 LENGTH_LOW = 0x06070013
 NO_SUBINDEX = 0x06090011
@@ -29,6 +31,9 @@ RANGE = 0x06090030
 GENERAL = 0x08000000
 CANNOT_STORE = 0x08000020
 WRONG_STATE = 0x08000022
+PASSWORD = 0x0F00FFBE
+NMT_STATE = 0x0F00FFC0
+"""The last two are the EPOS4's maker's."""
 
 _TEXT = {
     TOGGLE: "the toggle bit did not change",
@@ -41,6 +46,8 @@ _TEXT = {
     NOT_MAPPABLE: "the object cannot be mapped",
     PDO_LENGTH: "the mapped objects are longer than the PDO",
     INCOMPATIBLE: "the parameters do not go together",
+    INTERNAL: "the device has nothing like that",
+    HARDWARE: "the hardware has failed",
     TYPE_LENGTH: "the length does not suit the type",
     LENGTH_LOW: "the data are too short",
     NO_SUBINDEX: "there is no such subindex",
@@ -48,6 +55,8 @@ _TEXT = {
     GENERAL: "general error",
     CANNOT_STORE: "the data cannot be stored",
     WRONG_STATE: "the device state forbids it",
+    PASSWORD: "the password is wrong",
+    NMT_STATE: "the NMT state forbids it",
 }
 
 

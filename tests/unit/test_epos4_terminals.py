@@ -8,7 +8,15 @@ import pytest
 from one_drive import ENABLE, SHUTDOWN, OneDrive
 
 from sim.devices.cia402 import State
-from sim.devices.objects import CANNOT_STORE, RANGE, WRONG_STATE, AbortError
+from sim.devices.objects import (
+    CANNOT_STORE,
+    HARDWARE,
+    INTERNAL,
+    PASSWORD,
+    RANGE,
+    WRONG_STATE,
+    AbortError,
+)
 
 CST = 10
 LIMITED, REFERENCED = 0x0800, 0x8000
@@ -253,3 +261,21 @@ def test_objects_that_other_drives_have_are_absent() -> None:
     absent |= {0x605D, 0x6087, 0x608F, 0x6090, 0x6091, 0x6092, 0x60E0, 0x60E1}
     absent |= {*range(0x606D, 0x6071), 0x1006, 0x1007, 0x1019, 0x1012, 0x1013, 0x1015}
     assert not indices & absent
+
+
+def test_what_cannot_be_stored_or_is_the_makers_own_is_refused() -> None:
+    bench = OneDrive()
+
+    def code(index: int, sub: int, value: int) -> int:
+        with pytest.raises(AbortError) as refused:
+            bench.write(index, sub, value)
+        return refused.value.code
+
+    assert code(0x1011, 4, LOAD) == PASSWORD
+    assert code(0x3000, 1, 0x00100005) == INTERNAL
+    bench.drive.fail(0x6380)
+    assert code(0x1010, 1, SAVE) == HARDWARE
+    assert bench.reset_fault() is State.SWITCH_ON_DISABLED
+    bench.write(0x1010, 1, SAVE)
+    bench.drive.set_supply(5.0)
+    assert code(0x1010, 1, SAVE) == HARDWARE
