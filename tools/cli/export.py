@@ -75,7 +75,7 @@ def eds(config: Path, out: Path) -> None:
         raise ToolError(f"{out}: {error.strerror}; choose another with --out") from error
     for name, node in sorted(kinds.items()):
         path = out / f"{name}.eds"
-        _write(path, describe(node))
+        _write(path, describe(node, path.name))
         click.echo(f"{path}: as node {node.node_id} on {node.channel.name}")
 
 
