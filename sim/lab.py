@@ -134,7 +134,7 @@ class Lab:
         for node in self.nodes.values():
             node.boot()
 
-    def _build(self, config: Config, nodes: frozenset[tuple[str, int]] | None) -> None:
+    def _build(self, config: Config, emulated: frozenset[tuple[str, int]] | None) -> None:
         bus, lab = config.fieldbus, config.lab
         assert lab is not None
         drive_ids = list(range(1, CABLES + 1))
@@ -175,13 +175,13 @@ class Lab:
             )
             self.channels[spec.name] = built
             for drive in spec.drives:
-                if nodes is not None and (spec.name, drive.node_id) not in nodes:
+                if emulated is not None and (spec.name, drive.node_id) not in emulated:
                     continue
                 device = self.drives[drive.axis]
                 node = Node(device, drive.node_id, built, self)
                 self.nodes[spec.name, drive.node_id] = node
             for cell in spec.force_cells:
-                if nodes is not None and (spec.name, cell.node_id) not in nodes:
+                if emulated is not None and (spec.name, cell.node_id) not in emulated:
                     continue
                 node = Node(sensors[cell.cells], cell.node_id, built, self)
                 self.nodes[spec.name, cell.node_id] = node

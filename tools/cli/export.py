@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import click
 
 from config import Config, load
 from config.schema.bus import CanopenBus
-from config.schema.lab import LabScript
-from sim.can.node import Node
-from sim.lab import Lab
 from tools.errors import ToolError
 from tools.export import dbc as dbc_file
 from tools.export import messages
-
-_PROCESS_VALUE = 0x9130
-"""CiA 404, one subindex a channel"""
 
 
 @click.group()
@@ -63,20 +56,17 @@ def eds(config: Path, out: Path) -> None:
     """Describe each kind of device that CONFIG's lab emulates as an EDS file (CiA 306)."""
     loaded, _ = load(config)
     _canopen(loaded, config)
+    from sim.data_sheets import sheets  # type: ignore[import-not-found,unused-ignore]
+
     if loaded.lab is None:
         raise ToolError(f"{config}: has no lab: section; add one, see config/can.yaml")
-    from sim.can.eds import eds as describe  # type: ignore[import-not-found,unused-ignore]
-
-    lab = Lab(loaded, LabScript(), seed=loaded.lab.seed, clock=lambda: 0)
-    kinds = {_kind(node): node for node in reversed(lab.nodes.values())}
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ToolError(f"{out}: {error.strerror}; choose another with --out") from error
-    for name, node in sorted(kinds.items()):
-        path = out / f"{name}.eds"
-        _write(path, describe(node))
-        click.echo(f"{path}: as node {node.node_id} on {node.channel.name}")
+    for name, text in sheets(loaded).items():
+        _write(out / name, text)
+        click.echo(out / name)
 
 
 def _canopen(config: Config, path: Path) -> CanopenBus:
@@ -86,14 +76,6 @@ def _canopen(config: Config, path: Path) -> CanopenBus:
             "give a configuration on canopen"
         )
     return config.fieldbus
-
-
-def _kind(node: Node) -> str:
-    """The device's name as a file's; an amplifier's channels count."""
-    objects = node.device.objects
-    name = re.sub(r"\W+", "_", str(objects.find(0x1008, 0).value).lower())
-    channels = sum(index == _PROCESS_VALUE and sub > 0 for index, sub in objects.entries)
-    return f"{name}_{channels}" if channels > 1 else name
 
 
 def _write(path: Path, text: str) -> None:

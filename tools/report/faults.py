@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 from config.faults import KINDS, FaultField
 
@@ -32,3 +33,7 @@ def _name(field: FaultField) -> str:
 
 def _value(field: FaultField) -> str:
     return f"{field.type} {field.bounds}".rstrip()
+
+
+if __name__ == "__main__":
+    sys.stdout.write(tables())
