@@ -48,9 +48,9 @@ class Arrival:
     A PDO that had arrived before a SYNC and itself could have crossed the wire does not answer it,
     however late it is read.
 
-    Never newer than the truth, as long as the node sends its answers in order and trouble does not
-    last longer than ``settle_ticks``. A node that is a whole period late for longer is not seen
-    through.
+    Never newer than the truth, as long as the node sends its answers in order, a copy right behind
+    its original, and trouble does not last longer than ``settle_ticks``. A node that is a whole
+    period late for longer is not seen through.
     """
 
     __slots__ = (

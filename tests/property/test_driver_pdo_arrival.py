@@ -86,7 +86,9 @@ def in_order(trouble: list[Answer], phase: int, ticks: int) -> list[tuple[int, i
         at = max(tick * PERIOD_NS + phase + fate.delay_ns, free)
         if fate.lost or (fate.delay_ns and at > end):
             continue
-        for copy in range(fate.copies):
+        # A SYNC would win the bus against a copy: one that is due keeps them apart.
+        parted = (at - EARLIEST_NS) // PERIOD_NS != (at + FRAME_NS - EARLIEST_NS) // PERIOD_NS
+        for copy in range(1 if parted else fate.copies):
             arrivals.append((at + copy * FRAME_NS, tick))
             free = at + (copy + 1) * FRAME_NS
     return arrivals
@@ -103,7 +105,7 @@ def test_answers_lost_delayed_or_doubled_are_never_booked_as_newer(
     assert ages[-1] == 0
 
 
-@settings(max_examples=200, derandomize=True, deadline=None)
+@settings(max_examples=150, derandomize=True, deadline=None)
 @given(st.lists(answers.map(lambda a: Answer(a.lost, a.delay_ns, 1)), max_size=TROUBLE), phases)
 def test_without_stamps_loss_and_delay_are_not_booked_as_newer_either(
     trouble: list[Answer], phase: int
@@ -113,7 +115,7 @@ def test_without_stamps_loss_and_delay_are_not_booked_as_newer_either(
     assert ages[-1] == 0
 
 
-@settings(max_examples=200, derandomize=True, deadline=None)
+@settings(max_examples=150, derandomize=True, deadline=None)
 @given(phases, st.integers(0, (TROUBLE - 1) * PERIOD_NS))
 def test_one_answer_that_is_overtaken_by_later_ones_is_not_booked_as_newer(
     phase: int, delay_ns: int
