@@ -17,7 +17,7 @@ pytestmark = pytest.mark.realtime
 NO_OBJECT, NO_SUB, READ_ONLY, RANGE = 0x06020000, 0x06090011, 0x06010002, 0x06090030
 LENGTH, TOO_SHORT, SUB0, NOT_MAPPABLE = 0x06070010, 0x06070013, 0x06010003, 0x06040041
 PDO_LENGTH, INCOMPATIBLE, CANNOT_STORE, STATE = 0x06040042, 0x06040043, 0x08000020, 0x08000022
-TOGGLE, COMMAND = 0x05030000, 0x05040001
+TOGGLE, COMMAND, NMT_STATE = 0x05030000, 0x05040001, 0x0F00FFC0
 
 
 def write(index: int, sub: int, size: int, value: int) -> Callable[[Drive], object]:
@@ -120,8 +120,8 @@ REFUSALS = [
     ),
     Refusal("storing without the word for it", write(0x1010, 1, 4, 1), CANNOT_STORE),
     Refusal("restoring with the word for storing", write(0x1011, 1, 4, 0x65766173), CANNOT_STORE),
-    Refusal("an identifier in operation", operational(write(0x1400, 1, 4, 0x80000201)), STATE),
-    Refusal("a type in operation", operational(write(0x1800, 2, 1, 1)), STATE),
+    Refusal("an identifier in operation", operational(write(0x1400, 1, 4, 0x80000201)), NMT_STATE),
+    Refusal("a type in operation", operational(write(0x1800, 2, 1, 1)), NMT_STATE),
     Refusal("an encoder under power", powered(write(0x3010, 1, 4, 1000)), STATE),
     Refusal("a motor type under power", powered(write(0x6402, 0, 2, 1)), STATE),
     Refusal("a segment with the wrong toggle", raw(b"\x40\x08\x10", b"\x70"), TOGGLE),
