@@ -73,6 +73,7 @@ class Faults:
         self._timers = timers
         # Each fault draws from a stream of its own: a channel's faults do not feel another's.
         self._draws = generator(seed, Stream.FAULTS)
+        self._start_ns = timers.now_ns
         self._lasting: list[_Lasting] = []
 
     # -- whether ---------------------------------------------------------------------------------
@@ -133,7 +134,7 @@ class Faults:
         return [
             ActiveFault(
                 fault=item.fault.model_dump(mode="json", exclude_none=True, exclude={"at"}),
-                since=item.since_ns / _SECOND_NS,
+                since=(item.since_ns - self._start_ns) / _SECOND_NS,
             )
             for item in self._lasting
         ]

@@ -122,6 +122,18 @@ def test_a_cell_is_read_in_each_of_its_forms(entry: int, data: bytes, force: flo
     assert told == {"Force": pytest.approx(force)}
 
 
+def test_an_amplifier_of_several_cells_names_them() -> None:
+    cells = [{"cells": [6, 7, 8], "node_id": 23}]
+    told = exported(overrides={"fieldbus.channels.3.force_cells": cells}).decode_message(
+        0x197, b"\x01\0\xff\xff\x64\0"
+    )
+    assert told == {
+        "Force_Cell6": pytest.approx(0.01),
+        "Force_Cell7": pytest.approx(-0.01),
+        "Force_Contact": pytest.approx(1.0),
+    }
+
+
 def test_an_object_without_a_name_is_given_raw() -> None:
     found = exported(overrides={"fieldbus.drive.tpdo": [0x60410010, 0x606C0020, 0x31600110]})
     told = found.decode_message(0x181, b"\0\0" + b"\xff" * 6)

@@ -5,12 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import canopen
-import pytest
 from click.testing import CliRunner
 
 from tools.cli.export import export
-
-pytest.importorskip("sim.data_sheets")
 
 
 def test_each_kind_of_device_gets_a_file_that_python_canopen_imports(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import click
 
 from config import Config, load
 from config.schema.bus import CanopenBus
+from sim.data_sheets import sheets
 from tools.errors import ToolError
 from tools.export import dbc as dbc_file
 from tools.export import messages
@@ -56,8 +57,6 @@ def eds(config: Path, out: Path) -> None:
     """Describe each kind of device that CONFIG's lab emulates as an EDS file (CiA 306)."""
     loaded, _ = load(config)
     _canopen(loaded, config)
-    from sim.data_sheets import sheets  # type: ignore[import-not-found,unused-ignore]
-
     if loaded.lab is None:
         raise ToolError(f"{config}: has no lab: section; add one, see config/can.yaml")
     try:
