@@ -42,6 +42,7 @@ POSE = 2e-4
 TENSION = 0.5
 """N; beyond these a motion is too rough to be compared at the configured step"""
 WOUND = np.array([1.0, 0.0, 0.5, 0.0, 0.0, -0.5, 0.0, 0.0])
+"""of `Motion.wind` by each drum"""
 
 
 def sites(points: tuple[tuple[float, ...], ...], name: str) -> str:

@@ -163,6 +163,20 @@ def test_a_slack_drum_follows_its_rotor_with_the_play_between() -> None:
     )
 
 
+def test_a_brake_holds_the_rotor_and_leaves_the_drum_its_play() -> None:
+    p = loose_drums(with_plant(frictionless(), backlash=BACKLASH))
+    p.locked[:] = True
+    p.drum_rate[:] = 0.2
+    furthest = np.zeros(8)
+    for _ in range(300):
+        p.advance(p.now_ns + TICK_NS)
+        furthest = np.maximum(furthest, p.drum_angle)
+        assert not p.motor_angle.any()
+    half = 0.5 * np.radians(BACKLASH.play_deg)
+    assert np.all(furthest > half)
+    assert np.all(furthest < 1.1 * half)
+
+
 def test_under_tension_the_play_is_never_felt() -> None:
     """The cable keeps the teeth on one side, so tensions differ by the teeth's elasticity only."""
     with_play = placed(plant(lab=with_plant(backlash=BACKLASH)))
