@@ -140,7 +140,7 @@ class Epos4:
         def write(value: int) -> None:
             changed, entry.value = entry.value != value, value
             self._configure()
-            if changed and entry is self._mode and self.enabled:
+            if changed and entry is self._mode and self._output.following:
                 self._output.begin()
 
         entry.write = write

@@ -149,6 +149,26 @@ def test_a_target_beyond_the_software_limit_is_a_fault() -> None:
     assert bench.errors == [(0x8A82, 0x80)]
 
 
+@pytest.mark.parametrize("mode", [PVM, CST])
+def test_a_motor_that_passes_its_software_limit_is_stopped_once(mode: int) -> None:
+    bench = servo(mode)
+    bench.write(0x607D, 1, -3000)
+    bench.write(0x607D, 2, 3000)
+    bench.write(0x60FF, 0, 600)
+    bench.drive.target_torque(60)
+    bench.wait(1000)
+    assert bench.errors == [(0x8A82, 0x80)]
+    assert bench.read(0x6064) > 3000
+    bench.wait(1000)
+    assert bench.reset_fault() is State.SWITCH_ON_DISABLED
+    bench.write(0x60FF, 0, -200)
+    bench.drive.target_torque(-60)
+    bench.enable()
+    bench.wait(150)
+    assert len(bench.errors) == 2, "back in it may go"
+    assert bench.errors[-1] == (0, 0)
+
+
 @pytest.mark.parametrize("speed", [500, -1200])
 def test_profile_velocity_ramps_and_settles(speed: int) -> None:
     bench = servo(PVM)
@@ -263,3 +283,17 @@ def test_a_mode_can_change_while_the_drive_runs() -> None:
     assert bench.read(0x6061) == PVM
     bench.wait(800)
     assert bench.rpm == pytest.approx(200.0, abs=3.0)
+
+
+def test_a_mode_that_changes_during_a_stop_does_not_end_the_stop() -> None:
+    bench = servo(CST)
+    bench.drive.target_torque(60)
+    bench.wait(300)
+    bench.write(0x605C, 0, 1)
+    bench.write(0x60FF, 0, 800)
+    bench.drive.controlword(0x07)
+    assert bench.drive.enabled, "it slows down first"
+    bench.write(0x6060, 0, PVM)
+    bench.wait(1500)
+    assert bench.drive.state is State.SWITCHED_ON
+    assert abs(bench.rpm) < 5.0
