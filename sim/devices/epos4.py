@@ -381,6 +381,7 @@ class Epos4:
         self._output.cut()
         self._machine.start()
         self.objects.restore(*_OWN_OBJECTS)
+        self.objects.find(0x200A, 0).value = self.objects.number(0x2001, 0)
         self._errors.restart()
         self._output.guard.restart()
         self._lose_position()
