@@ -120,6 +120,26 @@ def test_homing_against_a_stop_ends_where_the_current_rises(method: int, side: i
     assert abs(bench.read(0x6064)) < 10
 
 
+@pytest.mark.parametrize(("method", "side"), [(-1, 1), (-2, -1)])
+def test_homing_against_a_stop_goes_back_to_an_index_pulse(method: int, side: int) -> None:
+    bench = servo(HMM)
+    bench.write(0x6098, 0, method)
+    bench.write(0x6099, 2, 120)
+    bench.write(0x30B2, 0, 1500)
+    bench.drive.controlword(ENABLE | NEW)
+    bench.wait(400)
+    bench.lab.plant.locked[0] = True
+    stop = bench.lab.samples.count(0)
+    while bench.lab.plant.current_reference[0] * side >= 0.0:
+        bench.wait(1)
+        assert bench.lab.now_ns < 10e9
+    bench.lab.plant.locked[0] = False
+    until(bench, BIT_12)
+    zero = bench.lab.samples.count(0) - bench.read(0x6064)
+    assert 0 <= -side * (zero - stop) <= REVOLUTION + 22
+    assert abs((zero + REVOLUTION // 2) % REVOLUTION - REVOLUTION // 2) <= 4
+
+
 def test_the_home_offset_is_moved_before_home_is_named() -> None:
     bench = servo(HMM)
     bench.write(0x6099, 2, 60)
