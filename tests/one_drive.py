@@ -63,3 +63,22 @@ class OneDrive:
     @property
     def rpm(self) -> float:
         return float(self.lab.plant.motor_rate[0]) * 30.0 / 3.141592653589793
+
+
+def servo(mode: int) -> OneDrive:
+    """Enabled in a mode, with a small position window and no following error."""
+    bench = OneDrive()
+    bench.write(0x6065, 0, 0xFFFFFFFF)
+    bench.write(0x6067, 0, 60)
+    bench.write(0x6068, 0, 5)
+    bench.enable(mode)
+    return bench
+
+
+def until(bench: OneDrive, bit: int, within_ms: float = 5000.0) -> float:
+    """ms until a statusword bit is set."""
+    for passed in range(round(within_ms)):
+        if bench.word & bit:
+            return passed
+        bench.wait(1)
+    raise AssertionError(f"bit 0x{bit:04X} did not come")

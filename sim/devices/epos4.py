@@ -140,7 +140,7 @@ class Epos4:
         def write(value: int) -> None:
             changed, entry.value = entry.value != value, value
             self._configure()
-            if changed and entry is self._mode and self.enabled:
+            if changed and entry is self._mode and self._output.following:
                 self._output.begin()
 
         entry.write = write
@@ -191,30 +191,14 @@ class Epos4:
             return lambda: samples.words[POSITION + axis]
         if index == 0x6077:
             return lambda: samples.words[TORQUE + axis]
-        get = self.objects.find(index, subindex).get
-
-        def number() -> float:
-            value = get()
-            assert not isinstance(value, str)
-            return value
-
-        return number
+        return self.objects.find(index, subindex).measure
 
     def writer(self, index: int, subindex: int) -> Writer:
         if index == 0x6040:
             return self.controlword
         if index == 0x6071:
             return self.target_torque
-        entry = self.objects.find(index, subindex)
-
-        def write(value: int) -> None:
-            # A PDO cannot be refused: what an SDO would abort has no effect.
-            if entry.takes(value):
-                if entry.write is not None:
-                    entry.write(value)
-                entry.value = value
-
-        return write
+        return self.objects.find(index, subindex).put
 
     def received(self, now_ns: int) -> None:
         """A receive PDO has been applied."""
@@ -397,6 +381,7 @@ class Epos4:
         self._output.cut()
         self._machine.start()
         self.objects.restore(*_OWN_OBJECTS)
+        self.objects.find(0x200A, 0).value = self.objects.number(0x2001, 0)
         self._errors.restart()
         self._output.guard.restart()
         self._lose_position()

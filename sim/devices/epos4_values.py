@@ -86,7 +86,6 @@ def connect(
         return guard.power_stage.percent
 
     reads: dict[tuple[int, int], Callable[[], Value]] = {
-        (0x200A, 0): lambda: number(0x2001, 0),
         (0x2200, 1): lambda: round(10.0 * guard.supply),
         (0x3000, 5): lambda: 4 * number(0x3010, 1),
         (0x3000, 6): lambda: number(0x6080, 0),

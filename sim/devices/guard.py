@@ -40,8 +40,10 @@ class Guard:
         stage: PowerStage,
         fail: Callable[[int], None],
         changed: Callable[[], None],
+        following: Callable[[], bool],
     ) -> None:
-        """``changed`` is called when other currents are allowed."""
+        """``changed`` is called when other currents are allowed; software limits are watched while
+        the drive is ``following`` set-points, not while it stops."""
         self._axis = axis
         self._servo = servo
         self._plant = plant
@@ -49,6 +51,7 @@ class Guard:
         self._stage = stage
         self._fail = fail
         self._changed = changed
+        self._following = following
         find = servo.find
         self._limit = find(0x3001, 2)
         self._nominal = find(0x3001, 1)
@@ -172,7 +175,7 @@ class Guard:
         """Beyond a software limit and still moving away from it."""
         servo = self._servo
         low, high = (entry.number for entry in self._fences)
-        if low == high == 0:
+        if low == high == 0 or not self._following():
             return
         servo.measure()
         beyond = servo.position > high and servo.speed > 0.0

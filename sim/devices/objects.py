@@ -155,6 +155,19 @@ class Entry:
             return False
         return not self.allowed or value in self.allowed
 
+    def measure(self) -> float:
+        """What a PDO sends of it."""
+        value = self.get()
+        assert not isinstance(value, str)
+        return value
+
+    def put(self, value: int) -> None:
+        """What a PDO brings; it cannot be refused, so that a wrong value has no effect."""
+        if self.takes(value):
+            if self.write is not None:
+                self.write(value)
+            self.value = value
+
     def encode(self) -> bytes:
         value = self.get()
         if isinstance(value, str):

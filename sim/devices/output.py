@@ -51,7 +51,9 @@ class Output:
         self._timers = timers
         self._changed = changed
         self.servo = servo = Servo(axis, objects, samples)
-        self.guard = Guard(axis, servo, plant, timers, stage, fail, self._allowed)
+        self.guard = Guard(
+            axis, servo, plant, timers, stage, fail, self._allowed, lambda: self.following
+        )
         self._motion = Motion(servo, plant, timers, changed)
         self.braking = Braking(servo, standstill)
         self._brake = HoldingBrake(axis, objects, plant, timers, fitted=holding_brake)
@@ -81,6 +83,11 @@ class Output:
         """Of the statusword."""
         bits = FOLLOWS_COMMAND if self._driving else self._motion.bits
         return bits | INTERNAL_LIMIT if self._limited or self._motion.limited else bits
+
+    @property
+    def following(self) -> bool:
+        """Whether set-points move the motor, and no stop nor a brake that opens."""
+        return self._driving or self._motion.task not in (None, self.braking)
 
     @property
     def powered(self) -> bool:

@@ -33,6 +33,8 @@ class Servo:
         self._samples = samples
         self._plant = samples.plant
         self._integral = 0.0
+        self._speed_gains = [self.find(0x30A2, n) for n in range(1, 5)]
+        self._position_gains = [self.find(0x30A1, n) for n in range(1, 6)]
         self.per_radian = samples.per_radian
         self.limit = 0.0
         """A, what may flow now"""
@@ -84,23 +86,22 @@ class Servo:
     def follow_speed(self, speed: float, acceleration: float = 0.0, extra: float = 0.0) -> None:
         """``extra`` ampere are added, as 0x60B2 asks."""
         self.speed_demand, self.position_demand = speed, float(self.position)
-        gain = self.value
         per = _MICRO / self.per_radian
         error = (speed - self.speed) * per
-        forward = (gain(0x30A2, 3) * speed + gain(0x30A2, 4) * acceleration) * per
-        self._drive(gain(0x30A2, 1) * error + forward + extra, gain(0x30A2, 2) * error)
+        p, i, forward_speed, forward_acceleration = (gain.number for gain in self._speed_gains)
+        forward = (forward_speed * speed + forward_acceleration * acceleration) * per
+        self._drive(p * error + forward + extra, i * error)
 
     def follow_position(
         self, position: float, speed: float, acceleration: float = 0.0, extra: float = 0.0
     ) -> None:
         self.position_demand, self.speed_demand = position, speed
-        gain = self.value
         per = _MICRO / self.per_radian
         error = (position - self.position) * per
         slip = (speed - self.speed) * per
-        forward = (gain(0x30A1, 4) * speed + gain(0x30A1, 5) * acceleration) * per
-        direct = gain(0x30A1, 1) * error + gain(0x30A1, 3) * slip + forward + extra
-        self._drive(direct, gain(0x30A1, 2) * error)
+        p, i, d, forward_speed, forward_acceleration = (g.number for g in self._position_gains)
+        forward = (forward_speed * speed + forward_acceleration * acceleration) * per
+        self._drive(p * error + d * slip + forward + extra, i * error)
 
     def _drive(self, direct: float, growth: float) -> None:
         current = direct + self._integral

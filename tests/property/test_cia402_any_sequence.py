@@ -126,6 +126,10 @@ class AnySequence(RuleBasedStateMachine):
     def option(self, index: int, value: int) -> None:
         self.bench.write(index, 0, value)
 
+    @rule(mode=st.sampled_from([1, 3, 6, 8, 9, 10]))
+    def mode(self, mode: int) -> None:
+        self.bench.write(0x6060, 0, mode)
+
     @rule(ms=st.sampled_from([0.4, 3.0, 30.0, 1200.0]))
     def wait(self, ms: float) -> None:
         before = self.bench.drive.state

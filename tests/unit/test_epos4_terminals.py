@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import exp
 
 import pytest
+from lab_bench import Bench
 from one_drive import ENABLE, SHUTDOWN, OneDrive
 
 from sim.devices.cia402 import State
@@ -279,3 +280,24 @@ def test_what_cannot_be_stored_or_is_the_makers_own_is_refused() -> None:
     bench.write(0x1010, 1, SAVE)
     bench.drive.set_supply(5.0)
     assert code(0x1010, 1, SAVE) == HARDWARE
+
+
+def test_a_node_keeps_what_was_saved_of_its_bus_over_an_nmt_reset() -> None:
+    kept = ((0x1029, 1, 1, 1), (0x1017, 0, 250, 2), (0x1400, 2, 1, 1), (0x2001, 0, 2, 1))
+    with Bench() as bench:
+        for index, sub, value, size in kept:
+            assert bench.write("can0", 1, index, sub, value, size) == 0
+        assert bench.upload("can0", 1, 0x200A, 0) == b"\x00", "a bit rate counts from the restart"
+        assert bench.write("can0", 1, 0x1010, 1, SAVE, 4) == 0
+        for word in (b"\x82\x01", b"\x81\x01"):
+            assert bench.write("can0", 1, 0x1017, 0, 0, 2) == 0
+            bench.send("can0", 0x000, word)
+            bench.wait(5)
+            for index, sub, value, size in kept:
+                assert bench.upload("can0", 1, index, sub) == value.to_bytes(size, "little")
+        assert bench.upload("can0", 1, 0x200A, 0) == b"\x02"
+        assert bench.write("can0", 1, 0x1011, 1, LOAD, 4) == 0
+        bench.send("can0", 0x000, b"\x81\x01")
+        bench.wait(5)
+        assert bench.upload("can0", 1, 0x1029, 1) == b"\x00"
+        assert bench.upload("can0", 1, 0x1400, 2) == b"\xff"

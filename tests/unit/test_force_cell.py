@@ -7,6 +7,7 @@ import struct
 import can
 import pytest
 from lab_bench import MS
+from pydantic import ValidationError
 
 from config import load
 from config.schema.bus import CellNode
@@ -244,3 +245,19 @@ def test_no_setting_makes_a_value_that_does_not_fit_its_frame() -> None:
     for index in (0x6130, 0x7130, 0x9130, 0x6150, 0x7123, 0x9123):
         cell.read(index)
     assert cell.read(0x9130) == 2**31 - 1
+
+
+def test_one_cell_and_several_are_configured_alike() -> None:
+    assert CellNode.model_validate({"cell": 3, "node_id": 1}) == CellNode(cells=(3,), node_id=1)
+    for wrong in ({"cell": 3, "cells": [4]}, {"cells": []}, {"cells": [0, 1, 2, 3, 4]}, {}):
+        with pytest.raises(ValidationError):
+            CellNode.model_validate(wrong | {"node_id": 1})
+
+
+def test_a_cell_belongs_to_one_channel_only() -> None:
+    bus = with_an_amplifier((0, 1, 2, 3)).fieldbus
+    given = bus.model_dump()
+    assert type(bus).model_validate(given) == bus
+    given["channels"][0]["force_cells"][0]["cells"] = [0, 1, 2, 2]
+    with pytest.raises(ValidationError, match="cell 2 has more than one node"):
+        type(bus).model_validate(given)
