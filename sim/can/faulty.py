@@ -162,7 +162,6 @@ class FaultyChannel(ConfinedChannel):
         self._struck = None
         if self._frame is not None:
             self._struck = self._frame.sender
-            self.wide_ns = NEVER
             if self._failure is None:
                 self._unaccount(now_ns)
             self._failure = failure = Failure(Violation.BIT, 0, heard=level == "dominant")

@@ -294,6 +294,24 @@ def test_a_cut_off_host_is_alone_and_its_frames_wait() -> None:
     assert [found.identifier for found in sound(late)] == [0x123]
 
 
+def test_a_controller_that_is_off_recovers_alone_when_it_is_cut_off_meanwhile() -> None:
+    bus, (sender, _) = channel()
+    fault = corrupt(bus)
+    bus.send(sender, frame(), 0)
+    bus.run(3 * MS)
+    bus.remove(fault)
+    bus.sever(sender, 3 * MS)
+    wire = sender.channel
+    wire.run(3 * MS + (128 * 11 - 1) * US)
+    assert (sender.errors.off, sender.retransmissions) == (True, 32)
+    wire.run(10 * MS)
+    assert (sender.errors.state, sender.errors.transmit) == (ErrorState.PASSIVE, 128)
+    bus.rejoin(sender, 10 * MS)
+    assert sender.channel is bus
+    bus.run(20 * MS)
+    assert bus.frames == 1
+
+
 @pytest.mark.parametrize("bitrate", [125_000, 500_000, 1_000_000])
 def test_times_follow_the_bit_rate(bitrate: int) -> None:
     bus, (alone,) = channel(listeners=0, bitrate=bitrate)
