@@ -69,6 +69,8 @@ class ConfinedChannel(Channel):
     def restart(self, port: Port) -> None:
         self._calm = False
         super().restart(port)
+        if self._failure is not None and self._frame is not None and self._frame.sender is port:
+            self._frame = self._failure = None  # it would have been sent again
         self._forget(port)
         port.errors.recover()
         port.held = False

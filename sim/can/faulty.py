@@ -75,10 +75,18 @@ class FaultyChannel(ConfinedChannel):
         """Undo `sever`; without effect on a controller that is not cut off."""
         for wire in self.severed:
             if port.channel is wire:
+                wire._abort(port)
                 wire._hand_over(port, self, now_ns)
                 self.severed.remove(wire)
                 self._rewired()
                 return
+
+    def _abort(self, port: Port) -> None:
+        """Take back the frame that a lone controller is sending in vain."""
+        frame = self._frame
+        if frame is not None:
+            self._frame = self._failure = None
+            port.queue.appendleft(frame)
 
     def _hand_over(self, port: Port, wire: FaultyChannel, now_ns: int) -> None:
         self._calm = wire._calm = False

@@ -312,6 +312,20 @@ def test_a_controller_that_is_off_recovers_alone_when_it_is_cut_off_meanwhile() 
     assert bus.frames == 1
 
 
+def test_switched_off_and_on_a_controller_forgets_what_it_was_sending() -> None:
+    bus, (alone,) = channel(listeners=0)
+    for _ in range(3):
+        bus.send(alone, frame(), 0)
+    bus.run(50 * US)
+    bus.restart(alone)
+    assert (alone.errors.clean, len(alone.queue)) == (True, 0)
+    bus.run(10 * MS)
+    listener = bus.attach(listens=True)
+    bus.send(alone, frame(0x321), 10 * MS)
+    bus.run(20 * MS)
+    assert [found.identifier for found in sound(listener)] == [0x321]
+
+
 @pytest.mark.parametrize("bitrate", [125_000, 500_000, 1_000_000])
 def test_times_follow_the_bit_rate(bitrate: int) -> None:
     bus, (alone,) = channel(listeners=0, bitrate=bitrate)
