@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import pty
+import select
 import signal
 import subprocess
 import sys
@@ -191,6 +193,31 @@ def test_python_cans_logger_joins(
     logger.send_signal(signal.SIGINT)
     logger.wait(10)
     assert " 703 " in log.read_text()
+
+
+def test_python_cans_viewer_shows_a_node(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(lab))
+    bus = TonusBus("can3")
+    screen, terminal = pty.openpty()
+    viewer = subprocess.Popen(
+        [sys.executable, "-m", "can.viewer", "-i", "tonus", "-c", "can3"],
+        env={**os.environ, "TERM": "xterm", "LINES": "24", "COLUMNS": "100"},
+        stdin=terminal,
+        stdout=terminal,
+    )
+    shown = b""
+    for _ in range(200):
+        bus.send(can.Message(arbitration_id=0, is_extended_id=False, data=b"\x82\x07"))
+        if select.select([screen], [], [], 0.1)[0]:
+            shown += os.read(screen, 65536)
+        if b"0x707" in shown:
+            break
+    viewer.terminate()
+    viewer.wait(10)
+    bus.shutdown()
+    os.close(screen)
+    os.close(terminal)
+    assert b"0x707" in shown
 
 
 def test_who_reads_by_file_descriptor_misses_nothing(
