@@ -107,7 +107,9 @@ class ConfinedChannel(Channel):
 
     def _settled(self) -> bool:
         ports = self._all_ports
-        return len(ports) > 1 and not self._suspended and all(p.errors.clean for p in ports)
+        if len(ports) < 2 or self._suspended:
+            return False
+        return all(port.errors.clean and not port.overflowing for port in ports)
 
     def _admit(self, start: int) -> bool:
         """Let frames into their queues. False if the lab has to tell a device first."""
@@ -116,6 +118,14 @@ class ConfinedChannel(Channel):
             due_ns, frame, port = arrivals.popleft()
             if not self.send(port, frame, due_ns) and self._lost(port, start):
                 return False
+        return True
+
+    def _lost(self, port: Port, now_ns: int) -> bool:
+        if port.told is None or port.overflowing:
+            return False
+        port.overflowing = True
+        self._calm = False
+        self._tell(port, Notice.OVERFLOW, now_ns)
         return True
 
     def _change_ns(self) -> int:
@@ -154,6 +164,9 @@ class ConfinedChannel(Channel):
         for port in self._off:
             self._off[port] += idle
         frame = self._begin(start)
+        sender = frame.sender
+        if sender is not None and not sender.queue:
+            sender.overflowing = False
         self._failure = failure = self._fails(frame)
         if failure is not None:
             self._unaccount(start)
