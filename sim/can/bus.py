@@ -139,6 +139,35 @@ class Port:
 class Channel:
     """One bus. ``wide_ns`` is the time of a frame that waits for the lab, or `NEVER`."""
 
+    # Slots, because beyond thirty attributes an instance's own dictionary is slow.
+    __slots__ = (
+        "_all_ports",
+        "_arrivals",
+        "_bitrate",
+        "_calm",
+        "_depth",
+        "_durations",
+        "_end_ns",
+        "_frame",
+        "_free_ns",
+        "_gap_ns",
+        "_heads",
+        "_hosts",
+        "_narrow",
+        "_notices",
+        "_ports",
+        "_response_ns",
+        "_short",
+        "_since",
+        "_wide",
+        "busy_ns",
+        "detour",
+        "frames",
+        "latency",
+        "name",
+        "wide_ns",
+    )
+
     def __init__(self, name: str, bitrate: int, queue_depth: int, response_ns: int) -> None:
         """``response_ns`` is how long a device takes until its answer is in its queue."""
         self.name = name

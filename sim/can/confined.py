@@ -42,6 +42,15 @@ class Failure:
 class ConfinedChannel(Channel):
     """``recovers``: a controller leaves bus-off by itself, after 128 times 11 recessive bits."""
 
+    __slots__ = (
+        "_failure",
+        "_off",
+        "_recovers",
+        "_sequence_ns",
+        "_suspended",
+        "error_frames",
+    )
+
     def __init__(
         self, name: str, bitrate: int, queue_depth: int, response_ns: int, *, recovers: bool = True
     ) -> None:

@@ -28,6 +28,21 @@ def _nobody() -> None:
 class FaultyChannel(ConfinedChannel):
     """``rewired`` is called when a wire comes to ``severed`` or goes."""
 
+    __slots__ = (
+        "_babblers",
+        "_cut",
+        "_delays",
+        "_dominant_ns",
+        "_faults",
+        "_lost_frame",
+        "_rewired",
+        "_struck",
+        "_stuck",
+        "_twice",
+        "_underway",
+        "severed",
+    )
+
     def __init__(
         self,
         name: str,
