@@ -22,10 +22,19 @@ from math import ceil
 
 from sim.can.confinement import Counters
 from sim.can.latency import Latency
-from sim.can.timing import INTERFRAME_BITS, LONGEST_FRAME_BITS, arbitration_key, stuffed_bits
+from sim.can.timing import (
+    INTERFRAME_BITS,
+    LONGEST_FRAME_BITS,
+    arbitration_key,
+    frame_bits,
+    stuffed_bits,
+)
 
 NEVER = 1 << 62
-from_bytes = int.from_bytes
+_from_bytes = int.from_bytes
+_SHORT = 1
+"""Bytes up to which a frame's time is kept, for at most so many frames:"""
+_KEPT = 4096
 _SECOND_NS = 1_000_000_000
 
 
@@ -130,6 +139,35 @@ class Port:
 class Channel:
     """One bus. ``wide_ns`` is the time of a frame that waits for the lab, or `NEVER`."""
 
+    # Slots, because beyond thirty attributes an instance's own dictionary is slow.
+    __slots__ = (
+        "_all_ports",
+        "_arrivals",
+        "_bitrate",
+        "_calm",
+        "_depth",
+        "_durations",
+        "_end_ns",
+        "_frame",
+        "_free_ns",
+        "_gap_ns",
+        "_heads",
+        "_hosts",
+        "_narrow",
+        "_notices",
+        "_ports",
+        "_response_ns",
+        "_short",
+        "_since",
+        "_wide",
+        "busy_ns",
+        "detour",
+        "frames",
+        "latency",
+        "name",
+        "wide_ns",
+    )
+
     def __init__(self, name: str, bitrate: int, queue_depth: int, response_ns: int) -> None:
         """``response_ns`` is how long a device takes until its answer is in its queue."""
         self.name = name
@@ -155,6 +193,7 @@ class Channel:
         self._wide: dict[int, list[tuple[Port, Wide]]] = {}
         # A frame's time by its bits; a table, because this is asked for every frame.
         self._durations = [ceil(n * _SECOND_NS / bitrate) for n in range(LONGEST_FRAME_BITS + 1)]
+        self._short: dict[tuple[int, int, bytes], int] = {}
         self._gap_ns = self._durations[INTERFRAME_BITS]
         self._all_ports: list[Port] = []
         self._notices: list[tuple[Port, Notice]] = []
@@ -305,12 +344,8 @@ class Channel:
 
     def _lost(self, port: Port, now_ns: int) -> bool:
         """A device's frame met a full queue. True if the lab has to tell the device first."""
-        if port.told is None or port.overflowing:
-            return False
-        port.overflowing = True
-        self._notices.append((port, Notice.OVERFLOW))
-        self.wide_ns = now_ns
-        return True
+        del port, now_ns
+        return False
 
     def _begin(self, start: int) -> Frame:
         """Arbitration: the smallest head wins the bus."""
@@ -320,19 +355,29 @@ class Channel:
         if queue:
             head = queue[0]
             heappush(self._heads, (head.key, port.number, head, port))
-        else:
-            port.overflowing = False
         if not self._heads:
             self._since = NEVER
         self._frame = frame
         frame.sender = port
-        bits = stuffed_bits(frame.identifier, frame.dlc, from_bytes(frame.data, "big", signed=True))
-        length = self._durations[bits]
+        data, dlc = frame.data, frame.dlc
+        if dlc > _SHORT:
+            bits = stuffed_bits(frame.identifier, dlc, _from_bytes(data, "big", signed=True))
+            length = self._durations[bits]
+        else:
+            known = self._short.get((frame.identifier, dlc, data))
+            length = self._measured(frame) if known is None else known
         self._end_ns = end = start + length
         self._free_ns = end + self._gap_ns
         self.busy_ns += length + self._gap_ns
         self.frames += 1
         return frame
+
+    def _measured(self, frame: Frame) -> int:
+        """A short frame's time, kept for the next of its kind: SYNC, heartbeats, requests."""
+        length = self._durations[frame_bits(frame.identifier, frame.dlc, frame.data)]
+        if len(self._short) < _KEPT:
+            self._short[frame.identifier, frame.dlc, frame.data] = length
+        return length
 
     def _finish(self, frame: Frame, end: int) -> bool:
         """The last bit is over. False if the frame has to wait for the lab."""

@@ -42,6 +42,15 @@ class Failure:
 class ConfinedChannel(Channel):
     """``recovers``: a controller leaves bus-off by itself, after 128 times 11 recessive bits."""
 
+    __slots__ = (
+        "_failure",
+        "_off",
+        "_recovers",
+        "_sequence_ns",
+        "_suspended",
+        "error_frames",
+    )
+
     def __init__(
         self, name: str, bitrate: int, queue_depth: int, response_ns: int, *, recovers: bool = True
     ) -> None:
@@ -69,6 +78,8 @@ class ConfinedChannel(Channel):
     def restart(self, port: Port) -> None:
         self._calm = False
         super().restart(port)
+        if self._failure is not None and self._frame is not None and self._frame.sender is port:
+            self._frame = self._failure = None  # it would have been sent again
         self._forget(port)
         port.errors.recover()
         port.held = False
@@ -105,7 +116,9 @@ class ConfinedChannel(Channel):
 
     def _settled(self) -> bool:
         ports = self._all_ports
-        return len(ports) > 1 and not self._suspended and all(p.errors.clean for p in ports)
+        if len(ports) < 2 or self._suspended:
+            return False
+        return all(port.errors.clean and not port.overflowing for port in ports)
 
     def _admit(self, start: int) -> bool:
         """Let frames into their queues. False if the lab has to tell a device first."""
@@ -114,6 +127,14 @@ class ConfinedChannel(Channel):
             due_ns, frame, port = arrivals.popleft()
             if not self.send(port, frame, due_ns) and self._lost(port, start):
                 return False
+        return True
+
+    def _lost(self, port: Port, now_ns: int) -> bool:
+        if port.told is None or port.overflowing:
+            return False
+        port.overflowing = True
+        self._calm = False
+        self._tell(port, Notice.OVERFLOW, now_ns)
         return True
 
     def _change_ns(self) -> int:
@@ -152,6 +173,9 @@ class ConfinedChannel(Channel):
         for port in self._off:
             self._off[port] += idle
         frame = self._begin(start)
+        sender = frame.sender
+        if sender is not None and not sender.queue:
+            sender.overflowing = False
         self._failure = failure = self._fails(frame)
         if failure is not None:
             self._unaccount(start)

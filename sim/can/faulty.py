@@ -28,6 +28,21 @@ def _nobody() -> None:
 class FaultyChannel(ConfinedChannel):
     """``rewired`` is called when a wire comes to ``severed`` or goes."""
 
+    __slots__ = (
+        "_babblers",
+        "_cut",
+        "_delays",
+        "_dominant_ns",
+        "_faults",
+        "_lost_frame",
+        "_rewired",
+        "_struck",
+        "_stuck",
+        "_twice",
+        "_underway",
+        "severed",
+    )
+
     def __init__(
         self,
         name: str,
@@ -75,10 +90,18 @@ class FaultyChannel(ConfinedChannel):
         """Undo `sever`; without effect on a controller that is not cut off."""
         for wire in self.severed:
             if port.channel is wire:
+                wire._abort(port)
                 wire._hand_over(port, self, now_ns)
                 self.severed.remove(wire)
                 self._rewired()
                 return
+
+    def _abort(self, port: Port) -> None:
+        """Take back the frame that a lone controller is sending in vain."""
+        frame = self._frame
+        if frame is not None:
+            self._frame = self._failure = None
+            port.queue.appendleft(frame)
 
     def _hand_over(self, port: Port, wire: FaultyChannel, now_ns: int) -> None:
         self._calm = wire._calm = False
@@ -162,7 +185,6 @@ class FaultyChannel(ConfinedChannel):
         self._struck = None
         if self._frame is not None:
             self._struck = self._frame.sender
-            self.wide_ns = NEVER
             if self._failure is None:
                 self._unaccount(now_ns)
             self._failure = failure = Failure(Violation.BIT, 0, heard=level == "dominant")

@@ -136,7 +136,10 @@ class LocalBus(TonusBus):
         Raises `can.CanOperationError` if the queue is full.
         """
         del timeout
-        self._lab.advance(self._clock())
+        lab = self._lab
+        now_ns = self._clock()
+        if now_ns > lab.now_ns:
+            lab.advance(now_ns)
         if not self._queue(msg):
             raise can.CanOperationError(f"the transmit queue of channel {self._name} is full")
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import select
 import signal
 import subprocess
 import sys
@@ -38,6 +41,30 @@ def test_python_cans_logger_joins(lab: Path) -> None:
     assert logger.wait(10) == 0
     assert sum(" 703 " in line for line in lines) == 20
     assert sum(" 000 " in line for line in lines) == 20
+
+
+def test_python_cans_viewer_shows_a_node(lab: Path) -> None:
+    bus = TonusBus("can3")
+    screen, terminal = pty.openpty()
+    viewer = subprocess.Popen(
+        [sys.executable, "-m", "can.viewer", "-i", "tonus", "-c", "can3"],
+        env={**environment(lab), "TERM": "xterm", "LINES": "24", "COLUMNS": "100"},
+        stdin=terminal,
+        stdout=terminal,
+    )
+    shown = b""
+    for _ in range(200):
+        bus.send(can.Message(arbitration_id=0, is_extended_id=False, data=b"\x82\x07"))
+        if select.select([screen], [], [], 0.1)[0]:
+            shown += os.read(screen, 65536)
+        if b"0x707" in shown:
+            break
+    viewer.terminate()
+    viewer.wait(10)
+    bus.shutdown()
+    os.close(screen)
+    os.close(terminal)
+    assert b"0x707" in shown
 
 
 def test_who_reads_by_file_descriptor_misses_nothing(lab: Path) -> None:

@@ -294,6 +294,38 @@ def test_a_cut_off_host_is_alone_and_its_frames_wait() -> None:
     assert [found.identifier for found in sound(late)] == [0x123]
 
 
+def test_a_controller_that_is_off_recovers_alone_when_it_is_cut_off_meanwhile() -> None:
+    bus, (sender, _) = channel()
+    fault = corrupt(bus)
+    bus.send(sender, frame(), 0)
+    bus.run(3 * MS)
+    bus.remove(fault)
+    bus.sever(sender, 3 * MS)
+    wire = sender.channel
+    wire.run(3 * MS + (128 * 11 - 1) * US)
+    assert (sender.errors.off, sender.retransmissions) == (True, 32)
+    wire.run(10 * MS)
+    assert (sender.errors.state, sender.errors.transmit) == (ErrorState.PASSIVE, 128)
+    bus.rejoin(sender, 10 * MS)
+    assert sender.channel is bus
+    bus.run(20 * MS)
+    assert bus.frames == 1
+
+
+def test_switched_off_and_on_a_controller_forgets_what_it_was_sending() -> None:
+    bus, (alone,) = channel(listeners=0)
+    for _ in range(3):
+        bus.send(alone, frame(), 0)
+    bus.run(50 * US)
+    bus.restart(alone)
+    assert (alone.errors.clean, len(alone.queue)) == (True, 0)
+    bus.run(10 * MS)
+    listener = bus.attach(listens=True)
+    bus.send(alone, frame(0x321), 10 * MS)
+    bus.run(20 * MS)
+    assert [found.identifier for found in sound(listener)] == [0x321]
+
+
 @pytest.mark.parametrize("bitrate", [125_000, 500_000, 1_000_000])
 def test_times_follow_the_bit_rate(bitrate: int) -> None:
     bus, (alone,) = channel(listeners=0, bitrate=bitrate)
