@@ -93,7 +93,7 @@ class Supervision:
             self._events.begin("heartbeat_lost", node.where, text)
 
     def _look_for_answers(self, watched: Watched) -> None:
-        node, unanswered = watched.node, watched.arrival.open
+        node, unanswered = watched.node, watched.arrival.silence
         if unanswered <= self._late_ticks:
             self._events.end("silent_pdo", node.where)
         elif watched.trusted:
