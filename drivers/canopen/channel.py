@@ -53,6 +53,7 @@ class Channel:
         self._flood_ticks = config.master.flood_ticks
         self._floods = 0
         self._stalled = False
+        self._unsent = 0  # SYNCs in a row
         self._stamps = Stamps()
         self._refused = False
         self._deaf = False
@@ -63,9 +64,12 @@ class Channel:
 
     def sync(self, tick: int) -> None:
         now = self._clock()
-        if self._transmit(self._sync):
-            self.syncs.bit_ns = self._bit_ns if self._stamps.exact else 0
-            self.syncs.sent(tick, now)
+        if not self._transmit(self._sync):
+            self._unsent += 1
+            return
+        self._unsent = 0
+        self.syncs.bit_ns = self._bit_ns if self._stamps.exact else 0
+        self.syncs.sent(tick, now)
 
     def _transmit(self, message: can.Message) -> bool:
         try:
@@ -131,21 +135,20 @@ class Channel:
             self._events.end("bus_deaf", self.name)
 
     def discard_stale(self) -> None:
-        """Where nobody has answered for longer than a measurement is fresh, what still waits to be
-        sent must not act when the bus comes back."""
-        for arrival in self.arrivals:
-            if arrival.silence <= self._fresh_ticks:
-                if self._stalled:
-                    self._stalled = False
-                    self._events.end("bus_stalled", self.name)
-                return
-        if not self._stalled and self.arrivals:
+        """Where nobody has answered for longer than a measurement is fresh, drop what waits to be
+        sent: torques among it must not act when the bus comes back. Later ones are 0 already."""
+        patience = self._fresh_ticks - self._unsent
+        if any(arrival.silence <= patience for arrival in self.arrivals):
+            if self._stalled:
+                self._stalled = False
+                self._events.end("bus_stalled", self.name)
+        elif not self._stalled and self.arrivals:
             self._stalled = True
-            text = f"no node answered the last {self._fresh_ticks + 1} SYNCs"
+            text = f"no node answered for {self._fresh_ticks + 1} ticks"
             self._events.begin("bus_stalled", self.name, text)
-        # An interface that cannot drop what it has queued needs a short queue (docs/events.md).
-        with contextlib.suppress(NotImplementedError, can.CanError, OSError):
-            self._bus.flush_tx_buffer()
+            # Not every interface can; what it holds then acts once (docs/events.md).
+            with contextlib.suppress(NotImplementedError, can.CanError, OSError):
+                self._bus.flush_tx_buffer()
 
     def _foreign(self, message: can.Message) -> None:
         if message.is_error_frame:

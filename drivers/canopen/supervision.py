@@ -148,7 +148,9 @@ class Supervision:
         if watched.axis is not None:
             self._exchange.error_codes[watched.axis] = code
             needed = cure(code)
-            if needed in _RESETS:
+            if not code:
+                watched.standing.clear()
+            elif needed in _RESETS:
                 watched.standing.add(needed)
         for cell in watched.cells:
             self._exchange.cell_status[cell] = UNTRUSTED if code else 0
