@@ -76,6 +76,6 @@ def _cell(config: Config, cell: int) -> str:
     if isinstance(bus, CanopenBus):
         for channel in bus.channels:
             for node in channel.force_cells:
-                if node.cell == cell:
+                if cell in node.cells:
                     return f"{channel.name}/{node.node_id} ({name})"
     return name

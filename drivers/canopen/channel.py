@@ -138,11 +138,13 @@ class Channel:
         """Where nobody has answered for longer than a measurement is fresh, drop what waits to be
         sent: torques among it must not act when the bus comes back. Later ones are 0 already."""
         patience = self._fresh_ticks - self._unsent
-        if any(arrival.silence <= patience for arrival in self.arrivals):
-            if self._stalled:
-                self._stalled = False
-                self._events.end("bus_stalled", self.name)
-        elif not self._stalled and self.arrivals:
+        for arrival in self.arrivals:
+            if arrival.silence <= patience:
+                if self._stalled:
+                    self._stalled = False
+                    self._events.end("bus_stalled", self.name)
+                return
+        if not self._stalled and self.arrivals:
             self._stalled = True
             text = f"no node answered for {self._fresh_ticks + 1} ticks"
             self._events.begin("bus_stalled", self.name, text)
