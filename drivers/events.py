@@ -58,7 +58,11 @@ EVENTS: dict[str, Meaning] = {
     ),
     "bus_recovered": Meaning("the controller is error-active again", ""),
     "bus_deaf": Meaning("nothing can be received on a channel", _AGES),
-    "bus_flooded": Meaning("a channel brings more than a tick can read", _AGES),
+    "bus_flooded": Meaning("a channel is full of frames that are none of ours", _AGES),
+    "bus_stalled": Meaning(
+        "nobody on a channel answers",
+        "its axes and cells are lost; frames not yet sent are dropped",
+    ),
     "non_finite_torque": Meaning("control commanded a torque that is no number", "it gets 0"),
     "tracker_malformed": Meaning("a tracker datagram that cannot be believed", "not used"),
     "dropped": Meaning("more events than can be kept between two ticks", "counted"),

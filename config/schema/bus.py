@@ -142,8 +142,9 @@ class Master(Section):
     """regular answers in a row after which one that is missing is lost, not late"""
     drain_periods: Count
     """frames taken in one tick, in periods of a full bus: a flood must not hold the tick"""
+    flood_frames: Count
+    """frames of nobody in one tick, so many ticks in a row, are a flood"""
     flood_ticks: Count
-    """ticks in a row that leave frames behind: somebody floods the channel"""
     health_ticks: Count
     """how often a controller is asked for its error state"""
 

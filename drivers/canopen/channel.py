@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 
 import can
@@ -10,7 +11,7 @@ from config.schema.bus import CanopenBus
 from drivers.canopen.health import Health
 from drivers.canopen.identifiers import SYNC
 from drivers.canopen.stamps import Stamps
-from drivers.canopen.syncs import FRAME_BITS, INTERFRAME_BITS, Syncs
+from drivers.canopen.syncs import FRAME_BITS, INTERFRAME_BITS, Arrival, Syncs
 from drivers.events import EventLog
 from drivers.fieldbus import FrameTap
 
@@ -27,12 +28,15 @@ class Channel:
         bus: can.BusABC,
         config: CanopenBus,
         period_us: int,
+        fresh_ticks: int,
         clock: Clock,
         tap: FrameTap | None,
         events: EventLog,
     ) -> None:
         self.name = config.channels[number].name
         self.handlers: dict[int, Handler] = {}
+        self.arrivals: list[Arrival] = []
+        """of every node on the channel"""
         self.syncs = Syncs()
         self.health = Health(self.name, bus, events)
         self._number = number
@@ -44,8 +48,12 @@ class Channel:
         shortest = FRAME_BITS + INTERFRAME_BITS
         self._frames_per_drain = config.master.drain_periods * (1 + per_period // shortest)
         self._bit_ns = 1_000_000_000 // config.bitrate
+        self._fresh_ticks = fresh_ticks
+        self._flood_frames = config.master.flood_frames
         self._flood_ticks = config.master.flood_ticks
-        self._full_drains = 0
+        self._floods = 0
+        self._stalled = False
+        self._unsent = 0  # SYNCs in a row
         self._stamps = Stamps()
         self._refused = False
         self._deaf = False
@@ -56,9 +64,12 @@ class Channel:
 
     def sync(self, tick: int) -> None:
         now = self._clock()
-        if self._transmit(self._sync):
-            self.syncs.bit_ns = self._bit_ns if self._stamps.exact else 0
-            self.syncs.sent(tick, now)
+        if not self._transmit(self._sync):
+            self._unsent += 1
+            return
+        self._unsent = 0
+        self.syncs.bit_ns = self._bit_ns if self._stamps.exact else 0
+        self.syncs.sent(tick, now)
 
     def _transmit(self, message: can.Message) -> bool:
         try:
@@ -83,6 +94,7 @@ class Channel:
         stamp_of = self._stamps.of
         syncs = self.syncs
         now = self._clock()
+        foreign = 0
         try:
             for _ in range(self._frames_per_drain):
                 message = receive(0)
@@ -100,24 +112,45 @@ class Channel:
                     or message.is_remote_frame
                     or message.is_error_frame
                 ):
+                    foreign += not message.is_error_frame
                     self._foreign(message)
                 else:
                     handler(data)
             else:
-                self._full_drains += 1
-                if self._full_drains >= self._flood_ticks:
-                    text = f"{self._full_drains} ticks in a row left frames unread"
-                    self._events.begin("bus_flooded", self.name, text)
+                foreign = self._flood_frames
         except (can.CanError, OSError) as error:
             self._deaf = True
             self._events.begin("bus_deaf", self.name, f"cannot receive: {error}")
             return
-        if message is None and self._full_drains:
-            self._full_drains = 0
+        if foreign >= self._flood_frames:
+            self._floods += 1
+            if self._floods >= self._flood_ticks:
+                text = f"{self._floods} ticks in a row brought frames of nobody, or too many"
+                self._events.begin("bus_flooded", self.name, text)
+        elif self._floods:
+            self._floods = 0
             self._events.end("bus_flooded", self.name)
         if self._deaf:
             self._deaf = False
             self._events.end("bus_deaf", self.name)
+
+    def discard_stale(self) -> None:
+        """Where nobody has answered for longer than a measurement is fresh, drop what waits to be
+        sent: torques among it must not act when the bus comes back. Later ones are 0 already."""
+        patience = self._fresh_ticks - self._unsent
+        for arrival in self.arrivals:
+            if arrival.silence <= patience:
+                if self._stalled:
+                    self._stalled = False
+                    self._events.end("bus_stalled", self.name)
+                return
+        if not self._stalled and self.arrivals:
+            self._stalled = True
+            text = f"no node answered for {self._fresh_ticks + 1} ticks"
+            self._events.begin("bus_stalled", self.name, text)
+            # Not every interface can; what it holds then acts once (docs/events.md).
+            with contextlib.suppress(NotImplementedError, can.CanError, OSError):
+                self._bus.flush_tx_buffer()
 
     def _foreign(self, message: can.Message) -> None:
         if message.is_error_frame:

@@ -125,6 +125,7 @@ class CanopenFieldbus:
             self._begin_ticking(tick)
         for channel in self._buses:
             channel.drain()
+            channel.discard_stale()
         # The SYNC goes out before the sums are done: its jitter is everybody's sampling jitter.
         for channel in self._buses:
             channel.sync(tick)
@@ -195,8 +196,16 @@ class CanopenFieldbus:
                     f"bring-up failed: {name} cannot be opened on interface "
                     f"{self._bus.interface}: {error}"
                 ) from error
+            fresh_ticks = self._config.control.freshness.measurement_ticks
             channel = Channel(
-                number, bus, self._bus, self._period_us, clock, self._tap, self._events
+                number,
+                bus,
+                self._bus,
+                self._period_us,
+                fresh_ticks,
+                clock,
+                self._tap,
+                self._events,
             )
             self._buses.append(channel)
             self._add_drives(channel, number)
@@ -246,8 +255,12 @@ class CanopenFieldbus:
     def _arrival(
         self, node: Node, rows: tuple[int, ...], ticks: list[int], mapping: Mapping
     ) -> Arrival:
-        size, syncs = mapping.layout.size, node.channel.syncs
-        return Arrival(rows, ticks, size, syncs, self._bus.master, self._events, node.where)
+        size, channel = mapping.layout.size, node.channel
+        arrival = Arrival(
+            rows, ticks, size, channel.syncs, self._bus.master, self._events, node.where
+        )
+        channel.arrivals.append(arrival)
+        return arrival
 
     def _refusal(self, node: Node, mapping: Mapping) -> Refusal:
         return Refusal(mapping.layout.size, self._events, node.where)

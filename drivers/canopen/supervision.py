@@ -93,7 +93,7 @@ class Supervision:
             self._events.begin("heartbeat_lost", node.where, text)
 
     def _look_for_answers(self, watched: Watched) -> None:
-        node, unanswered = watched.node, watched.arrival.open
+        node, unanswered = watched.node, watched.arrival.silence
         if unanswered <= self._late_ticks:
             self._events.end("silent_pdo", node.where)
         elif watched.trusted:
@@ -148,7 +148,9 @@ class Supervision:
         if watched.axis is not None:
             self._exchange.error_codes[watched.axis] = code
             needed = cure(code)
-            if needed in _RESETS:
+            if not code:
+                watched.standing.clear()
+            elif needed in _RESETS:
                 watched.standing.add(needed)
         for cell in watched.cells:
             self._exchange.cell_status[cell] = UNTRUSTED if code else 0

@@ -89,9 +89,9 @@ class Arrival:
         self._fresh = True
 
     @property
-    def open(self) -> int:
-        """SYNCs without an answer."""
-        return self._syncs.count - self._answered
+    def silence(self) -> int:
+        """SYNCs since the last PDO."""
+        return self._syncs.count - self._period
 
     def book(self, data: bytes | bytearray) -> bool:
         """Account for the frame in hand; False if its data are not to be used."""

@@ -13,6 +13,7 @@ from hil.can_bench import CONFIG, PERIOD_S, Bench, enabled, on_lab
 from hil.runs import configured
 from hil.test_events import Heard
 
+from config.schema.bus import CanopenBus
 from drivers.canopen.master import CanopenFieldbus
 from drivers.fieldbus import BusEvent
 from drivers.process_image import AxisCommand, AxisState, ProcessImage
@@ -39,6 +40,26 @@ async def recovered(bench: Bench) -> None:
     while not recovery.done():
         await bench.ticks(1)
     recovery.result()
+
+
+def test_every_drive_stops_by_itself_when_the_daemon_is_killed() -> None:
+    async def script(bench: Bench) -> None:
+        await enabled(bench)
+        bus = CONFIG.fieldbus
+        assert isinstance(bus, CanopenBus)
+        while (bench.tick - 1) % bus.master.heartbeat_ms:
+            await bench.ticks(1)
+        loop = asyncio.get_running_loop()
+        killed, timeout_s = loop.time() - PERIOD_S, 1e-3 * bus.drive.master_timeout_ms
+
+        def enabled_after(seconds: float) -> int:
+            bench.lab.advance(round((killed + seconds) * 1e9))
+            return sum(drive.enabled for drive in bench.lab.drives)
+
+        assert enabled_after(0.99 * timeout_s) == 8
+        assert enabled_after(timeout_s + PERIOD_S) == 0
+
+    on_lab(script)
 
 
 def test_drives_that_lost_the_masters_heartbeat_are_brought_back_by_a_reset() -> None:

@@ -46,7 +46,7 @@ def served() -> ObjectDictionary:
 async def client(channel: str, node_id: int, timeout_s: float = 2.0) -> AsyncIterator[SdoClient]:
     bus = can.Bus(interface="virtual", channel=channel)
     config = robot_on(channel).fieldbus
-    made = Channel(0, bus, config, 1000, lambda: 0, None, EventLog())
+    made = Channel(0, bus, config, 1000, 3, lambda: 0, None, EventLog())
     sdo = SdoClient(lambda data: made.send(0x600 + node_id, data), timeout_s)
     made.handlers[0x580 + node_id] = sdo.receive
 

@@ -83,6 +83,10 @@ class ScriptedBus(can.BusABC):
         self.deaf = False
         self.condition: can.BusState | None = can.BusState.ACTIVE
         self.closed = False
+        self.flushes = 0
+
+    def flush_tx_buffer(self) -> None:
+        self.flushes += 1
 
     def put(self, identifier: int, data: bytes = b"", **fields: Any) -> None:
         fields = {"is_extended_id": False, **fields}

@@ -27,7 +27,9 @@ def run(script: Callable[[Robot], None], robot: Robot | None = None) -> Robot:
 
 
 def names(robot: Robot) -> list[str]:
-    return [event.name for event in robot.fieldbus.take_events()]
+    """Of the events since the last call, but for channels on which a test lets nobody answer."""
+    told = [event.name for event in robot.fieldbus.take_events()]
+    return [name for name in told if name != "bus_stalled"]
 
 
 def test_samples_of_the_last_sync_reach_the_image_in_si_units() -> None:

@@ -118,12 +118,12 @@ def test_a_deaf_channel_is_told_once_and_costs_its_own_axes_only() -> None:
     def script(robot: Robot) -> None:
         ticks(robot, 0, 5)
         robot.buses["can1"].deaf = True
-        assert ticks(robot, 5, 12) == ["bus_deaf can1"]
+        assert ticks(robot, 5, 8) == ["bus_deaf can1", "bus_stalled can1"]
         states = robot.image.axes["state"]
         assert list(states == AxisState.LOST) == [False, False, True, True] + [False] * 4
         robot.buses["can1"].deaf = False
         robot.buses["can1"].inbox.clear()
-        ticks(robot, 17, 30)
+        ticks(robot, 13, 30)
         assert set(states) == {AxisState.OPERATION_ENABLED}
 
     run(script)
@@ -147,13 +147,43 @@ def test_a_channel_that_never_runs_dry_is_flooded() -> None:
 def test_a_node_that_lives_but_answers_no_sync_is_told_once_an_episode() -> None:
     def script(robot: Robot) -> None:
         told = ticks(robot, 0, 100, silent="can2")
-        names = {line.split()[0] for line in told}
-        assert names == {"silent_pdo"}
-        assert sorted(line.split()[1] for line in told) == [
-            "can2/21",
-            "can2/22",
-            "can2/5",
-            "can2/6",
+        silent = {f"silent_pdo can2/{node}" for node in (5, 6, 21, 22)}
+        assert set(told) == {"bus_stalled can2", *silent}
+        assert len(told) == 5
+
+    run(script)
+
+
+def test_what_waits_to_be_sent_is_dropped_once_when_nobody_answers() -> None:
+    def script(robot: Robot) -> None:
+        fresh = CONFIG.control.freshness.measurement_ticks
+        can2 = robot.buses["can2"]
+        ticks(robot, 0, 20)
+        ticks(robot, 20, fresh, silent="can2")
+        assert can2.flushes == 0
+        assert "bus_stalled can2" in ticks(robot, 20 + fresh, 5, silent="can2")
+        assert can2.flushes == 1
+        ticks(robot, 30, 10)
+        can2.refuses = True  # a queue that is full before the measurements are old
+        ticks(robot, 40, fresh + 1, silent="can2")
+        assert can2.flushes == 2
+        assert not any(robot.buses[f"can{n}"].flushes for n in (0, 1, 3))
+
+    run(script)
+
+
+def test_strangers_that_fill_a_channel_are_a_flood() -> None:
+    def script(robot: Robot) -> None:
+        bus = robot.buses["can0"]
+        ticks(robot, 0, 5)
+        told = []
+        for tick in range(5, 5 + MASTER.flood_ticks):
+            for _ in range(MASTER.flood_frames):
+                bus.put(0x000, bytes(2))
+            told.append(ticks(robot, tick, 1))
+        assert ["bus_flooded can0" in names for names in told] == [
+            *[False] * (MASTER.flood_ticks - 1),
+            True,
         ]
 
     run(script)
