@@ -4,7 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 
-.PHONY: setup run test bench lint check-types lock clean
+FUZZ_FRAMES ?= 200000
+FUZZ_SEED ?= $(shell date +%s)
+
+.PHONY: setup run test bench fuzz lint check-types lock clean
 
 setup: $(STAMP)
 
@@ -32,6 +35,11 @@ test: lint check-types
 
 bench: setup
 	$(BIN)/python -m tests.bench
+
+# Prints its seed: make fuzz FUZZ_SEED=... does the same again.
+fuzz: setup
+	$(BIN)/python -m tests.fuzz --frames $(FUZZ_FRAMES) --seed $(FUZZ_SEED)
+	$(BIN)/python -m tests.fuzz --frames $(FUZZ_FRAMES) --seed $(FUZZ_SEED) --against master
 
 lock: setup
 	$(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-index-url \
