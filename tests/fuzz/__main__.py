@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
+from pathlib import Path
 from time import perf_counter  # noqa: TID251 - how fast a storm is, is the host's own affair
 
 from tests.fuzz.lab import CHECK_EVERY, GrownError, LabUnderFire, shortest, targets
@@ -14,11 +15,27 @@ _REPORT_EVERY = 20_000
 _WEIGH_EVERY = 10_000
 
 
+def _against_master(seed: int, frames: int) -> int:
+    sys.path.insert(0, str(Path(__file__).parents[1]))  # where the tests' own helpers lie
+    from tests.property.test_driver_any_frames import fuzz_master
+
+    try:
+        events = fuzz_master(seed, frames)
+    except AssertionError as error:
+        print(f"FALLEN: {error}")
+        return 1
+    print(f"standing after {frames} frames; events told: {', '.join(sorted(events))}")
+    return 0
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("--frames", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--against", choices=("lab", "master"), default="lab")
     options = parser.parse_args()
+    if options.against == "master":
+        return _against_master(options.seed, options.frames)
     print(f"seed {options.seed}, {options.frames} frames against the lab of 17 devices")
     recent: list[Shot] = []
     number = 0

@@ -7,9 +7,11 @@ what the statusword shows decides.
 
 from __future__ import annotations
 
+import itertools
 import struct
 from typing import NamedTuple
 
+import pytest
 from hypothesis import Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -78,7 +80,9 @@ AT_ONCE = {CONNECTION_OPTION: 2, FAULT_OPTION: 0}
 """With this option no ramp is run either."""
 OF_THE_BUS = (0x8120, 0x8130)
 """Held until NMT reset communication."""
-RAMP_MS = 1500
+DECELERATION = 3000
+"""rpm/s"""
+RAMP_MS = 2500
 """Deceleration from any speed a drum has here, and the timeout of the standstill window."""
 _TYPICAL = st.sampled_from([0x02, 0x06, 0x07, 0x0F, 0x00, 0x80])
 WORDS = st.one_of(_TYPICAL, _TYPICAL, st.integers(min_value=0, max_value=0xFF))
@@ -164,6 +168,12 @@ class DriveOnItsBus(RuleBasedStateMachine):
 
     # -- the bus ---------------------------------------------------------------------------------
 
+    def choose_torque_mode(self) -> None:
+        """And ramps that are slow enough to be spoken to."""
+        self.object(0x6060, 10, 1)
+        self.object(0x6084, DECELERATION, 4)
+        self.object(0x6085, DECELERATION, 4)
+
     def object(self, index: int, value: int, size: int = 2) -> None:
         assert self.bench.write(CHANNEL, NODE, index, 0, value, size) == 0
 
@@ -177,8 +187,8 @@ class DriveOnItsBus(RuleBasedStateMachine):
         self.last_word = word
 
     @initialize()
-    def choose_torque_mode(self) -> None:
-        self.object(0x6060, 10, 1)
+    def begin(self) -> None:
+        self.choose_torque_mode()
 
     @precondition(lambda self: self.talks)
     @rule(word=WORDS)
@@ -196,24 +206,28 @@ class DriveOnItsBus(RuleBasedStateMachine):
 
     @precondition(lambda self: self.talks)
     @rule(
-        reset=st.booleans(),
+        reset=st.sampled_from([True, True, False]),
         way_up=WAYS_UP,
-        torque=st.sampled_from([0, 300, -300]),
+        torque=st.sampled_from([0, 500, -500]),
         then=st.lists(WORDS | EVENTS, min_size=1, max_size=4) | st.lists(EVENTS, min_size=2),
     )
     def up_and_on(self, reset: bool, way_up: tuple[int, ...], torque: int, then: list[int]) -> None:
         """The words a master sends in a row, which chance rarely does; some motion; and more
         words and errors in close succession."""
         self.object(0x6071, torque)
-        for word in ((0x00, 0x80) if reset else ()) + way_up:
+        for word in ((0x00, 0x80, 0x00) if reset else ()) + way_up:
             self.controlword_by_sdo(word)
         self.bench.wait(40 if torque else 0)
         for one in then:
-            if one in ERRORS:
-                self.error(one)
-            else:
-                self.controlword_by_sdo(one)
-            self.shows_a_place_it_may_be_in()
+            self.step(one)
+
+    def step(self, one: int) -> None:
+        """A controlword or an error, and a look."""
+        if one in ERRORS:
+            self.error(one)
+        else:
+            self.controlword_by_sdo(one)
+        self.shows_a_place_it_may_be_in()
 
     @precondition(lambda self: self.talks)
     @rule(data=st.data())
@@ -229,7 +243,7 @@ class DriveOnItsBus(RuleBasedStateMachine):
         self.bench.wait(1)
         self.failed(code)
 
-    @rule(to=st.sampled_from(["operational", "stopped", "pre-operational"]))
+    @rule(to=st.sampled_from(["operational", "operational", "stopped", "pre-operational"]))
     def nmt_command(self, to: str) -> None:
         """Of no effect on the machine: a drive without a watch keeps what it was told."""
         self.nmt_sent({"operational": 0x01, "stopped": 0x02, "pre-operational": 0x80}[to])
@@ -244,7 +258,7 @@ class DriveOnItsBus(RuleBasedStateMachine):
         if node:
             self.places = {Place(DISABLED)}
             self.started()
-            self.object(0x6060, 10, 1)
+            self.choose_torque_mode()
 
     def nmt_sent(self, command: int) -> None:
         self.bench.send(CHANNEL, 0x000, bytes((command, NODE)))
@@ -281,9 +295,40 @@ class DriveOnItsBus(RuleBasedStateMachine):
 
 TestDriveOnItsBus = DriveOnItsBus.TestCase
 TestDriveOnItsBus.settings = settings(
-    max_examples=80,
+    max_examples=25,
     stateful_step_count=50,
     derandomize=True,
     deadline=None,
     phases=(Phase.generate,),  # making a sequence shorter takes minutes
 )
+
+
+STEPS = (0x00, 0x02, 0x06, 0x07, 0x0F, 0x80, 0x8F, 0x2310, 0x6320, 0x8130)
+PATHS = {
+    DISABLED: (),
+    READY: (0x06,),
+    ON: (0x06, 0x07),
+    ENABLED: (0x06, 0x0F),
+    STOPPED: (0x06, 0x0F, 0x02),
+    REACTION: (0x06, 0x0F, 0x6320),
+    FAULT: (0x80, 0x2310),
+}
+
+
+@pytest.mark.parametrize("state", PATHS)
+def test_from_every_state_any_two_steps(state: str) -> None:
+    drive = DriveOnItsBus()
+    try:
+        for number, steps in enumerate(itertools.product(STEPS, repeat=2)):
+            drive.nmt_reset(node=True)
+            drive.object(SHUTDOWN_OPTION, 1)
+            drive.options[SHUTDOWN_OPTION] = 1
+            drive.object(0x6071, -500 if number % 2 else 500)
+            for one in PATHS[state]:
+                drive.step(one)
+                drive.bench.wait(20 if one == 0x0F else 0)  # some speed, for a ramp that lasts
+            assert {place.state for place in drive.places} & {state, FAULT}
+            for one in steps:
+                drive.step(one)
+    finally:
+        drive.teardown()
