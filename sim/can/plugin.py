@@ -22,7 +22,7 @@ from sim.can import error_frames, packet, registry
 from sim.can.bus import Frame
 from sim.can.confinement import ErrorState
 from sim.can.cyclic import LabCyclicTask, Modifier
-from sim.can.timing import ERROR, EXTENDED, EXTENDED_ID, REMOTE, arbitration_key
+from sim.can.timing import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE, arbitration_key
 
 _SEND_BUFFER = 16384
 """Bytes a socket holds of frames the lab has not taken yet: some forty, the host counts its own
@@ -74,10 +74,16 @@ def _checked(message: can.Message) -> int:
     if message.is_fd or message.is_error_frame or message.dlc > 8:
         raise can.CanOperationError("the lab's bus carries classic data and remote frames only")
     identifier = message.arbitration_id
+    if not 0 <= identifier <= (EXTENDED_ID if message.is_extended_id else BASE_ID):
+        raise can.CanOperationError(f"an identifier of 0x{identifier:X} does not fit the frame")
     if message.is_extended_id:
         identifier |= EXTENDED
     if message.is_remote_frame:
         identifier |= REMOTE
+    elif len(message.data) != message.dlc:
+        raise can.CanOperationError(
+            f"a frame of length {message.dlc} was given {len(message.data)} bytes"
+        )
     return identifier
 
 
@@ -148,7 +154,9 @@ class LocalBus(TonusBus):
         identifier = _checked(message)
         key = self._keys.get(identifier)
         if key is None:
-            key = self._keys[identifier] = arbitration_key(identifier)
+            key = arbitration_key(identifier)
+            if identifier <= BASE_ID:  # of the others there are too many to keep
+                self._keys[identifier] = key
         frame = Frame(identifier, bytes(message.data), message.dlc, key)
         port = self._port
         return port.channel.send(port, frame, self._lab.now_ns)
