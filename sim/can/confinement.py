@@ -58,9 +58,8 @@ class Counters:
             self.receive -= 1
 
     def transmit_failed(self) -> None:
-        self.transmit += _TRANSMIT_STEP
-        if self.transmit >= _OFF:
-            self.off = True
+        self.transmit = min(self.transmit + _TRANSMIT_STEP, _OFF)
+        self.off = self.transmit == _OFF
 
     def not_acknowledged(self) -> None:
         """A transmitter that is passive already is not charged: alone it never goes bus-off."""
