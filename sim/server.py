@@ -150,6 +150,8 @@ class _Server:
             lab.advance(self._clock())
             while port.room > 0:
                 packet = client.connection.recv(PACKET_BYTES)
+                # Again: it may have been sent since, and nothing is on a bus before it is sent.
+                lab.advance(self._clock())
                 if not packet:
                     self._leave(client)
                     break
