@@ -12,13 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from config.places import LAB_DOOR
 from config.schema.bus import CanopenBus
 from config.schema.root import Config
 from sim.can.bridge import Bridge
 from sim.can.bus import Channel, Frame, Port
 from sim.can.packet import FRAMES_PER_PACKET, PACKET_BYTES, decode, encode, socket_path, sound
 from sim.door import Door
-from sim.door_socket import NAME, DoorSocket
+from sim.door_socket import DoorSocket
 from sim.errors import LabError
 from sim.lab import Lab
 from sim.timer import WakeUp
@@ -83,7 +84,7 @@ class _Server:
             elif name in inhabited:
                 bridge = Bridge(lab, channel, bus.interface, bus.bitrate, self._arm)
                 self._bridges.append(bridge)
-        door = self._directory / NAME
+        door = self._directory / LAB_DOOR
         _remove_stale(door, socket.SOCK_DGRAM)
         self._door = DoorSocket(
             Door(self._lab), door, lambda: self._lab.advance(self._clock()), self._work
