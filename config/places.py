@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+LAB_DOOR = "lab.sock"
+"""A running lab's door, among its sockets."""
+
 
 def runtime_dir() -> Path:
     """$TONUS_RUNTIME_DIR, else $XDG_RUNTIME_DIR/tonus, else /run/tonus; not created here."""

@@ -18,7 +18,6 @@ from pathlib import Path
 from sim.door import REQUEST_BYTES, Door, refusal
 from sim.errors import LabError
 
-NAME = "lab.sock"
 _CREDENTIALS = struct.Struct("@iII")
 """struct ucred: process, user, group"""
 _ANCILLARY_BYTES = socket.CMSG_SPACE(_CREDENTIALS.size)

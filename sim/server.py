@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from config.places import LAB_DOOR
 from config.schema.bus import CanopenBus
 from config.schema.root import Config
 from sim.can.bridge import Bridge
@@ -26,7 +27,7 @@ from sim.can.packet import (
     sound,
 )
 from sim.door import Door
-from sim.door_socket import NAME, DoorSocket
+from sim.door_socket import DoorSocket
 from sim.errors import LabError
 from sim.lab import Lab
 from sim.timer import WakeUp
@@ -89,7 +90,7 @@ class _Server:
             elif name in inhabited:
                 bridge = Bridge(lab, channel, bus.interface, bus.bitrate, self._arm)
                 self._bridges.append(bridge)
-        door = self._directory / NAME
+        door = self._directory / LAB_DOOR
         _remove_stale(door, socket.SOCK_DGRAM)
         self._door = DoorSocket(
             Door(self._lab), door, lambda: self._lab.advance(self._clock()), self._work

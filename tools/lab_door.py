@@ -7,8 +7,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from config.places import runtime_dir
-from sim.door_socket import NAME
+from config.places import LAB_DOOR, runtime_dir
 from tools.errors import ToolError
 
 REPLY_BYTES = 1 << 20
@@ -17,7 +16,7 @@ PATIENCE_S = 5.0
 
 def door_path() -> Path:
     """Where the door of this user's lab is."""
-    return runtime_dir() / NAME
+    return runtime_dir() / LAB_DOOR
 
 
 def ask(request: dict[str, Any], path: Path | None = None) -> dict[str, Any]:

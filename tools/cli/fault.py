@@ -6,6 +6,7 @@ There is one command for each kind of fault, made from the schema.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -30,13 +31,15 @@ _SOCKET = click.Option(
 def _integer(field: FaultField) -> Callable[[str], int]:
     """A whole number within the field's bounds, also as 0x1F."""
 
+    low = -math.inf if field.low is None else field.low
+    high = math.inf if field.high is None else field.high
+
     def convert(value: str | int) -> int:
         try:
             number = int(value, 0) if isinstance(value, str) else value
         except ValueError:
             number = None
-        low, high = field.low, field.high
-        if number is None or (low is not None and number < low) or (high and number > high):
+        if number is None or not low <= number <= high:
             raise click.BadParameter(f"{value!r} is not a whole number {field.bounds}".rstrip())
         return number
 

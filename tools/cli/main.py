@@ -6,6 +6,7 @@ Exit codes: 0 done; 1 the run ended in a fault or a check failed; 2 bad usage or
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 
 import click
 
@@ -13,23 +14,32 @@ from config.errors import ConfigError
 from drivers.errors import DriverError
 from runtime.errors import DaemonError
 from sim.errors import LabError
-from tools.cli.check import check
-from tools.cli.export import export
-from tools.cli.fault import fault
-from tools.cli.lab import lab
-from tools.cli.log import log
-from tools.cli.run import run
 from tools.errors import ToolError
 
+COMMANDS = ("run", "lab", "fault", "check", "log", "export")
+"""Each is the object of its name in the module of its name."""
 
-@click.group()
+
+class _Commands(click.Group):
+    """Imports a command when it is asked for, so that a light one is not kept waiting by others."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        del ctx
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        del ctx
+        if cmd_name not in COMMANDS:
+            return None
+        command = getattr(import_module(f"tools.cli.{cmd_name}"), cmd_name)
+        assert isinstance(command, click.Command)
+        return command
+
+
+@click.group(cls=_Commands)
 @click.version_option(package_name="tonus")
 def tonus() -> None:
     """Control software of an eight-cable parallel robot, and its lab in software."""
-
-
-for command in (run, lab, fault, check, log, export):
-    tonus.add_command(command)
 
 
 def main() -> None:
