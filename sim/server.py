@@ -16,7 +16,8 @@ from config.places import LAB_DOOR
 from config.schema.bus import CanopenBus
 from config.schema.root import Config
 from sim.can.bridge import Bridge
-from sim.can.bus import Channel, Frame, Port
+from sim.can.bus import Channel, Port
+from sim.can.frame import Frame
 from sim.can.packet import (
     ECHO,
     FRAMES_PER_PACKET,

@@ -7,8 +7,8 @@ from typing import TypedDict
 
 from sim.can.bus import Port
 from sim.can.faulty import FaultyChannel
+from sim.can.frame import EXTENDED, EXTENDED_ID, REMOTE
 from sim.can.latency import Summary
-from sim.can.timing import EXTENDED, EXTENDED_ID, REMOTE
 
 PERIOD_NS = 100_000_000
 """How often the load is noted."""

@@ -13,9 +13,9 @@ from collections.abc import Callable
 
 import can
 
-from sim.can.bus import Channel, Frame
+from sim.can.bus import Channel
+from sim.can.frame import ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame
 from sim.can.registry import Advancing
-from sim.can.timing import ERROR, EXTENDED, EXTENDED_ID, REMOTE
 from sim.errors import LabError
 
 _LISTEN_S = 0.1

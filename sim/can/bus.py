@@ -21,11 +21,11 @@ from heapq import heappop, heappush
 from math import ceil
 
 from sim.can.confinement import Counters
+from sim.can.frame import Frame
 from sim.can.latency import Latency
 from sim.can.timing import (
     INTERFRAME_BITS,
     LONGEST_FRAME_BITS,
-    arbitration_key,
     frame_bits,
     stuffed_bits,
 )
@@ -36,29 +36,6 @@ _SHORT = 1
 """Bytes up to which a frame's time is kept, for at most so many frames:"""
 _KEPT = 4096
 _SECOND_NS = 1_000_000_000
-
-
-class Frame:
-    """What is on the wire; shared by all who receive it and never changed after its end."""
-
-    __slots__ = ("data", "dlc", "identifier", "key", "queued_ns", "sender", "stamp_ns")
-
-    # Set on the way, and not before: a frame is made for every frame sent.
-    queued_ns: int
-    """when it entered its sender's queue"""
-    sender: Port | None
-    """set with its first bit"""
-    stamp_ns: int
-    """time of the last bit of end of frame"""
-
-    def __init__(
-        self, identifier: int, data: bytes, dlc: int | None = None, key: int | None = None
-    ) -> None:
-        """``identifier`` with the flags of `sim.can.timing`; ``dlc`` unless it is the length."""
-        self.identifier = identifier
-        self.data = data
-        self.dlc = len(data) if dlc is None else dlc
-        self.key = arbitration_key(identifier) if key is None else key
 
 
 Narrow = Callable[[Frame], bool]

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.can.bus import NEVER, Channel, Frame, Notice, Port
+from sim.can.bus import NEVER, Channel, Notice, Port
 from sim.can.confinement import ErrorState
 from sim.can.error_frames import Violation, report
+from sim.can.frame import Frame
 from sim.can.timing import INTERFRAME_BITS, frame_bits
 
 FLAG_BITS = 6

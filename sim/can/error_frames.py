@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from sim.can.bus import Frame
 from sim.can.confinement import PASSIVE, WARNING, Counters, ErrorState
-from sim.can.timing import ERROR
+from sim.can.frame import ERROR, Frame
 
 CONTROLLER = 0x004
 PROTOCOL = 0x008

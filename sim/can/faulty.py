@@ -8,9 +8,10 @@ from collections import deque
 from collections.abc import Callable
 
 from config.schema.faults import Babble, Corruption, Delay, Duplicate, Level, Loss
-from sim.can.bus import NEVER, Frame, Port
+from sim.can.bus import NEVER, Port
 from sim.can.confined import FLAG_BITS, ConfinedChannel, Failure
 from sim.can.error_frames import Violation
+from sim.can.frame import Frame
 from sim.can.frame_faults import Babbler, Copy, FrameFault
 from sim.can.timing import frame_bits
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 from config.schema.faults import Corruption, Delay, Duplicate, Loss
-from sim.can.bus import Frame, Port
-from sim.can.timing import REMOTE
+from sim.can.bus import Port
+from sim.can.frame import REMOTE, Frame
 
 
 class Draws(Protocol):

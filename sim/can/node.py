@@ -6,8 +6,9 @@ import struct
 from collections.abc import Callable
 from enum import IntEnum
 
-from sim.can.bus import Frame, Narrow, Notice, Wide
+from sim.can.bus import Narrow, Notice, Wide
 from sim.can.faulty import FaultyChannel
+from sim.can.frame import REMOTE, Frame
 from sim.can.pdo import (
     COUNT,
     RPDO_MAPPING,
@@ -19,7 +20,6 @@ from sim.can.pdo import (
     TransmitPdo,
 )
 from sim.can.sdo_server import SdoServer
-from sim.can.timing import REMOTE
 from sim.devices.device import Device
 from sim.devices.epos4_errors import CAN_PASSIVE, HEARTBEAT_LOST, PDO_LENGTH
 from sim.devices.objects import Entry, Kind

@@ -5,8 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 
-from sim.can.bus import Frame
-from sim.can.timing import arbitration_key
+from sim.can.frame import Frame, arbitration_key
 from sim.devices.device import Device, PdoDefault, Reader, Writer
 from sim.devices.objects import (
     INCOMPATIBLE,

@@ -19,10 +19,9 @@ import can
 from can.typechecking import CanFilters
 
 from sim.can import error_frames, packet, registry
-from sim.can.bus import Frame
 from sim.can.confinement import ErrorState
 from sim.can.cyclic import LabCyclicTask, Modifier
-from sim.can.timing import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE, arbitration_key
+from sim.can.frame import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame, arbitration_key
 
 _SEND_BUFFER = 16384
 """Bytes a socket holds of frames the lab has not taken yet: some forty, the host counts its own

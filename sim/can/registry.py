@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from sim.can.faulty import FaultyChannel
 from sim.devices.timers import Callback
 from sim.errors import LabError
+
+if TYPE_CHECKING:
+    from sim.can.faulty import FaultyChannel
 
 
 class Advancing(Protocol):

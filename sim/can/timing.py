@@ -8,12 +8,6 @@ from __future__ import annotations
 
 from numba import njit
 
-EXTENDED = 1 << 31
-REMOTE = 1 << 30
-ERROR = 1 << 29
-"""Flags above the 29 bits of an identifier."""
-BASE_ID = 0x7FF
-EXTENDED_ID = 0x1FFFFFFF
 INTERFRAME_BITS = 3
 LONGEST_FRAME_BITS = 160
 """Extended, eight bytes, every possible stuff bit: 64 + 64 + 29, and some."""
@@ -69,16 +63,3 @@ def frame_bits(identifier: int, dlc: int, data: bytes) -> int:
     """
     length: int = stuffed_bits(identifier, dlc, int.from_bytes(data, "big", signed=True))
     return length
-
-
-def arbitration_key(identifier: int) -> int:
-    """Order on the bus: of two frames that start together the smaller key wins.
-
-    The bits as they go over the wire: a base frame beats an extended one of the same base
-    identifier, a data frame a remote one.
-    """
-    remote = identifier >> 30 & 1
-    if identifier & EXTENDED:
-        base = identifier >> 18 & BASE_ID
-        return base << 21 | 3 << 19 | (identifier & 0x3FFFF) << 1 | remote
-    return (identifier & BASE_ID) << 21 | remote << 20

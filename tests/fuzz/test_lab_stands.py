@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from sim.can.bus import Frame
+from sim.can.frame import Frame
 from sim.can.node import Node
 from tests.fuzz.lab import attack, shortest, targets
 from tests.fuzz.shots import Shot, Storm, Targets

@@ -5,7 +5,8 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.can.bus import Channel, Frame
+from sim.can.bus import Channel
+from sim.can.frame import Frame
 from sim.can.timing import frame_bits
 
 US = 1000

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from config.schema.faults import Corruption, Delay
-from sim.can.bus import NEVER, Frame, Notice, Port
+from sim.can.bus import NEVER, Notice, Port
 from sim.can.confinement import ErrorState
 from sim.can.faulty import FaultyChannel
+from sim.can.frame import ERROR, Frame
 from sim.can.frame_faults import FrameFault
-from sim.can.timing import ERROR
 
 US = 1000
 END_US = 400_000

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from sim.can.bus import NEVER, Channel, Frame
+from sim.can.bus import NEVER, Channel
+from sim.can.frame import Frame
 from sim.can.timing import frame_bits
 
 US = 1000

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from config.schema.faults import Corruption, Duplicate, Loss
-from sim.can.bus import Frame, Notice, Port
+from sim.can.bus import Notice, Port
 from sim.can.confinement import Counters, ErrorState
 from sim.can.faulty import FaultyChannel
+from sim.can.frame import ERROR, Frame
 from sim.can.frame_faults import FrameFault
-from sim.can.timing import ERROR, frame_bits
+from sim.can.timing import frame_bits
 
 US = 1000
 MS = 1_000_000

@@ -6,7 +6,8 @@ import random
 
 import pytest
 
-from sim.can.timing import EXTENDED, INTERFRAME_BITS, REMOTE, arbitration_key, frame_bits
+from sim.can.frame import EXTENDED, REMOTE, arbitration_key
+from sim.can.timing import INTERFRAME_BITS, frame_bits
 
 
 def wire(identifier: int, dlc: int, data: bytes) -> list[int]:
