@@ -65,11 +65,18 @@ def _tared(
 
 @njit(cache=True)
 def _count_silence(
-    age: NDArray[np.uint16], implausible: NDArray[np.bool_], silent: NDArray[np.int64]
+    age: NDArray[np.uint16],
+    last: NDArray[np.uint16],
+    fresh: int,
+    implausible: NDArray[np.bool_],
+    silent: NDArray[np.int64],
 ) -> None:
-    """Ticks in a row that brought nothing new, or nothing to believe."""
+    """Ticks in a row that brought nothing new, nothing fresh, or nothing to believe. A sample of an
+    earlier tick is new as long as its age does not grow."""
     for i in range(age.shape[0]):
-        silent[i] = silent[i] + 1 if age[i] > 0 or implausible[i] else 0
+        nothing = age[i] > last[i] or age[i] > fresh or implausible[i]
+        silent[i] = silent[i] + 1 if nothing else 0
+        last[i] = age[i]
 
 
 @njit(cache=True)
@@ -123,6 +130,8 @@ class Sensing:
         self.implausible_cells = np.zeros(CELLS, dtype=bool)
         self._silent_axes = np.zeros(CABLES, dtype=np.int64)
         self._silent_cells = np.zeros(CELLS, dtype=np.int64)
+        self._age_axes = np.zeros(CABLES, dtype=np.uint16)
+        self._age_cells = np.zeros(CELLS, dtype=np.uint16)
         self._sum = np.zeros(CELLS)
         self._samples = 0
 
@@ -150,8 +159,11 @@ class Sensing:
         )
         _tared(cells["force"], self.tare, self._largest, self.force, self.implausible_cells)
         self.filter.step(self.force)
-        _count_silence(axes["age"], self.implausible_axes, self._silent_axes)
-        _count_silence(cells["age"], self.implausible_cells, self._silent_cells)
+        for age, last, odd, silent in (
+            (axes["age"], self._age_axes, self.implausible_axes, self._silent_axes),
+            (cells["age"], self._age_cells, self.implausible_cells, self._silent_cells),
+        ):
+            _count_silence(age, last, self._fresh_ticks, odd, silent)
         _trust(
             (axes["age"], cells["age"]),
             (self._silent_axes, self._silent_cells),

@@ -73,12 +73,23 @@ def test_a_cable_is_usable_while_both_its_devices_are_fresh() -> None:
 def test_who_is_lost_is_named(row: int) -> None:
     sensing, image = Sensing(ROBOT, CONTROL), quiet()
     assert (sensing.lost_axis(), sensing.lost_cell()) == (-1, -1)
-    image.axes["age"][row] = image.cells["age"][row + 1] = 1
     for tick in range(FRESHNESS.stale_stop_ticks):
+        image.axes["age"][row] = image.cells["age"][row + 1] = tick + 1
         sensing.step(image, tick)
     assert (sensing.lost_axis(), sensing.lost_cell()) == (-1, -1)
     sensing.step(image, FRESHNESS.stale_stop_ticks)
     assert (sensing.lost_axis(), sensing.lost_cell()) == (row, row + 1)
+
+
+@pytest.mark.parametrize(("late", "lost"), [(0, False), (1, True)])
+def test_a_device_that_is_late_by_less_than_the_freshness_is_not_lost(
+    late: int, lost: bool
+) -> None:
+    sensing, image = Sensing(ROBOT, CONTROL), quiet()
+    image.axes["age"][4] = FRESHNESS.measurement_ticks + late
+    for tick in range(2 * FRESHNESS.stale_stop_ticks):
+        sensing.step(image, tick)
+    assert sensing.lost_axis() == (4 if lost else -1)
 
 
 def test_a_stall_of_the_host_loses_nobody() -> None:
