@@ -76,7 +76,7 @@ def test_corrupted_frames_come_late_and_are_counted() -> None:
 
 def test_a_drive_whose_every_frame_is_corrupted_goes_off_and_says_so_when_it_is_back() -> None:
     with running(Bench()) as bench:
-        inject(bench, "corruption", identifier=0x181, duration=0.01)
+        inject(bench, "corruption", identifier=0x181, duration=0.008)
         seen = ticks(bench, 30)
         assert emergencies(seen, 1) == [0x8120, 0x81FD]
         assert bench.lab.drives[0].state in (State.FAULT_REACTION_ACTIVE, State.FAULT)
