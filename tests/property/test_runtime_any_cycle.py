@@ -78,15 +78,21 @@ def disturb(statue: Statue, trouble: Trouble) -> None:
 
 
 class Silence:
-    """How many ticks in a row each device brought nothing new, counted apart from the cycle."""
+    """How many ticks in a row each device brought nothing new or nothing fresh, counted apart from
+    the cycle: a sample that has aged by a tick is the one of the tick before."""
 
     def __init__(self) -> None:
         self.axes, self.cells = np.zeros(CABLES, int), np.zeros(CELLS, int)
+        self._before = np.zeros(CABLES, int), np.zeros(CELLS, int)
 
     def count(self, statue: Statue) -> Silence:
-        image = statue.image
-        self.axes = np.where(image.axes["age"] > 0, self.axes + 1, 0)
-        self.cells = np.where(image.cells["age"] > 0, self.cells + 1, 0)
+        ages = (statue.image.axes["age"].astype(int), statue.image.cells["age"].astype(int))
+        nothing = [
+            (age > last) | (age > FRESH) for age, last in zip(ages, self._before, strict=True)
+        ]
+        self.axes = np.where(nothing[0], self.axes + 1, 0)
+        self.cells = np.where(nothing[1], self.cells + 1, 0)
+        self._before = ages
         return self
 
 
