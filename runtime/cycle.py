@@ -26,12 +26,13 @@ from runtime.envelope import Envelope
 from runtime.estimator import Estimate, PoseEstimator
 from runtime.guide import Guide
 from runtime.kinematics import Kinematics
+from runtime.passivity import Limiter
 from runtime.referencing import Referencing
 from runtime.sensing import Sensing
 from runtime.sequence import Sequence
 from runtime.signals import CycleRecord, Solver
 from runtime.states import Operator, State
-from runtime.stiffness import LawTerms, Limiter
+from runtime.stiffness import LawTerms
 from runtime.tension import TensionLoop
 
 Array = NDArray[np.float64]
@@ -78,13 +79,18 @@ class ControlCycle:
         self._guide = Guide(robot, control.sequence, control.envelope, reference, period)
         self._estimator = PoseEstimator(robot, control.estimator, tracker, self._kinematics, period)
         self._controller = CONTROLLERS[control.controller](robot, control)
-        self._limiter = Limiter(control.stiffness, period)
+        ratio = self._controller.damping_ratio
+        self._limiter = Limiter(control.stiffness, control.passivity, robot, ratio, period)
         self._distribution = TensionDistribution(control.distribution, robot.geometry.moment_length)
-        self._loop = TensionLoop(robot, control.tension_loop, period)
+        self._loop = self._usual_loop = TensionLoop(robot, control.tension_loop, period)
+        self._active_loop = self._usual_loop
+        if self._controller.tension_loop != control.tension_loop:
+            self._active_loop = TensionLoop(robot, self._controller.tension_loop, period)
         self._reference = np.zeros(CABLES)
         self._centre = np.zeros(CABLES)
         self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
         self._wrench = np.zeros(6)
+        self._shortfall = np.zeros(3)
         self._law = 0.0
         self._accepted = False
         self._finite = True
@@ -121,6 +127,10 @@ class ControlCycle:
 
     def _enter(self, state: State) -> None:
         self._finite = True
+        loop = self._active_loop if state is State.ACTIVE else self._usual_loop
+        if loop is not self._loop:
+            self._loop = loop
+            loop.reset()
         if state is State.REFERENCING:
             self._loop.reset()
             self._limiter.reset()
@@ -155,21 +165,27 @@ class ControlCycle:
             bearing,
         )
         desired = self._guide(sequence.state, sequence.elapsed, envelope.progress)
-        force = estimate.external[:3]
+        radius = self._robot.drum.radius
         motion = Motion(
             *desired,
             estimate.position,
             estimate.quaternion,
             estimate.velocity,
             estimate.angular_velocity,
-            float(np.sqrt(force @ force)),
+            estimate.external[:3],
+            sensing.contact,
+            self._shortfall,
+            self._referencing.unstretched - radius * sensing.angle,
+            radius * sensing.rate,
+            self._guide.push,
         )
         self._law = self._controller.stiffness(motion)
-        stiffness = self._limiter(self._law, min(envelope.cap, sequence.stiffness_cap))
+        cap = min(envelope.cap, sequence.stiffness_cap)
+        stiffness = self._limiter(self._law, cap, motion.error, motion.error_rate, motion.external)
         self._wrench = self._controller.wrench(motion, stiffness)
-        self._distribute(stiffness)
+        self._distribute(motion, stiffness)
 
-    def _distribute(self, stiffness: float) -> None:
+    def _distribute(self, motion: Motion, stiffness: float) -> None:
         """Co-contraction follows the stiffness; a cable that cannot be trusted carries nothing."""
         levels, present = self.sequence.levels, self._sensing.present
         settings, base = self._control.distribution, self._control.stiffness.base
@@ -184,9 +200,15 @@ class ControlCycle:
             self._high,
             self._centre,
         )
+        matrix = self._kinematics.matrix
+        wanted = self._controller.tensions(motion, stiffness, self._centre)
+        if wanted is not None:
+            self._centre[:] = wanted * present
+            self._wrench = matrix @ self._centre
         self._reference = self._distribution(
-            self._kinematics.matrix * present, self._wrench, self._centre, self._low, self._high
+            matrix * present, self._wrench, self._centre, self._low, self._high
         )
+        self._shortfall = self._wrench[:3] - matrix[:3] @ self._reference
 
     def _drum_rate(self, estimate: Estimate) -> Array:
         """Drum rates (8,) that follow the platform at constant tension (eq. 1)."""
@@ -255,6 +277,7 @@ class ControlCycle:
         pose.bias[:] = estimator.bias
         pose.residual[...] = estimator.residual
         self._write_law(record.stiffness, self._controller.terms)
+        self._write_energy(record.energy)
         wrench = record.wrench
         wrench.commanded[:] = self._wrench
         wrench.delivered[:] = self._kinematics.matrix @ self._reference
@@ -278,3 +301,14 @@ class ControlCycle:
         stiffness.deviation_term[...] = terms.deviation
         stiffness.cap[...] = self._envelope.cap
         stiffness.k_eq[...] = self._limiter.value
+
+    def _write_energy(self, energy: SimpleNamespace) -> None:
+        limiter, account = self._limiter, self._limiter.account
+        energy.storage[...] = account.storage
+        energy.storage_rate[...] = account.storage_rate
+        energy.stiffening[...] = account.stiffening
+        energy.dissipated[...] = account.dissipated
+        energy.external[...] = account.external
+        energy.tank[...] = limiter.tank.level
+        energy.k_rate[...] = account.stiffness_rate
+        energy.rise_bound[...] = limiter.rise_bound(limiter.value)

@@ -180,6 +180,19 @@ TOPICS: tuple[Topic, ...] = (
         Field("grade", "uint8", 0, "", "Grade"),
         Field("bound", "uint8", 0, "", "Bound that decided the grade"),
     ),
+    _topic(
+        "energy",
+        "Energy",
+        "eq. (12) and (13) of the translational loop as the controller sees it, and the tank",
+        _f8("storage", 0, "J", "V = 1/2 m e'^2 + 1/2 K_eq e^2, eq. (12)"),
+        _f8("storage_rate", 0, "W", "its derivative: stiffening - dissipated + external"),
+        _f8("stiffening", 0, "W", "1/2 K_eq' e^2, the term eq. (13) leaves out"),
+        _f8("dissipated", 0, "W", "D e'^2, taken by the virtual damper"),
+        _f8("external", 0, "W", "-F e', put in by the estimated external force"),
+        _f8("tank", 0, "J", "what a rise of the stiffness may still draw on"),
+        _f8("k_rate", 0, "N/m/s", "K_eq'"),
+        _f8("rise_bound", 0, "N/m/s", "how fast K_eq may rise now"),
+    ),
 )
 
 CYCLE = record_dtype(TOPICS)

@@ -31,11 +31,11 @@ def _torques(
     rate_reference: Array,
     rate: Array,
     usable: NDArray[np.bool_],
-    gains: tuple[float, float, float, float, float, float],
+    gains: tuple[float, float, float, float, float, float, float],
     integral: Array,
     torque: Array,
 ) -> None:
-    radius, proportional, integral_step, integral_limit, damping, limit = gains
+    radius, forward, proportional, integral_step, integral_limit, damping, limit = gains
     for i in range(reference.shape[0]):
         torque[i] = 0.0
         if not usable[i]:
@@ -44,7 +44,7 @@ def _torques(
         error = reference[i] - measured[i]
         grown = integral[i] + integral_step * error
         integral[i] = min(max(grown, -integral_limit), integral_limit)
-        wanted = radius * (reference[i] + proportional * error + integral[i])
+        wanted = radius * (forward * reference[i] + proportional * error + integral[i])
         wanted += damping * (rate_reference[i] - rate[i])
         if math.isfinite(wanted):
             torque[i] = min(max(wanted, -limit), limit)
@@ -57,6 +57,7 @@ class TensionLoop:
         motor, ratio = robot.motor, robot.gearbox.ratio
         self._gains = (
             robot.drum.radius,
+            settings.feed_forward,
             settings.proportional,
             settings.integral * period,
             settings.integral_limit,

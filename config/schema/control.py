@@ -59,13 +59,32 @@ class StiffnessLaw(Section):
     force_reference: Positive
     """N"""
     velocity_source: Literal["error", "platform"]
+    smoothing_hz: Positive
+    """first-order low-pass of what the law reads: noise of the estimate is no reason to stiffen"""
     rise_rate: Positive
-    """N/m/s: how fast the stiffness may grow (Kronander and Billard 2016)"""
+    """N/m/s: how fast the stiffness may grow at most; `runtime.passivity` computes the bound below
+    it"""
 
     @model_validator(mode="after")
     def _ordered(self) -> StiffnessLaw:
         if not self.minimum < self.base <= self.maximum:
             raise ValueError("minimum < base <= maximum must hold")
+        return self
+
+
+class Passivity(Section):
+    """The energy tank behind the law (Ferraguti, Secchi and Fantuzzi 2013), J."""
+
+    tank_capacity: Positive
+    tank_initial: Positive
+    tank_minimum: Positive
+    tank_efficiency: Annotated[float, Field(gt=0, le=1)]
+    """share of what the damper and a falling stiffness take out that is kept"""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Passivity:
+        if not self.tank_minimum <= self.tank_initial <= self.tank_capacity:
+            raise ValueError("tank_minimum <= tank_initial <= tank_capacity must hold")
         return self
 
 
@@ -77,13 +96,57 @@ class Impedance(Section):
     """N m s/rad"""
 
 
+class Integral(Section):
+    gain: NonNegative
+    """N/(m s)"""
+    limit: Positive
+    """N"""
+
+
 class Pid(Section):
     stiffness: Positive
     damping_ratio: Positive
+    integral: Integral
+
+
+class PdMatched(Section):
+    stiffness: Positive
+    """N/m: the mean of what `bio` commands"""
+
+
+class BioObserver(Section):
+    cutoff_hz: Positive
+    """first-order low-pass of the load that is fed forward"""
+    limit: Positive
+    """N: no larger load is compensated"""
+
+
+class PidLength(Section):
+    """Per cable, in N of tension per m of unstretched length."""
+
+    proportional: Positive
     integral: NonNegative
     """N/(m s)"""
+    derivative: NonNegative
+    """N s/m"""
     integral_limit: Positive
     """N"""
+
+
+class Force(Section):
+    proportional: NonNegative
+    integral: NonNegative
+    """1/s"""
+    damping: NonNegative
+    """N s/m"""
+    integral_limit: Positive
+    """N"""
+    threshold: Positive
+    """N at the contact port from which on there is contact"""
+
+
+class Eq9Literal(Section):
+    gain: Positive
 
 
 class Distribution(Section):
@@ -103,6 +166,7 @@ class Distribution(Section):
 class TensionLoop(Section):
     """Eq. (6) and (9), completed: feed-forward, proportional, integral, drum-rate damping."""
 
+    feed_forward: Fraction
     proportional: NonNegative
     integral: NonNegative
     """1/s"""
@@ -171,15 +235,35 @@ class Envelope(Section):
     """ticks beyond T_max or below slack before red"""
 
 
+ControllerName = Literal[
+    "bio",
+    "bio_integral",
+    "bio_observer",
+    "pd",
+    "pd_matched",
+    "pid",
+    "pid_length",
+    "force",
+    "eq9_literal",
+]
+
+
 class Control(Section):
-    controller: Literal["bio", "pid"]
+    controller: ControllerName
     rates: Rates
     tension: Tension
     filters: Filters
     estimator: Estimator
     stiffness: StiffnessLaw
+    passivity: Passivity
     impedance: Impedance
+    pd_matched: PdMatched
     pid: Pid
+    bio_integral: Integral
+    bio_observer: BioObserver
+    pid_length: PidLength
+    force: Force
+    eq9_literal: Eq9Literal
     distribution: Distribution
     tension_loop: TensionLoop
     freshness: Freshness

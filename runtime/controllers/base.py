@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.control import Control
+from config.schema.control import Control, TensionLoop
 from config.schema.robot import Robot
 from runtime.compiled import rotation_between
+from runtime.passivity import damping
 from runtime.stiffness import LawTerms
 
 Array = NDArray[np.float64]
@@ -29,16 +31,22 @@ class Motion:
     quaternion: Array
     velocity: Array
     angular_velocity: Array
-    external_force: float
-    """N, norm of the estimated external force"""
+    external: Array
+    """N, estimated force on the platform that cables and gravity do not explain"""
+    contact: float
+    """N, at the contact port"""
+    shortfall: Array
+    """N, the part of the last tick's force that the cables could not deliver"""
+    wound: Array
+    """(8,) m, unstretched cable lengths"""
+    winding: Array
+    """(8,) m/s, rate at which they shorten"""
+    push: Array
+    """N, force the scenario asks for at the contact port"""
 
-    @property
-    def error(self) -> Array:
-        return self.desired_position - self.position
-
-    @property
-    def error_rate(self) -> Array:
-        return self.desired_velocity - self.velocity
+    def __post_init__(self) -> None:
+        self.error = self.desired_position - self.position
+        self.error_rate = self.desired_velocity - self.velocity
 
 
 class Controller(ABC):
@@ -46,34 +54,50 @@ class Controller(ABC):
 
     def __init__(self, robot: Robot, control: Control) -> None:
         self._robot, self._control = robot, control
+        self.damping_ratio = control.impedance.damping_ratio
         self.terms = LawTerms()
         """what the law added, where there is a law"""
         self._weight = np.array([0.0, 0.0, robot.platform.mass * robot.gravity])
 
-    @abstractmethod
-    def reset(self) -> None:
+    @property
+    def tension_loop(self) -> TensionLoop:
+        """The inner loop's settings while ACTIVE."""
+        return self._control.tension_loop
+
+    def reset(self) -> None:  # noqa: B027
         """Forget the past, before motion starts."""
 
     @abstractmethod
     def stiffness(self, motion: Motion) -> float:
         """The stiffness (N/m) this controller would like now."""
 
-    @abstractmethod
     def force(self, motion: Motion, stiffness: float) -> Array:
-        """Force (3,) without gravity, at the stiffness allowed."""
+        """Force (3,) without gravity and inertia, at the stiffness allowed: spring and damper,
+        F = K e + D de/dt with D = 2 zeta sqrt(K m)."""
+        resistance = damping(self.damping_ratio, stiffness, self._robot.platform.mass)
+        return np.asarray(stiffness * motion.error + resistance * motion.error_rate)
 
     def wrench(self, motion: Motion, stiffness: float) -> Array:
-        """Wrench (6,) asked of the cables: the controller's force, inertia and weight fed forward,
-        and a rotational spring that keeps the platform level."""
+        """Wrench (6,) asked of the cables: the controller's force; inertia, weight and the push fed
+        forward; and a rotational spring that keeps the platform level."""
         impedance = self._control.impedance
         tilt = rotation_between(motion.quaternion, LEVEL)
         mass = self._robot.platform.mass
         result = np.empty(6)
-        result[:3] = (
-            self.force(motion, stiffness) + mass * motion.desired_acceleration + self._weight
-        )
+        result[:3] = self.force(motion, stiffness) + mass * motion.desired_acceleration
+        result[:3] += self._weight + motion.push
         result[3:] = (
             impedance.rotational_stiffness * tilt
             - impedance.rotational_damping * motion.angular_velocity
         )
         return result
+
+    def tensions(self, motion: Motion, stiffness: float, centre: Array) -> Array | None:  # noqa: ARG002
+        """Tensions (8,) round ``centre`` for a controller that commands cables; None for one that
+        commands a wrench. They pass the same distribution, which gives them their bounds."""
+        return None
+
+
+def norm(vector: Array) -> float:
+    """Euclidean, of a short vector."""
+    return math.sqrt(float(vector @ vector))
