@@ -230,7 +230,14 @@ class Envelope(Section):
     """share of the way from T_pre to a bound where amber starts"""
     horizon: Positive
     """s: how far the bounds are predicted"""
+    rate_cutoff_hz: Positive
+    """first-order low-pass of the contact force's rate that the prediction uses"""
     hysteresis: Fraction
+    """share of a limit by which full softness comes before it"""
+    release_band: NonNegative
+    """share of the amber zone by which a bound must recede before the envelope lets go"""
+    release_rate: Positive
+    """1/s: how fast it lets go"""
     over_tension_ticks: Count
     """ticks beyond T_max or below slack before red"""
 

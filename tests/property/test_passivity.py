@@ -4,6 +4,7 @@ cables and drums come between)."""
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from hypothesis import given, settings
@@ -47,6 +48,12 @@ def test_bounds_rate_cap_and_tank_hold_for_any_floats(
             assert value <= cap
 
 
+@lru_cache
+def transition(stiffness: float, resistance: float) -> NDArray[np.float64]:
+    flow = np.array([[0.0, 1.0], [-stiffness / MASS, -resistance / MASS]])
+    return np.asarray(expm(flow * PERIOD))
+
+
 class Reduced:
     """m e'' + D(K) e' + K e = 0 along one axis, exact between ticks, K in the limiter's hands."""
 
@@ -66,9 +73,8 @@ class Reduced:
         self.limiter(wanted, LAW.maximum, error, np.array([self.state[1], 0.0, 0.0]), ZERO)
 
     def move(self) -> None:
-        k, d = self.limiter.value, damping(self.ratio, self.limiter.value, MASS)
-        flow: NDArray[np.float64] = np.array([[0.0, 1.0], [-k / MASS, -d / MASS]])
-        self.state = np.asarray(expm(flow * PERIOD) @ self.state)
+        k = self.limiter.value
+        self.state = transition(k, damping(self.ratio, k, MASS)) @ self.state
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
