@@ -21,6 +21,7 @@ from config.schema.robot import CABLES, Robot
 from config.schema.scenario import Reference
 from drivers.process_image import ProcessImage
 from runtime.controllers import CONTROLLERS, Motion
+from runtime.controllers.base import norm
 from runtime.distribution import TensionDistribution
 from runtime.envelope import Envelope
 from runtime.estimator import Estimate, PoseEstimator
@@ -119,7 +120,11 @@ class ControlCycle:
             image.commands["torque"] = 0.0
         else:
             image.commands["torque"] = self._loop(
-                self._reference, sensing.tension, rate, sensing.rate, sensing.usable
+                self._reference,
+                sensing.tension,
+                rate,
+                sensing.rate,
+                sensing.usable & sequence.carrying,
             )
         self._write_inputs(image, tick, operator)
         self._write_results(image, estimate)
@@ -164,7 +169,7 @@ class ControlCycle:
             estimate.velocity,
             bearing,
         )
-        desired = self._guide(sequence.state, sequence.elapsed, envelope.progress)
+        desired = self._guide(sequence.state, sequence.stop_time, envelope.progress)
         radius = self._robot.drum.radius
         motion = Motion(
             *desired,
@@ -182,12 +187,18 @@ class ControlCycle:
         self._law = self._controller.stiffness(motion)
         cap = min(envelope.cap, sequence.stiffness_cap)
         stiffness = self._limiter(self._law, cap, motion.error, motion.error_rate, motion.external)
-        self._wrench = self._controller.wrench(motion, stiffness)
+        descending = sequence.descending
+        self._wrench = (
+            self._controller.descent(motion)
+            if descending
+            else self._controller.wrench(motion, stiffness)
+        )
+        sequence.load = max(norm(motion.external) - motion.contact, 0.0)
         self._distribute(motion, stiffness)
 
     def _distribute(self, motion: Motion, stiffness: float) -> None:
         """Co-contraction follows the stiffness; a cable that cannot be trusted carries nothing."""
-        levels, present = self.sequence.levels, self._sensing.present
+        levels, present = self.sequence.levels, self.sequence.carrying
         settings, base = self._control.distribution, self._control.stiffness.base
         contraction = 1.0 + settings.co_contraction * (stiffness / base - 1.0)
         centre = min(max(levels.level * contraction, levels.low), levels.high)
@@ -202,7 +213,7 @@ class ControlCycle:
         )
         matrix = self._kinematics.matrix
         wanted = self._controller.tensions(motion, stiffness, self._centre)
-        if wanted is not None:
+        if wanted is not None and not self.sequence.descending:
             self._centre[:] = wanted * present
             self._wrench = matrix @ self._centre
         self._reference = self._distribution(

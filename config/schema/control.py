@@ -189,9 +189,16 @@ class Sequence(Section):
     lift_s: Positive
     """s of minimum-jerk motion from the cradle to home"""
     stop_s: Positive
-    """controlled stop: tensions ramp to the referencing level in this time"""
+    """controlled stop: slowing to standstill, and at its end letting the tensions down, take this
+    long each"""
     lower_s: Positive
     """s of minimum-jerk motion back to the cradle"""
+    release_load: Positive
+    """N: a platform in its cradle is let go only while no more than this pushes it"""
+    hold_s: NonNegative
+    """s that a stop waits for a larger load to be taken away"""
+    descent_tension: Positive
+    """N: most that a cable is asked for while another is gone"""
     enable_timeout_s: Positive
     referencing_tension_error: Positive
     """N: largest deviation from the even tension that still counts as settled"""

@@ -80,16 +80,30 @@ class Controller(ABC):
     def wrench(self, motion: Motion, stiffness: float) -> Array:
         """Wrench (6,) asked of the cables: the controller's force; inertia, weight and the push fed
         forward; and a rotational spring that keeps the platform level."""
-        impedance = self._control.impedance
-        tilt = rotation_between(motion.quaternion, LEVEL)
         mass = self._robot.platform.mass
         result = np.empty(6)
         result[:3] = self.force(motion, stiffness) + mass * motion.desired_acceleration
         result[:3] += self._weight + motion.push
-        result[3:] = (
+        result[3:] = self._levelling(motion)
+        return result
+
+    def _levelling(self, motion: Motion) -> Array:
+        impedance = self._control.impedance
+        tilt = rotation_between(motion.quaternion, LEVEL)
+        return np.asarray(
             impedance.rotational_stiffness * tilt
             - impedance.rotational_damping * motion.angular_velocity
         )
+
+    def descent(self, motion: Motion) -> Array:
+        """Wrench (6,) of a stop without all cables, the same for every controller: weight, and a
+        damper that lets the platform down at the reference's pace. A spring would have the cables
+        left fight for a place they cannot keep; but level it has to stay."""
+        impedance, mass = self._control.impedance, self._robot.platform.mass
+        resistance = damping(impedance.damping_ratio, self._control.stiffness.base, mass)
+        result = np.empty(6)
+        result[:3] = self._weight + resistance * motion.error_rate
+        result[3:] = self._levelling(motion)
         return result
 
     def tensions(self, motion: Motion, stiffness: float, centre: Array) -> Array | None:  # noqa: ARG002
