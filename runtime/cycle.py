@@ -89,6 +89,8 @@ class ControlCycle:
             self._active_loop = TensionLoop(robot, self._controller.tension_loop, period)
         self._reference = np.zeros(CABLES)
         self._centre = np.zeros(CABLES)
+        self._still = np.zeros(CABLES)
+        self._desired_drums = (self._still, self._still)
         self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
         self._wrench = np.zeros(6)
         self._shortfall = np.zeros(3)
@@ -109,6 +111,7 @@ class ControlCycle:
             estimate = self._estimate(image)
             self._regulate(estimate)
             rate = self._drum_rate(estimate)
+            self._desired_drums = self._drums_of(*self._guide.desired[1:])
             self._finite = bool(np.isfinite(self._wrench).all() and np.isfinite(rate).all())
         elif sequence.straightening >= 0.0:
             self._reference[:] = sequence.straightening * self._control.tension.referencing
@@ -125,6 +128,7 @@ class ControlCycle:
                 rate,
                 sensing.rate,
                 sensing.usable & sequence.carrying,
+                self._desired_drums if sequence.regulating else (self._still, self._still),
             )
         self._write_inputs(image, tick, operator)
         self._write_results(image, estimate)
@@ -227,6 +231,11 @@ class ControlCycle:
         stretch = 1.0 + self._sensing.tension / self._robot.cable.axial_stiffness
         rate = (self._kinematics.matrix.T @ twist) / (self._robot.drum.radius * stretch)
         return np.asarray(rate)
+
+    def _drums_of(self, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
+        """Rates and accelerations (8,) of the drums on the desired motion, level."""
+        pull = self._kinematics.matrix[:3].T / self._robot.drum.radius
+        return pull @ velocity, pull @ acceleration
 
     def _write_inputs(self, image: ProcessImage, tick: int, operator: Operator) -> None:
         record, sensing, sequence = self.record, self._sensing, self.sequence

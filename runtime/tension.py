@@ -3,10 +3,13 @@
 Eq. (9) alone is proportional and has neither feed-forward nor damping; docs/paper.md, row 13, shows
 why that cannot reach half a per cent. Here
 
-    torque = r (T_ref + K_T (T_ref - T) + I) + C_d (rate_ref - rate)
+    torque = r (T_ref + K_T (T_ref - T) + I) + C_d (rate_ref - rate) + M(T_ref, rate_d, acc_d)
 
 with the drum rate that the platform's motion asks for as its reference, so that the damping acts on
-the drive and not on the platform. Drum rate and tension are taken unfiltered: a filter's delay
+the drive and not on the platform. M is what the drive itself will take on the desired motion: the
+drum's inertia and friction, and the gearbox's loss, which helps to hold a cable that runs out. It
+follows the desired motion and never the measured one: friction fed back by its own measured rate
+drives what it should cancel. Drum rate and tension are taken unfiltered: a filter's delay
 would cost the phase margin that `runtime.margin` computes.
 """
 
@@ -25,11 +28,28 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True)
+def _expected(
+    tension: Array,
+    rate: Array,
+    acceleration: Array,
+    drive: tuple[float, float, float, float, float, float, float],
+    torque: Array,
+) -> None:
+    radius, inertia, viscous, coulomb, load, efficiency, slip = drive
+    for i in range(tension.shape[0]):
+        way = math.tanh(rate[i] / slip)
+        gearbox = 1.0 / efficiency - 1.0 if way > 0.0 else 1.0 - efficiency
+        rubbing = radius * (coulomb + (load + gearbox) * tension[i])
+        torque[i] = inertia * acceleration[i] + viscous * rate[i] + way * rubbing
+
+
+@njit(cache=True)
 def _torques(
     reference: Array,
     measured: Array,
     rate_reference: Array,
     rate: Array,
+    expected: Array,
     usable: NDArray[np.bool_],
     gains: tuple[float, float, float, float, float, float, float],
     integral: Array,
@@ -45,7 +65,7 @@ def _torques(
         grown = integral[i] + integral_step * error
         integral[i] = min(max(grown, -integral_limit), integral_limit)
         wanted = radius * (forward * reference[i] + proportional * error + integral[i])
-        wanted += damping * (rate_reference[i] - rate[i])
+        wanted += damping * (rate_reference[i] - rate[i]) + forward * expected[i]
         if math.isfinite(wanted):
             torque[i] = min(max(wanted, -limit), limit)
 
@@ -64,6 +84,17 @@ class TensionLoop:
             settings.rate_damping,
             motor.current_limit * motor.torque_constant * ratio,
         )
+        drum, friction = robot.drum, settings.friction
+        self._drive = (
+            drum.radius,
+            drum.inertia,
+            drum.viscous_friction,
+            friction.coulomb,
+            friction.load,
+            robot.gearbox.efficiency,
+            friction.slip / drum.radius,
+        )
+        self._expected = np.zeros(CABLES)
         self._torque = np.zeros(CABLES)
         self.integral = np.zeros(CABLES)
         """N"""
@@ -78,14 +109,17 @@ class TensionLoop:
         rate_reference: Array,
         rate: Array,
         usable: NDArray[np.bool_],
+        desired: tuple[Array, Array],
     ) -> Array:
-        """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N,
-        rates in rad/s, winding in positive."""
+        """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N, rates
+        in rad/s, winding in positive; ``desired``: rate and acceleration of the desired motion."""
+        _expected(reference, *desired, self._drive, self._expected)
         _torques(
             reference,
             measured,
             rate_reference,
             rate,
+            self._expected,
             usable,
             self._gains,
             self.integral,

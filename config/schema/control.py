@@ -163,6 +163,17 @@ class Distribution(Section):
     tolerance: Positive
 
 
+class Friction(Section):
+    """Drive friction as far as it is known; the gearbox's loss and the drum stand under `robot`."""
+
+    coulomb: NonNegative
+    """N at the cable"""
+    load: NonNegative
+    """share of the tension"""
+    slip: Positive
+    """m/s of cable over which friction changes sign"""
+
+
 class TensionLoop(Section):
     """Eq. (6) and (9), completed: feed-forward, proportional, integral, drum-rate damping."""
 
@@ -174,6 +185,7 @@ class TensionLoop(Section):
     """N"""
     rate_damping: NonNegative
     """N m s/rad at the drum"""
+    friction: Friction
     gain_margin_db: Positive
     phase_margin_deg: Positive
     """floors that `tonus check` computes against, without friction and with the real delay"""
