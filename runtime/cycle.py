@@ -89,8 +89,7 @@ class ControlCycle:
             self._active_loop = TensionLoop(robot, self._controller.tension_loop, period)
         self._reference = np.zeros(CABLES)
         self._centre = np.zeros(CABLES)
-        self._still = np.zeros(CABLES)
-        self._desired_drums = (self._still, self._still)
+        self._desired_drums = (np.zeros(CABLES), np.zeros(CABLES))
         self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
         self._wrench = np.zeros(6)
         self._shortfall = np.zeros(3)
@@ -112,6 +111,8 @@ class ControlCycle:
             self._regulate(estimate)
             rate = self._drum_rate(estimate)
             self._desired_drums = self._drums_of(*self._guide.desired[1:])
+            if not (self._controller.follows_platform or sequence.descending):
+                rate = self._desired_drums[0]
             self._finite = bool(np.isfinite(self._wrench).all() and np.isfinite(rate).all())
         elif sequence.straightening >= 0.0:
             self._reference[:] = sequence.straightening * self._control.tension.referencing
@@ -128,7 +129,7 @@ class ControlCycle:
                 rate,
                 sensing.rate,
                 sensing.usable & sequence.carrying,
-                self._desired_drums if sequence.regulating else (self._still, self._still),
+                self._desired_drums if sequence.regulating else None,
             )
         self._write_inputs(image, tick, operator)
         self._write_results(image, estimate)

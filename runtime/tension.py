@@ -37,10 +37,11 @@ def _expected(
 ) -> None:
     radius, inertia, viscous, coulomb, load, efficiency, slip = drive
     for i in range(tension.shape[0]):
-        way = math.tanh(rate[i] / slip)
-        gearbox = 1.0 / efficiency - 1.0 if way > 0.0 else 1.0 - efficiency
-        rubbing = radius * (coulomb + (load + gearbox) * tension[i])
-        torque[i] = inertia * acceleration[i] + viscous * rate[i] + way * rubbing
+        way, pull = math.tanh(rate[i] / slip), radius * tension[i]
+        needed = pull + way * (radius * coulomb + load * pull)
+        needed += viscous * rate[i] + inertia * acceleration[i]
+        through = efficiency if way < 0.0 else 1.0 / efficiency
+        torque[i] = needed * (1.0 + abs(way) * (through - 1.0)) - pull
 
 
 @njit(cache=True)
@@ -94,6 +95,7 @@ class TensionLoop:
             robot.gearbox.efficiency,
             friction.slip / drum.radius,
         )
+        self._still = (np.zeros(CABLES), np.zeros(CABLES))
         self._expected = np.zeros(CABLES)
         self._torque = np.zeros(CABLES)
         self.integral = np.zeros(CABLES)
@@ -109,11 +111,12 @@ class TensionLoop:
         rate_reference: Array,
         rate: Array,
         usable: NDArray[np.bool_],
-        desired: tuple[Array, Array],
+        desired: tuple[Array, Array] | None = None,
     ) -> Array:
         """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N, rates
-        in rad/s, winding in positive; ``desired``: rate and acceleration of the desired motion."""
-        _expected(reference, *desired, self._drive, self._expected)
+        in rad/s, winding in positive; ``desired``: rate and acceleration of the desired motion,
+        None for none."""
+        _expected(reference, *(desired or self._still), self._drive, self._expected)
         _torques(
             reference,
             measured,

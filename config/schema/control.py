@@ -143,6 +143,10 @@ class Force(Section):
     """N"""
     threshold: Positive
     """N at the contact port from which on there is contact"""
+    release_s: Positive
+    """s"""
+    body_stiffness: Positive
+    """N/m of a body it is meant for, which its margins are computed with"""
 
 
 class Eq9Literal(Section):

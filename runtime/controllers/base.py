@@ -52,6 +52,10 @@ class Motion:
 class Controller(ABC):
     """Stiffness first, then the wrench at the stiffness that envelope and limiter let through."""
 
+    follows_platform = True
+    """whether the drums are damped against the rate of the platform's motion, so that it may be
+    pushed, or of the desired one, so that it is held"""
+
     def __init__(self, robot: Robot, control: Control) -> None:
         self._robot, self._control = robot, control
         self.damping_ratio = control.impedance.damping_ratio

@@ -21,6 +21,8 @@ class PidLength(Controller):
     series at home, averaged over the axes; the envelope's cap scales the feedback.
     """
 
+    follows_platform = False
+
     def __init__(self, robot: Robot, control: Control) -> None:
         super().__init__(robot, control)
         gains = self._gains = control.pid_length
