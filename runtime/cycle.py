@@ -22,7 +22,7 @@ from config.schema.scenario import Reference
 from drivers.process_image import ProcessImage
 from runtime.controllers import CONTROLLERS, Motion
 from runtime.controllers.base import norm
-from runtime.distribution import TensionDistribution
+from runtime.distribution import TensionDistribution, opposition
 from runtime.envelope import Envelope
 from runtime.estimator import Estimate, PoseEstimator
 from runtime.guide import Guide
@@ -45,12 +45,16 @@ def _bounds(
     before: Array,
     present: NDArray[np.bool_],
     levels: tuple[float, float, float, float],
+    contraction: float,
+    agonism: Array,
     low: Array,
     high: Array,
     centre: Array,
 ) -> None:
     """Bounds and centre of each tension: the configured ones, no further from the last reference
-    than ``reach``, and zero where a cable is lost. ``levels``: low, high, centre, reach.
+    than ``reach``, and zero where a cable is lost. ``levels``: low, high, centre, reach; the centre
+    rises by the share ``contraction``, of antagonists more and of agonists less, since the wrench
+    tightens these anyway.
     """
     lowest, highest, middle, reach = levels
     for i in range(before.shape[0]):
@@ -58,7 +62,8 @@ def _bounds(
         if present[i]:
             low[i] = min(max(before[i] - reach, lowest), highest)
             high[i] = max(min(before[i] + reach, highest), lowest)
-            centre[i] = middle
+            wanted = middle * (1.0 + contraction * (1.0 - agonism[i]))
+            centre[i] = min(max(wanted, lowest), highest)
 
 
 class ControlCycle:
@@ -89,6 +94,7 @@ class ControlCycle:
             self._active_loop = TensionLoop(robot, self._controller.tension_loop, period)
         self._reference = np.zeros(CABLES)
         self._centre = np.zeros(CABLES)
+        self._agonism, self._gradient = np.zeros(CABLES), np.zeros(CABLES)
         self._desired_drums = (np.zeros(CABLES), np.zeros(CABLES))
         self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
         self._wrench = np.zeros(6)
@@ -205,24 +211,31 @@ class ControlCycle:
         """Co-contraction follows the stiffness; a cable that cannot be trusted carries nothing."""
         levels, present = self.sequence.levels, self.sequence.carrying
         settings, base = self._control.distribution, self._control.stiffness.base
-        contraction = 1.0 + settings.co_contraction * (stiffness / base - 1.0)
-        centre = min(max(levels.level * contraction, levels.low), levels.high)
-        reach = settings.tension_rate * self._period
+        matrix = self._kinematics.matrix
+        opposition(
+            matrix,
+            self._kinematics.lengths,
+            self._wrench[:3],
+            settings.least_force,
+            self._agonism,
+            self._gradient,
+        )
         _bounds(
             self._reference,
             present,
-            (levels.low, levels.high, centre, reach),
+            (levels.low, levels.high, levels.level, settings.tension_rate * self._period),
+            settings.co_contraction * (stiffness / base - 1.0),
+            self._agonism,
             self._low,
             self._high,
             self._centre,
         )
-        matrix = self._kinematics.matrix
         wanted = self._controller.tensions(motion, stiffness, self._centre)
         if wanted is not None and not self.sequence.descending:
             self._centre[:] = wanted * present
             self._wrench = matrix @ self._centre
         self._reference = self._distribution(
-            matrix * present, self._wrench, self._centre, self._low, self._high
+            matrix * present, self._wrench, self._centre, self._low, self._high, self._gradient
         )
         self._shortfall = self._wrench[:3] - matrix[:3] @ self._reference
 
@@ -284,6 +297,7 @@ class ControlCycle:
         tension.solver[...] = distribution.solver
         tension.iterations[...] = distribution.iterations
         tension.co_contraction[:] = self._centre
+        tension.agonism[:] = self._agonism
         record.tracker.accepted[...] = self._accepted
         pose, estimator = record.pose, self._estimator
         pose.position[:] = estimate.position
@@ -322,6 +336,8 @@ class ControlCycle:
         stiffness.deviation_term[...] = terms.deviation
         stiffness.cap[...] = self._envelope.cap
         stiffness.k_eq[...] = self._limiter.value
+        geometric = float(self._gradient @ self._sensing.tension)
+        stiffness.measured[...] = self._limiter.value + geometric
 
     def _write_energy(self, energy: SimpleNamespace) -> None:
         limiter, account = self._limiter, self._limiter.account

@@ -145,6 +145,7 @@ TOPICS: tuple[Topic, ...] = (
         _f8("deviation_term", 0, "", "relative increase due to deviation"),
         _f8("cap", 0, "N/m", "the envelope's upper bound in this tick"),
         _f8("k_eq", 0, "N/m", "commanded equivalent stiffness"),
+        _f8("measured", 0, "N/m", "k_eq plus the measured tensions' geometric stiffness along d"),
     ),
     _topic(
         "wrench",
@@ -164,6 +165,7 @@ TOPICS: tuple[Topic, ...] = (
         _f8("co_contraction", CABLES, "N", "what the distribution was drawn towards"),
         _f8("measured", CABLES, "N", "tared force cell, unfiltered"),
         _f8("integral", CABLES, "N", "integral part of the tension loop"),
+        _f8("agonism", CABLES, "", "1 pulls with the wrench asked for, -1 against it"),
         Field("iterations", "uint8", 0, "", "of the solver"),
         Field("solver", "uint8", 0, "", "Solver"),
     ),

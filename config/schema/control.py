@@ -154,7 +154,7 @@ class Eq9Literal(Section):
 
 
 class Distribution(Section):
-    """One box-bounded quadratic programme: |T - T_ref|^2 + weight * |W T - w|^2."""
+    """One box-bounded quadratic programme, `runtime.distribution`."""
 
     wrench_weight: Positive
     deficit_limit: Positive
@@ -163,6 +163,10 @@ class Distribution(Section):
     """N/s: bound on how fast a tension reference may move"""
     co_contraction: Fraction
     """share of the relative stiffness rise that the tension reference follows"""
+    stiffness_weight: NonNegative
+    """m2: how much a change of the geometric stiffness along the wrench counts"""
+    least_force: Positive
+    """N below which a wrench has no direction to speak of"""
     maximum_iterations: Count
     tolerance: Positive
 
