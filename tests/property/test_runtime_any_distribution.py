@@ -61,7 +61,7 @@ def test_bounds_always_hold_and_the_optimum_conditions_with_them(
     slope += CONTROL.distribution.stiffness_weight * row * (row @ (tensions - middle))
     # The solver stops at a gap relative to the cost, which the wrench's square dominates.
     asked = 50.0 + float(np.linalg.norm(SCALE * wrench))
-    tolerance = 1.5 * weight * asked * math.sqrt(8.0 * CONTROL.distribution.tolerance)
+    tolerance = weight * asked * math.sqrt(32.0 * CONTROL.distribution.tolerance)
     # Under an impossible wrench that gap leaves a bound by up to a few hundredths of a newton.
     near = 0.05
     free = (tensions > low + near) & (tensions < high - near)
