@@ -157,12 +157,16 @@ class TensionDistribution:
         scaled = matrix * self._column
         target = wrench * self._scale
         tensions = np.empty(CABLES)
+        preference = self._none
+        if gradient is not None:
+            # A lost cable must not take part: its correction has to be zero by itself.
+            preference = self._preference * gradient * (high > low)
         self.solver, self.iterations = Solver.INTERIOR, 0
         if not _free_minimiser(
             scaled,
             target,
             (low, high, centre),
-            self._none if gradient is None else self._preference * gradient,
+            preference,
             self._weight,
             (self._rows, self._columns),
             self._quadratic,
