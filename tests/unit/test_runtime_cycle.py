@@ -10,6 +10,7 @@ import pytest
 from loop import QUICK, ClosedLoop, Trace, configured, not_finite
 from statue import CONFIG, CONTROL, REST, SCENARIO, Statue
 
+from config.schema.lab import LabScript, Load, LoadPoint
 from drivers.process_image import AxisCommand, AxisState, ProcessImage
 from runtime.cycle import ControlCycle
 from runtime.signals import Solver
@@ -351,8 +352,11 @@ def test_without_a_cable_the_platform_comes_down_on_moderate_tensions(cable: int
 
 def test_a_stop_under_the_full_load_holds_until_the_load_is_gone() -> None:
     """31 mm aside at 100 N, the platform would be thrown by its cradle, or by the load alone."""
-    config, scenario = configured("load_test", QUICK)
-    loop = ClosedLoop(config, scenario)
+    config, scenario = configured("hold", QUICK)
+    course = ((3.6, 0.0), (4.6, 100.0), (6.0, 100.0), (6.5, 0.0))
+    profile = tuple(LoadPoint(at=at, force=force) for at, force in course)
+    load = Load(direction=(1.0, 0.0, 0.0), point=(0.0, 0.0, 0.0), profile=profile)
+    loop = ClosedLoop(config, scenario.model_copy(update={"lab": LabScript(load=load)}))
     loop.until(State.ACTIVE)
     while loop.plant.load_wrench[0] < 99.9:
         loop.tick()
