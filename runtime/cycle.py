@@ -21,17 +21,19 @@ from config.schema.robot import CABLES, Robot
 from config.schema.scenario import Reference
 from drivers.process_image import ProcessImage
 from runtime.controllers import CONTROLLERS, Motion
-from runtime.distribution import TensionDistribution
+from runtime.controllers.base import norm
+from runtime.distribution import TensionDistribution, opposition
 from runtime.envelope import Envelope
 from runtime.estimator import Estimate, PoseEstimator
 from runtime.guide import Guide
 from runtime.kinematics import Kinematics
+from runtime.passivity import Limiter
 from runtime.referencing import Referencing
 from runtime.sensing import Sensing
 from runtime.sequence import Sequence
 from runtime.signals import CycleRecord, Solver
 from runtime.states import Operator, State
-from runtime.stiffness import LawTerms, Limiter
+from runtime.stiffness import LawTerms
 from runtime.tension import TensionLoop
 
 Array = NDArray[np.float64]
@@ -43,12 +45,16 @@ def _bounds(
     before: Array,
     present: NDArray[np.bool_],
     levels: tuple[float, float, float, float],
+    contraction: float,
+    agonism: Array,
     low: Array,
     high: Array,
     centre: Array,
 ) -> None:
     """Bounds and centre of each tension: the configured ones, no further from the last reference
-    than ``reach``, and zero where a cable is lost. ``levels``: low, high, centre, reach.
+    than ``reach``, and zero where a cable is lost. ``levels``: low, high, centre, reach; the centre
+    rises by the share ``contraction``, of antagonists more and of agonists less, since the wrench
+    tightens these anyway.
     """
     lowest, highest, middle, reach = levels
     for i in range(before.shape[0]):
@@ -56,7 +62,8 @@ def _bounds(
         if present[i]:
             low[i] = min(max(before[i] - reach, lowest), highest)
             high[i] = max(min(before[i] + reach, highest), lowest)
-            centre[i] = middle
+            wanted = middle * (1.0 + contraction * (1.0 - agonism[i]))
+            centre[i] = min(max(wanted, lowest), highest)
 
 
 class ControlCycle:
@@ -78,13 +85,20 @@ class ControlCycle:
         self._guide = Guide(robot, control.sequence, control.envelope, reference, period)
         self._estimator = PoseEstimator(robot, control.estimator, tracker, self._kinematics, period)
         self._controller = CONTROLLERS[control.controller](robot, control)
-        self._limiter = Limiter(control.stiffness, period)
+        ratio = self._controller.damping_ratio
+        self._limiter = Limiter(control.stiffness, control.passivity, robot, ratio, period)
         self._distribution = TensionDistribution(control.distribution, robot.geometry.moment_length)
-        self._loop = TensionLoop(robot, control.tension_loop, period)
+        self._loop = self._usual_loop = TensionLoop(robot, control.tension_loop, period)
+        self._active_loop = self._usual_loop
+        if self._controller.tension_loop != control.tension_loop:
+            self._active_loop = TensionLoop(robot, self._controller.tension_loop, period)
         self._reference = np.zeros(CABLES)
         self._centre = np.zeros(CABLES)
+        self._agonism, self._gradient = np.zeros(CABLES), np.zeros(CABLES)
+        self._desired_drums = (np.zeros(CABLES), np.zeros(CABLES))
         self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
         self._wrench = np.zeros(6)
+        self._shortfall = np.zeros(3)
         self._law = 0.0
         self._accepted = False
         self._finite = True
@@ -102,6 +116,9 @@ class ControlCycle:
             estimate = self._estimate(image)
             self._regulate(estimate)
             rate = self._drum_rate(estimate)
+            self._desired_drums = self._drums_of(*self._guide.desired[1:])
+            if not (self._controller.follows_platform or sequence.descending):
+                rate = self._desired_drums[0]
             self._finite = bool(np.isfinite(self._wrench).all() and np.isfinite(rate).all())
         elif sequence.straightening >= 0.0:
             self._reference[:] = sequence.straightening * self._control.tension.referencing
@@ -113,7 +130,12 @@ class ControlCycle:
             image.commands["torque"] = 0.0
         else:
             image.commands["torque"] = self._loop(
-                self._reference, sensing.tension, rate, sensing.rate, sensing.usable
+                self._reference,
+                sensing.tension,
+                rate,
+                sensing.rate,
+                sensing.usable & sequence.carrying,
+                self._desired_drums if sequence.regulating else None,
             )
         self._write_inputs(image, tick, operator)
         self._write_results(image, estimate)
@@ -121,6 +143,10 @@ class ControlCycle:
 
     def _enter(self, state: State) -> None:
         self._finite = True
+        loop = self._active_loop if state is State.ACTIVE else self._usual_loop
+        if loop is not self._loop:
+            self._loop = loop
+            loop.reset()
         if state is State.REFERENCING:
             self._loop.reset()
             self._limiter.reset()
@@ -154,39 +180,64 @@ class ControlCycle:
             estimate.velocity,
             bearing,
         )
-        desired = self._guide(sequence.state, sequence.elapsed, envelope.progress)
-        force = estimate.external[:3]
+        desired = self._guide(sequence.state, sequence.stop_time, envelope.progress)
+        radius = self._robot.drum.radius
         motion = Motion(
             *desired,
             estimate.position,
             estimate.quaternion,
             estimate.velocity,
             estimate.angular_velocity,
-            float(np.sqrt(force @ force)),
+            estimate.external[:3],
+            sensing.contact,
+            self._shortfall,
+            self._referencing.unstretched - radius * sensing.angle,
+            radius * sensing.rate,
+            self._guide.push,
         )
         self._law = self._controller.stiffness(motion)
-        stiffness = self._limiter(self._law, min(envelope.cap, sequence.stiffness_cap))
-        self._wrench = self._controller.wrench(motion, stiffness)
-        self._distribute(stiffness)
+        cap = min(envelope.cap, sequence.stiffness_cap)
+        stiffness = self._limiter(self._law, cap, motion.error, motion.error_rate, motion.external)
+        descending = sequence.descending
+        self._wrench = (
+            self._controller.descent(motion)
+            if descending
+            else self._controller.wrench(motion, stiffness)
+        )
+        sequence.load = max(norm(motion.external) - motion.contact, 0.0)
+        self._distribute(motion, stiffness)
 
-    def _distribute(self, stiffness: float) -> None:
+    def _distribute(self, motion: Motion, stiffness: float) -> None:
         """Co-contraction follows the stiffness; a cable that cannot be trusted carries nothing."""
-        levels, present = self.sequence.levels, self._sensing.present
+        levels, present = self.sequence.levels, self.sequence.carrying
         settings, base = self._control.distribution, self._control.stiffness.base
-        contraction = 1.0 + settings.co_contraction * (stiffness / base - 1.0)
-        centre = min(max(levels.level * contraction, levels.low), levels.high)
-        reach = settings.tension_rate * self._period
+        matrix = self._kinematics.matrix
+        opposition(
+            matrix,
+            self._kinematics.lengths,
+            self._wrench[:3],
+            settings.least_force,
+            self._agonism,
+            self._gradient,
+        )
         _bounds(
             self._reference,
             present,
-            (levels.low, levels.high, centre, reach),
+            (levels.low, levels.high, levels.level, settings.tension_rate * self._period),
+            settings.co_contraction * (stiffness / base - 1.0),
+            self._agonism,
             self._low,
             self._high,
             self._centre,
         )
+        wanted = self._controller.tensions(motion, stiffness, self._centre)
+        if wanted is not None and not self.sequence.descending:
+            self._centre[:] = wanted * present
+            self._wrench = matrix @ self._centre
         self._reference = self._distribution(
-            self._kinematics.matrix * present, self._wrench, self._centre, self._low, self._high
+            matrix * present, self._wrench, self._centre, self._low, self._high, self._gradient
         )
+        self._shortfall = self._wrench[:3] - matrix[:3] @ self._reference
 
     def _drum_rate(self, estimate: Estimate) -> Array:
         """Drum rates (8,) that follow the platform at constant tension (eq. 1)."""
@@ -194,6 +245,11 @@ class ControlCycle:
         stretch = 1.0 + self._sensing.tension / self._robot.cable.axial_stiffness
         rate = (self._kinematics.matrix.T @ twist) / (self._robot.drum.radius * stretch)
         return np.asarray(rate)
+
+    def _drums_of(self, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
+        """Rates and accelerations (8,) of the drums on the desired motion, level."""
+        pull = self._kinematics.matrix[:3].T / self._robot.drum.radius
+        return pull @ velocity, pull @ acceleration
 
     def _write_inputs(self, image: ProcessImage, tick: int, operator: Operator) -> None:
         record, sensing, sequence = self.record, self._sensing, self.sequence
@@ -241,6 +297,7 @@ class ControlCycle:
         tension.solver[...] = distribution.solver
         tension.iterations[...] = distribution.iterations
         tension.co_contraction[:] = self._centre
+        tension.agonism[:] = self._agonism
         record.tracker.accepted[...] = self._accepted
         pose, estimator = record.pose, self._estimator
         pose.position[:] = estimate.position
@@ -255,6 +312,7 @@ class ControlCycle:
         pose.bias[:] = estimator.bias
         pose.residual[...] = estimator.residual
         self._write_law(record.stiffness, self._controller.terms)
+        self._write_energy(record.energy)
         wrench = record.wrench
         wrench.commanded[:] = self._wrench
         wrench.delivered[:] = self._kinematics.matrix @ self._reference
@@ -278,3 +336,16 @@ class ControlCycle:
         stiffness.deviation_term[...] = terms.deviation
         stiffness.cap[...] = self._envelope.cap
         stiffness.k_eq[...] = self._limiter.value
+        geometric = float(self._gradient @ self._sensing.tension)
+        stiffness.measured[...] = self._limiter.value + geometric
+
+    def _write_energy(self, energy: SimpleNamespace) -> None:
+        limiter, account = self._limiter, self._limiter.account
+        energy.storage[...] = account.storage
+        energy.storage_rate[...] = account.storage_rate
+        energy.stiffening[...] = account.stiffening
+        energy.dissipated[...] = account.dissipated
+        energy.external[...] = account.external
+        energy.tank[...] = limiter.tank.level
+        energy.k_rate[...] = account.stiffness_rate
+        energy.rise_bound[...] = limiter.rise_bound(limiter.value)

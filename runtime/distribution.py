@@ -1,10 +1,12 @@
 """Tension distribution: eight cables, six wrench components, one quadratic programme.
 
-minimise  |T - T_c|^2 + weight |S (W T - w)|^2   subject to  low <= T <= high
+minimise    |T - T_c|^2 + rho (g . (T - T_c))^2 + weight |S (W T - w)|^2
+subject to  low <= T <= high
 
 The wrench equality is soft, so a solution always exists; what was not delivered is reported as the
 deficit. S divides moments by a characteristic length. T_c carries the co-contraction: along the
-null space of W the cables pull against each other towards it.
+null space of W the cables pull against each other towards it. The row g prefers, among the ways to
+deliver a wrench, those that keep the geometric stiffness g . T along it at T_c's.
 
 The minimiser without bounds is one linear solve. Where it lies within the bounds it is the answer;
 where it does not, the programme finds the correction that the bounds demand. Posed for that
@@ -32,23 +34,46 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True)
+def opposition(
+    matrix: Array, lengths: Array, force: Array, least: float, agonism: Array, gradient: Array
+) -> None:
+    """How far each cable pulls with a force (agonist, up to 1) or against it (antagonist, down to
+    -1), and the derivative (1/m) of the geometric stiffness along it by each tension,
+
+        g_i = (1 - (u_i . d)^2) / l_i.
+
+    ``least`` (N) makes both smooth where the force vanishes and has no direction: no cable is then
+    an agonist, and g is the mean over all directions.
+    """
+    size = force[0] ** 2 + force[1] ** 2 + force[2] ** 2
+    for i in range(lengths.shape[0]):
+        along = matrix[0, i] * force[0] + matrix[1, i] * force[1] + matrix[2, i] * force[2]
+        agonism[i] = along / (math.sqrt(size) + least)
+        share = (along * along + least * least / 3.0) / (size + least * least)
+        gradient[i] = (1.0 - share) / lengths[i]
+
+
+@njit(cache=True)
 def _free_minimiser(
     matrix: Array,
     wrench: Array,
     bounds: tuple[Array, Array, Array],
+    preference: Array,
     weight: float,
     triangle: tuple[NDArray[np.int64], NDArray[np.int64]],
     quadratic: Array,
     tensions: Array,
 ) -> bool:
     """Tensions without regard to the bounds, and whether they lie within them; ``quadratic``
-    becomes the upper triangle of I + weight W^T W. ``bounds``: low, high, centre."""
+    becomes the upper triangle of I + p p^T + weight W^T W. ``bounds``: low, high, centre;
+    ``preference``: p, the row g times the root of its weight."""
     low, high, centre = bounds
     rows, columns = triangle
-    normal = weight * (matrix.T @ matrix) + np.eye(len(centre))
+    metric = np.eye(len(centre)) + np.outer(preference, preference)
+    normal = weight * (matrix.T @ matrix) + metric
     for k in range(rows.shape[0]):
         quadratic[k] = normal[rows[k], columns[k]]
-    right = centre + weight * (matrix.T @ wrench)
+    right = metric @ centre + weight * (matrix.T @ wrench)
     if not (np.isfinite(normal).all() and np.isfinite(right).all()):
         tensions[:] = np.nan
         return True
@@ -84,6 +109,7 @@ class TensionDistribution:
         self.deficit = 0.0
         """N, norm of the scaled wrench that the tensions miss"""
         self._weight = settings.wrench_weight
+        self._preference = math.sqrt(settings.stiffness_weight)
         self._scale = np.array([1.0] * 3 + [1.0 / moment_length] * 3)
         self._column = self._scale[:, None]
         # Clarabel stores the upper triangle column by column.
@@ -113,9 +139,16 @@ class TensionDistribution:
         )
 
     def __call__(
-        self, matrix: Array, wrench: Array, centre: Array, low: Array, high: Array
+        self,
+        matrix: Array,
+        wrench: Array,
+        centre: Array,
+        low: Array,
+        high: Array,
+        gradient: Array | None = None,
     ) -> Array:
-        """``matrix`` (6, 8), ``wrench`` (6,), ``centre``, ``low``, ``high`` (8,) in N.
+        """``matrix`` (6, 8), ``wrench`` (6,), ``centre``, ``low``, ``high`` (8,) in N, ``gradient``
+        (8,) in 1/m: g, None for no preference.
 
         If no solution comes back within the iteration limit, the closed form round ``centre``
         (Pott, Bruckmann and Mikelsons 2009), clipped to the bounds, takes its place, and `solver`
@@ -124,11 +157,16 @@ class TensionDistribution:
         scaled = matrix * self._column
         target = wrench * self._scale
         tensions = np.empty(CABLES)
+        preference = self._none
+        if gradient is not None:
+            # A lost cable must not take part: its correction has to be zero by itself.
+            preference = self._preference * gradient * (high > low)
         self.solver, self.iterations = Solver.INTERIOR, 0
         if not _free_minimiser(
             scaled,
             target,
             (low, high, centre),
+            preference,
             self._weight,
             (self._rows, self._columns),
             self._quadratic,

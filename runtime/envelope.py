@@ -1,9 +1,12 @@
 """The Dynamic Safety Envelope: eq. (4) and (14), predicted over a horizon and graded.
 
 Green leaves the run untouched. Amber: a bound is predicted to be met within the horizon, so the
-stiffness cap comes down and the reference slows, to a stop if need be. Red: a bound is met, and the
-state machine stops the robot. The order is law, cap, limiter: the law raises the stiffness with
-force, the cap lowers it near the contact limit, and the cap wins.
+stiffness cap comes down and the reference slows, to a stop if need be, at once; and back only when
+the bound has receded by a band, and slowly. Without that hysteresis the softer platform lets go, is
+stiffened, presses again, and so on. Red: a bound is met, and the state machine stops the robot.
+
+The order is law, cap, limiter: the law raises the stiffness with force, the cap lowers it near the
+contact limit, and the cap wins.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from runtime.signals import Bound, Grade
 from runtime.states import Fault
 
 Array = NDArray[np.float64]
+_GRADED = (Bound.CONTACT, Bound.SPEED, Bound.WORKSPACE, Bound.TENSION_HIGH)
 
 
 @njit(cache=True)
@@ -71,7 +75,9 @@ class Envelope:
         self._over = np.zeros(len(robot.geometry.frame), dtype=np.int64)
         self._under = np.zeros(len(robot.geometry.frame), dtype=np.int64)
         self._last_tension = np.zeros(len(robot.geometry.frame))
-        self._last_contact = 0.0
+        self._last_contact = self._swell = 0.0
+        self._follow = 1.0 - math.exp(-2.0 * math.pi * settings.rate_cutoff_hz * period)
+        self._release = settings.release_rate * period
         self.reset()
 
     def reset(self) -> None:
@@ -86,6 +92,7 @@ class Envelope:
         self.tension_high = self.tension_low = self.contact = self.speed = self.workspace = 1.0
         self._over[:] = 0
         self._under[:] = 0
+        self._held = dict.fromkeys(_GRADED, 1.0)
         self._first = True
 
     def __call__(
@@ -103,8 +110,9 @@ class Envelope:
         if self._first:
             self._first = False
             self._last_tension[:] = tension
-            self._last_contact = contact
+            self._last_contact, self._swell = contact, 0.0
         swell = (contact - self._last_contact) / self._period
+        self._swell += self._follow * (swell - self._swell)
         self._last_contact = contact
         to_high, to_low = _tension_margins(
             tension,
@@ -117,7 +125,7 @@ class Envelope:
         )
         self.tension_high = to_high / (t.max - t.pre)
         self.tension_low = to_low / (t.pre - t.min)
-        force = max(contact, contact + horizon * swell)
+        force = max(contact, contact + horizon * self._swell)
         self.contact = (s.contact_limit - force) / s.contact_limit
         speed = math.sqrt(float(velocity @ velocity))
         self.speed = (s.speed_limit - speed) / s.speed_limit
@@ -145,7 +153,7 @@ class Envelope:
             self.fault = Fault.WORKSPACE_LIMIT
 
     def _soften(self, force: float, speed: float) -> None:
-        """Amber: how much is left of each bound, 1 untouched, 0 used up; the least decides."""
+        """Amber: how much is left of each bound, over 1 untouched, 0 used up; the least decides."""
         s = self._settings
         # Full softness is reached a hysteresis short of the limit, so that the platform comes to
         # rest inside the bound and not on it.
@@ -154,14 +162,16 @@ class Envelope:
         soft_speed = s.speed_limit * (1.0 - s.hysteresis)
         warn_speed = s.speed_limit * s.speed_warning
         edge = 1.0 - s.tension_warning
-        shares = (
-            (Bound.CONTACT, (soft_force - force) / (soft_force - warn_force)),
-            (Bound.SPEED, (soft_speed - speed) / (soft_speed - warn_speed)),
-            (Bound.WORKSPACE, self.workspace / s.workspace_margin if s.workspace_margin else 1.0),
-            (Bound.TENSION_HIGH, self.tension_high / edge),
+        left = (
+            (soft_force - force) / (soft_force - warn_force),
+            (soft_speed - speed) / (soft_speed - warn_speed),
+            self.workspace / s.workspace_margin if s.workspace_margin else math.inf,
+            self.tension_high / edge,
         )
-        bound, share = min(shares, key=lambda item: item[1])
-        share = min(max(share, 0.0), 1.0)
+        for of, now in zip(_GRADED, left, strict=True):
+            self._held[of] = self._hold(self._held[of], now)
+        bound = min(_GRADED, key=self._held.__getitem__)
+        share = self._held[bound]
         low, high = self._law.minimum, self._law.maximum
         stiffening = bound in (Bound.CONTACT, Bound.TENSION_HIGH)
         self.cap = low + share * (high - low) if stiffening else high
@@ -174,3 +184,11 @@ class Envelope:
         else:
             self.grade = Grade.GREEN
         self.bound = bound if share < 1.0 else (Bound.TENSION_LOW if amber else Bound.NONE)
+
+    def _hold(self, held: float, left: float) -> float:
+        """Share, 0 to 1, that is acted on: down at once, up by the release rate once ``left`` is a
+        band above."""
+        if left < held:
+            return max(left, 0.0)
+        open_to = min(left - self._settings.release_band, 1.0)
+        return max(held, min(open_to, held + self._release))

@@ -42,6 +42,8 @@ class Guide:
         self.time = 0.0
         """s of scenario time"""
         self.desired: Sample = (position, np.zeros(3), np.zeros(3))
+        self.push = np.zeros(3)
+        """N, force the scenario asks for at the contact port"""
 
     def plan_stop(self) -> float:
         """How long lowering to the cradle will take (s): from far away long enough for the
@@ -58,6 +60,7 @@ class Guide:
             self.desired = self._follow(1.0 if lifting else 0.0)
         elif state is State.SAFE_STOP:
             self.desired = self._stop(elapsed)
+            self.push = np.zeros(3)
         else:
             if not self._on_scenario:
                 self._on_scenario, self._rate = True, 0.0
@@ -82,6 +85,7 @@ class Guide:
             self.time += rate * self._period
             offset, velocity, acceleration = self._trajectory(self.time)
             position = self._home + offset
+            self.push = self._trajectory.push(self.time)
         else:
             self._move_time += rate * self._period
             position, velocity, acceleration = self._move(self._move_time)

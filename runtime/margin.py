@@ -53,6 +53,11 @@ def tension_loop_margins(
         delay_ticks,
         frequency,
     )
+    return margins_of(response, frequency)
+
+
+def margins_of(response: NDArray[np.complex128], frequency: Array) -> Margins:
+    """Margins of an open loop's response over ``frequency`` (Hz)."""
     size, phase = np.abs(response), np.unwrap(np.angle(response))
     crossing = np.flatnonzero((size[:-1] >= 1.0) & (size[1:] < 1.0))
     lagging = np.flatnonzero(np.diff(np.floor((phase - np.pi) / (2.0 * np.pi))) != 0)

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.scenario import Hold, Path, Reference, Sine
+from config.schema.scenario import Hold, Path, Press, Reference, Sine
 
 Array = NDArray[np.float64]
 Sample = tuple[Array, Array, Array]
+_NOTHING = np.zeros(3)
 
 
-class Trajectory(Protocol):
-    """Offset from home, its velocity and its acceleration at time ``t`` (s), each (3,)."""
+class Trajectory(ABC):
+    """What a scenario asks for at its time ``t`` (s)."""
 
-    def __call__(self, t: float) -> Sample: ...
+    @abstractmethod
+    def __call__(self, t: float) -> Sample:
+        """Offset from home, its velocity and its acceleration, each (3,)."""
+
+    def push(self, t: float) -> Array:  # noqa: ARG002
+        """Force (3,) at the contact port, N."""
+        return _NOTHING
 
 
 def minimum_jerk(s: float) -> tuple[float, float, float]:
@@ -53,15 +60,12 @@ class Move:
         )
 
 
-class _Hold:
-    def __init__(self) -> None:
-        self._zero = np.zeros(3)
-
+class _Hold(Trajectory):
     def __call__(self, t: float) -> Sample:  # noqa: ARG002
-        return self._zero, self._zero, self._zero
+        return _NOTHING, _NOTHING, _NOTHING
 
 
-class _Sine:
+class _Sine(Trajectory):
     """A sine whose amplitude fades in by a minimum-jerk shape."""
 
     def __init__(self, reference: Sine) -> None:
@@ -84,7 +88,7 @@ class _Sine:
         )
 
 
-class _Path:
+class _Path(Trajectory):
     """Minimum-jerk moves from point to point, with pauses; starts at home."""
 
     def __init__(self, reference: Path) -> None:
@@ -105,10 +109,44 @@ class _Path:
         return move(t - begin)
 
 
+class _Press(Trajectory):
+    """Up to the surface, then as deep as the force would go into a body of the given stiffness."""
+
+    def __init__(self, reference: Press) -> None:
+        self._r = reference
+        direction = np.array(reference.direction)
+        self._way = direction / np.linalg.norm(direction)
+        self._move = Move(np.zeros(3), self._way * reference.distance, reference.approach)
+        self._omega = 2.0 * math.pi * reference.frequency
+
+    def _force(self, t: float) -> tuple[float, float, float]:
+        """N and its two derivatives."""
+        r, w = self._r, self._omega
+        a, da, dda = minimum_jerk(t / r.fade)
+        da, dda = da / r.fade, dda / r.fade**2
+        s, c = r.force + r.swing * math.sin(w * t), r.swing * w * math.cos(w * t)
+        bend = -r.swing * w * w * math.sin(w * t)
+        return a * s, da * s + a * c, dda * s + 2.0 * da * c + a * bend
+
+    def __call__(self, t: float) -> Sample:
+        position, velocity, acceleration = self._move(t)
+        deep, rate, bend = (f / self._r.stiffness for f in self._force(t - self._r.approach))
+        return (
+            position + deep * self._way,
+            velocity + rate * self._way,
+            acceleration + bend * self._way,
+        )
+
+    def push(self, t: float) -> Array:
+        return np.asarray(self._force(t - self._r.approach)[0] * self._way)
+
+
 def trajectory(reference: Reference) -> Trajectory:
     """The motion a scenario asks for."""
     if isinstance(reference, Hold):
         return _Hold()
     if isinstance(reference, Sine):
         return _Sine(reference)
+    if isinstance(reference, Press):
+        return _Press(reference)
     return _Path(reference)

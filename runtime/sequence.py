@@ -24,6 +24,7 @@ _CABLE_GONE = (
     Fault.CELL_BAD,
     Fault.IMPLAUSIBLE_DRIVE,
     Fault.IMPLAUSIBLE_CELL,
+    Fault.SLACK_CABLE,
 )
 MOVING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 
@@ -85,7 +86,10 @@ class Sequence:
         self.enabled = False
         """every drive has been in Operation Enabled since arming"""
         self.referenced = False
+        self.load = 0.0
+        """N, what the platform would be pushed away with if it were let go now"""
         self._lower_s = self._settings.lower_s
+        self._waited, self._lowering = 0.0, False
         self._tightness = 0.0
         self._straightness = 0.0
         """how far tensions had grown when a stop came, 0 to 1, on the way to each level"""
@@ -95,6 +99,8 @@ class Sequence:
     ) -> bool:
         """Returns whether the state changed. ``finite``: whether the last estimate was a number."""
         self.elapsed = (tick - self._entered) * self._period
+        if self.state is State.SAFE_STOP and self._waits():
+            self._waited += self._period
         if not finite:
             operator, self._not_a_number = Operator.ESTOP, True
         event = self._watch(image, operator) or self._arrive(image)
@@ -107,6 +113,7 @@ class Sequence:
         if self.state is before:
             return False
         self._entered, self.elapsed = tick, 0.0
+        self._waited, self._lowering = 0.0, False
         if self.state is State.REFERENCING:
             self._resetting = self.referenced = False
             self._referencing.reset()
@@ -124,14 +131,45 @@ class Sequence:
         self._lower_s = lower_s
 
     @property
+    def stop_time(self) -> float:
+        """s into a stop, not counting what it waited, or in this state."""
+        return self.elapsed - self._waited
+
+    @property
     def stop_ends(self) -> float:
-        """s from the start of a stop until the drives are disabled."""
+        """`stop_time` at which the drives are disabled."""
         return 2.0 * self._settings.stop_s + self._lower_s
+
+    def _waits(self) -> bool:
+        """At a standstill under a load: lowered into the cradle with it, or let go, the platform
+        would be thrown aside. It holds until the load is taken away, if that is soon and if it has
+        the cables to."""
+        settings = self._settings
+        if self._lowering or self.stop_time < settings.stop_s:
+            return False
+        able = self.referenced and self.fault is not Fault.CONTACT_LIMIT and not self.descending
+        loaded = self.load > settings.release_load and self._waited < settings.hold_s
+        self._lowering = not (able and loaded)
+        return not self._lowering
+
+    @property
+    def carrying(self) -> NDArray[np.bool_]:
+        """(8,) cables that may be asked for tension."""
+        present = self._sensing.present
+        if self.fault in _CABLE_GONE and 0 <= self.where < len(present):
+            present = present.copy()
+            present[self.where] = False
+        return present
+
+    @property
+    def descending(self) -> bool:
+        """A stop without all eight cables: weight and damping only, no place to keep."""
+        return self.state is State.SAFE_STOP and not self.carrying.all()
 
     @property
     def axis_command(self) -> AxisCommand:
         if self.state is State.SAFE_STOP:
-            stopping = self.enabled and self.elapsed < self._give_up
+            stopping = self.enabled and not self._given_up
             return AxisCommand.ENABLE if stopping else AxisCommand.DISABLE
         if self.state in (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE):
             return AxisCommand.ENABLE
@@ -141,7 +179,7 @@ class Sequence:
     def regulating(self) -> bool:
         """In control of the platform, and not only of single cables."""
         if self.state is State.SAFE_STOP:
-            return self.referenced and self.elapsed < self.stop_ends
+            return self.referenced and self.stop_time < self.stop_ends
         return self.state in MOVING
 
     @property
@@ -165,14 +203,14 @@ class Sequence:
         if self.state is State.PRETENSION:
             share = min(1.0, self.elapsed / settings.pretension_s)
         elif self.state is State.SAFE_STOP:
-            left = max(0.0, (self.stop_ends - self.elapsed) / settings.stop_s)
+            left = max(0.0, (self.stop_ends - self.stop_time) / settings.stop_s)
             share = min(self._tightness, left)
         if self.state is not State.SAFE_STOP:
             self._tightness = share
-        # With a cable gone the others balance the weight better when they may hang loose.
-        lowest = tension.slack if self.fault in _CABLE_GONE else tension.min
+        if self.descending:
+            return Levels(tension.slack, settings.descent_tension, tension.referencing)
         return Levels(
-            tension.slack + share * (lowest - tension.slack),
+            tension.slack + share * (tension.min - tension.slack),
             tension.referencing + share * (tension.max - tension.referencing)
             if self.state is State.SAFE_STOP
             else tension.max,
@@ -189,9 +227,10 @@ class Sequence:
         return law.minimum if soft else law.base
 
     @property
-    def _give_up(self) -> float:
-        """When a stop disables the drives: at its end, or early when there was no reference."""
-        return self.stop_ends if self.referenced else self._settings.stop_s
+    def _given_up(self) -> bool:
+        """A stop disables the drives at its end, or early when there was no reference."""
+        ends = self.stop_ends if self.referenced else self._settings.stop_s
+        return self.stop_time >= ends
 
     def _watch(self, image: ProcessImage, operator: Operator) -> Event | None:
         if operator is Operator.ESTOP:
@@ -248,7 +287,7 @@ class Sequence:
             lifted = settings.lift_s + 1.0 / settings.reference_slew
             done = self.elapsed >= settings.pretension_s + lifted
             return Event.TENSIONED if done else None
-        if self.state is State.SAFE_STOP and self.elapsed >= self._give_up:
+        if self.state is State.SAFE_STOP and self._given_up:
             silent = image.axes["age"] > self._control.freshness.stale_stop_ticks
             off = image.axes["state"] != AxisState.OPERATION_ENABLED
             if (off | silent).all():

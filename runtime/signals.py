@@ -145,6 +145,7 @@ TOPICS: tuple[Topic, ...] = (
         _f8("deviation_term", 0, "", "relative increase due to deviation"),
         _f8("cap", 0, "N/m", "the envelope's upper bound in this tick"),
         _f8("k_eq", 0, "N/m", "commanded equivalent stiffness"),
+        _f8("measured", 0, "N/m", "k_eq plus the measured tensions' geometric stiffness along d"),
     ),
     _topic(
         "wrench",
@@ -164,6 +165,7 @@ TOPICS: tuple[Topic, ...] = (
         _f8("co_contraction", CABLES, "N", "what the distribution was drawn towards"),
         _f8("measured", CABLES, "N", "tared force cell, unfiltered"),
         _f8("integral", CABLES, "N", "integral part of the tension loop"),
+        _f8("agonism", CABLES, "", "1 pulls with the wrench asked for, -1 against it"),
         Field("iterations", "uint8", 0, "", "of the solver"),
         Field("solver", "uint8", 0, "", "Solver"),
     ),
@@ -179,6 +181,19 @@ TOPICS: tuple[Topic, ...] = (
         _f8("progress", 0, "", "rate at which the reference is allowed to go on, 0 to 1"),
         Field("grade", "uint8", 0, "", "Grade"),
         Field("bound", "uint8", 0, "", "Bound that decided the grade"),
+    ),
+    _topic(
+        "energy",
+        "Energy",
+        "eq. (12) and (13) of the translational loop as the controller sees it, and the tank",
+        _f8("storage", 0, "J", "V = 1/2 m e'^2 + 1/2 K_eq e^2, eq. (12)"),
+        _f8("storage_rate", 0, "W", "its derivative: stiffening - dissipated + external"),
+        _f8("stiffening", 0, "W", "1/2 K_eq' e^2, the term eq. (13) leaves out"),
+        _f8("dissipated", 0, "W", "D e'^2, taken by the virtual damper"),
+        _f8("external", 0, "W", "-F e', put in by the estimated external force"),
+        _f8("tank", 0, "J", "what a rise of the stiffness may still draw on"),
+        _f8("k_rate", 0, "N/m/s", "K_eq'"),
+        _f8("rise_bound", 0, "N/m/s", "how fast K_eq may rise now"),
     ),
 )
 

@@ -1,4 +1,4 @@
-"""The bio-inspired stiffness law and the limiter behind the envelope's cap."""
+"""The bio-inspired stiffness law. What comes of it is for envelope and limiter to say."""
 
 from __future__ import annotations
 
@@ -39,26 +39,3 @@ class Law:
         rise = terms.deviation + terms.velocity + terms.force
         terms.stiffness = min(max(c.base * (1.0 + rise), c.minimum), c.maximum)
         return terms.stiffness
-
-
-class Limiter:
-    """What reaches the platform: never above the cap, never outside the bounds, and rising no
-    faster than the configured rate (Kronander and Billard, IEEE T-RO 2016). Falling is free.
-
-    The output starts at the lower bound and is always inside the bounds, whatever comes in.
-    """
-
-    def __init__(self, config: StiffnessLaw, period: float) -> None:
-        self._minimum, self._maximum = config.minimum, config.maximum
-        self._rise = config.rise_rate * period
-        self.value = config.minimum
-
-    def reset(self) -> None:
-        self.value = self._minimum
-
-    def __call__(self, wanted: float, cap: float) -> float:
-        target = min(wanted, cap, self._maximum)
-        if not target >= self._minimum:  # also when it is not a number
-            target = self._minimum
-        self.value = min(target, self.value + self._rise)
-        return self.value

@@ -3,10 +3,13 @@
 Eq. (9) alone is proportional and has neither feed-forward nor damping; docs/paper.md, row 13, shows
 why that cannot reach half a per cent. Here
 
-    torque = r (T_ref + K_T (T_ref - T) + I) + C_d (rate_ref - rate)
+    torque = r (T_ref + K_T (T_ref - T) + I) + C_d (rate_ref - rate) + M(T_ref, rate_d, acc_d)
 
 with the drum rate that the platform's motion asks for as its reference, so that the damping acts on
-the drive and not on the platform. Drum rate and tension are taken unfiltered: a filter's delay
+the drive and not on the platform. M is what the drive itself will take on the desired motion: the
+drum's inertia and friction, and the gearbox's loss, which helps to hold a cable that runs out. It
+follows the desired motion and never the measured one: friction fed back by its own measured rate
+drives what it should cancel. Drum rate and tension are taken unfiltered: a filter's delay
 would cost the phase margin that `runtime.margin` computes.
 """
 
@@ -25,17 +28,35 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True)
+def _expected(
+    tension: Array,
+    rate: Array,
+    acceleration: Array,
+    drive: tuple[float, float, float, float, float, float, float],
+    torque: Array,
+) -> None:
+    radius, inertia, viscous, coulomb, load, efficiency, slip = drive
+    for i in range(tension.shape[0]):
+        way, pull = math.tanh(rate[i] / slip), radius * tension[i]
+        needed = pull + way * (radius * coulomb + load * pull)
+        needed += viscous * rate[i] + inertia * acceleration[i]
+        through = efficiency if way < 0.0 else 1.0 / efficiency
+        torque[i] = needed * (1.0 + abs(way) * (through - 1.0)) - pull
+
+
+@njit(cache=True)
 def _torques(
     reference: Array,
     measured: Array,
     rate_reference: Array,
     rate: Array,
+    expected: Array,
     usable: NDArray[np.bool_],
-    gains: tuple[float, float, float, float, float, float],
+    gains: tuple[float, float, float, float, float, float, float],
     integral: Array,
     torque: Array,
 ) -> None:
-    radius, proportional, integral_step, integral_limit, damping, limit = gains
+    radius, forward, proportional, integral_step, integral_limit, damping, limit = gains
     for i in range(reference.shape[0]):
         torque[i] = 0.0
         if not usable[i]:
@@ -44,8 +65,8 @@ def _torques(
         error = reference[i] - measured[i]
         grown = integral[i] + integral_step * error
         integral[i] = min(max(grown, -integral_limit), integral_limit)
-        wanted = radius * (reference[i] + proportional * error + integral[i])
-        wanted += damping * (rate_reference[i] - rate[i])
+        wanted = radius * (forward * reference[i] + proportional * error + integral[i])
+        wanted += damping * (rate_reference[i] - rate[i]) + forward * expected[i]
         if math.isfinite(wanted):
             torque[i] = min(max(wanted, -limit), limit)
 
@@ -57,12 +78,25 @@ class TensionLoop:
         motor, ratio = robot.motor, robot.gearbox.ratio
         self._gains = (
             robot.drum.radius,
+            settings.feed_forward,
             settings.proportional,
             settings.integral * period,
             settings.integral_limit,
             settings.rate_damping,
             motor.current_limit * motor.torque_constant * ratio,
         )
+        drum, friction = robot.drum, settings.friction
+        self._drive = (
+            drum.radius,
+            drum.inertia,
+            drum.viscous_friction,
+            friction.coulomb,
+            friction.load,
+            robot.gearbox.efficiency,
+            friction.slip / drum.radius,
+        )
+        self._still = (np.zeros(CABLES), np.zeros(CABLES))
+        self._expected = np.zeros(CABLES)
         self._torque = np.zeros(CABLES)
         self.integral = np.zeros(CABLES)
         """N"""
@@ -77,14 +111,18 @@ class TensionLoop:
         rate_reference: Array,
         rate: Array,
         usable: NDArray[np.bool_],
+        desired: tuple[Array, Array] | None = None,
     ) -> Array:
-        """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N,
-        rates in rad/s, winding in positive."""
+        """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N, rates
+        in rad/s, winding in positive; ``desired``: rate and acceleration of the desired motion,
+        None for none."""
+        _expected(reference, *(desired or self._still), self._drive, self._expected)
         _torques(
             reference,
             measured,
             rate_reference,
             rate,
+            self._expected,
             usable,
             self._gains,
             self.integral,

@@ -31,6 +31,7 @@ OVERRIDES: dict[str, Any] = {
     "control.sequence.lift_s": 0.02,
     "control.sequence.stop_s": 0.02,
     "control.sequence.lower_s": 0.02,
+    "control.sequence.hold_s": 0.02,
     "control.sequence.enable_timeout_s": 0.02,
 }
 CONFIG, SCENARIO = load("config/can.yaml", scenario="sine_x", overrides=OVERRIDES)

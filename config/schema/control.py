@@ -59,13 +59,32 @@ class StiffnessLaw(Section):
     force_reference: Positive
     """N"""
     velocity_source: Literal["error", "platform"]
+    smoothing_hz: Positive
+    """first-order low-pass of what the law reads: noise of the estimate is no reason to stiffen"""
     rise_rate: Positive
-    """N/m/s: how fast the stiffness may grow (Kronander and Billard 2016)"""
+    """N/m/s: how fast the stiffness may grow at most; `runtime.passivity` computes the bound below
+    it"""
 
     @model_validator(mode="after")
     def _ordered(self) -> StiffnessLaw:
         if not self.minimum < self.base <= self.maximum:
             raise ValueError("minimum < base <= maximum must hold")
+        return self
+
+
+class Passivity(Section):
+    """The energy tank behind the law (Ferraguti, Secchi and Fantuzzi 2013), J."""
+
+    tank_capacity: Positive
+    tank_initial: Positive
+    tank_minimum: Positive
+    tank_efficiency: Annotated[float, Field(gt=0, le=1)]
+    """share of what the damper and a falling stiffness take out that is kept"""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Passivity:
+        if not self.tank_minimum <= self.tank_initial <= self.tank_capacity:
+            raise ValueError("tank_minimum <= tank_initial <= tank_capacity must hold")
         return self
 
 
@@ -77,17 +96,65 @@ class Impedance(Section):
     """N m s/rad"""
 
 
+class Integral(Section):
+    gain: NonNegative
+    """N/(m s)"""
+    limit: Positive
+    """N"""
+
+
 class Pid(Section):
     stiffness: Positive
     damping_ratio: Positive
+    integral: Integral
+
+
+class PdMatched(Section):
+    stiffness: Positive
+    """N/m: the mean of what `bio` commands"""
+
+
+class BioObserver(Section):
+    cutoff_hz: Positive
+    """first-order low-pass of the load that is fed forward"""
+    limit: Positive
+    """N: no larger load is compensated"""
+
+
+class PidLength(Section):
+    """Per cable, in N of tension per m of unstretched length."""
+
+    proportional: Positive
     integral: NonNegative
     """N/(m s)"""
+    derivative: NonNegative
+    """N s/m"""
     integral_limit: Positive
     """N"""
 
 
+class Force(Section):
+    proportional: NonNegative
+    integral: NonNegative
+    """1/s"""
+    damping: NonNegative
+    """N s/m"""
+    integral_limit: Positive
+    """N"""
+    threshold: Positive
+    """N at the contact port from which on there is contact"""
+    release_s: Positive
+    """s"""
+    body_stiffness: Positive
+    """N/m of a body it is meant for, which its margins are computed with"""
+
+
+class Eq9Literal(Section):
+    gain: Positive
+
+
 class Distribution(Section):
-    """One box-bounded quadratic programme: |T - T_ref|^2 + weight * |W T - w|^2."""
+    """One box-bounded quadratic programme, `runtime.distribution`."""
 
     wrench_weight: Positive
     deficit_limit: Positive
@@ -96,13 +163,29 @@ class Distribution(Section):
     """N/s: bound on how fast a tension reference may move"""
     co_contraction: Fraction
     """share of the relative stiffness rise that the tension reference follows"""
+    stiffness_weight: NonNegative
+    """m2: how much a change of the geometric stiffness along the wrench counts"""
+    least_force: Positive
+    """N below which a wrench has no direction to speak of"""
     maximum_iterations: Count
     tolerance: Positive
+
+
+class Friction(Section):
+    """Drive friction as far as it is known; the gearbox's loss and the drum stand under `robot`."""
+
+    coulomb: NonNegative
+    """N at the cable"""
+    load: NonNegative
+    """share of the tension"""
+    slip: Positive
+    """m/s of cable over which friction changes sign"""
 
 
 class TensionLoop(Section):
     """Eq. (6) and (9), completed: feed-forward, proportional, integral, drum-rate damping."""
 
+    feed_forward: Fraction
     proportional: NonNegative
     integral: NonNegative
     """1/s"""
@@ -110,6 +193,7 @@ class TensionLoop(Section):
     """N"""
     rate_damping: NonNegative
     """N m s/rad at the drum"""
+    friction: Friction
     gain_margin_db: Positive
     phase_margin_deg: Positive
     """floors that `tonus check` computes against, without friction and with the real delay"""
@@ -125,9 +209,16 @@ class Sequence(Section):
     lift_s: Positive
     """s of minimum-jerk motion from the cradle to home"""
     stop_s: Positive
-    """controlled stop: tensions ramp to the referencing level in this time"""
+    """controlled stop: slowing to standstill, and at its end letting the tensions down, take this
+    long each"""
     lower_s: Positive
     """s of minimum-jerk motion back to the cradle"""
+    release_load: Positive
+    """N: a platform in its cradle is let go only while no more than this pushes it"""
+    hold_s: NonNegative
+    """s that a stop waits for a larger load to be taken away"""
+    descent_tension: Positive
+    """N: most that a cable is asked for while another is gone"""
     enable_timeout_s: Positive
     referencing_tension_error: Positive
     """N: largest deviation from the even tension that still counts as settled"""
@@ -166,20 +257,47 @@ class Envelope(Section):
     """share of the way from T_pre to a bound where amber starts"""
     horizon: Positive
     """s: how far the bounds are predicted"""
+    rate_cutoff_hz: Positive
+    """first-order low-pass of the contact force's rate that the prediction uses"""
     hysteresis: Fraction
+    """share of a limit by which full softness comes before it"""
+    release_band: NonNegative
+    """share of the amber zone by which a bound must recede before the envelope lets go"""
+    release_rate: Positive
+    """1/s: how fast it lets go"""
     over_tension_ticks: Count
     """ticks beyond T_max or below slack before red"""
 
 
+ControllerName = Literal[
+    "bio",
+    "bio_integral",
+    "bio_observer",
+    "pd",
+    "pd_matched",
+    "pid",
+    "pid_length",
+    "force",
+    "eq9_literal",
+]
+
+
 class Control(Section):
-    controller: Literal["bio", "pid"]
+    controller: ControllerName
     rates: Rates
     tension: Tension
     filters: Filters
     estimator: Estimator
     stiffness: StiffnessLaw
+    passivity: Passivity
     impedance: Impedance
+    pd_matched: PdMatched
     pid: Pid
+    bio_integral: Integral
+    bio_observer: BioObserver
+    pid_length: PidLength
+    force: Force
+    eq9_literal: Eq9Literal
     distribution: Distribution
     tension_loop: TensionLoop
     freshness: Freshness

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pydantic import model_validator
+
 from config.schema.base import Section
 from config.schema.bus import Bus, Tracker
 from config.schema.control import Control, RealTime, Recording
@@ -20,3 +22,11 @@ class Config(Section):
     scenario: str
     """the scenario that runs when none is named"""
     lab: Lab | None = None
+
+    @model_validator(mode="after")
+    def _literal_stays_in_the_lab(self) -> Config:
+        if self.control.controller == "eq9_literal" and self.lab is None:
+            raise ValueError(
+                "control.controller eq9_literal oscillates by design and needs a lab section"
+            )
+        return self

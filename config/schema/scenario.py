@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from config.schema.base import Direction, NonNegative, Positive, Section, Vector3
 from config.schema.lab import LabScript
@@ -38,7 +38,35 @@ class Path(Section):
     waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
 
 
-Reference = Annotated[Hold | Sine | Path, Field(discriminator="kind")]
+class Press(Section):
+    """Goes up to a body and presses on it: min-jerk ``approach``, then the force grows over
+    ``fade`` to ``force`` and swings round it. The way goes on by force over ``stiffness``, which is
+    all a position controller is told about the body."""
+
+    kind: Literal["press"]
+    direction: Direction
+    distance: NonNegative
+    """m from home to the body's surface"""
+    approach: Positive
+    """s"""
+    fade: Positive
+    """s"""
+    force: Positive
+    """N"""
+    swing: NonNegative = 0.0
+    """N"""
+    frequency: Positive = 0.5
+    stiffness: Positive
+    """N/m, of the body as far as one knows it"""
+
+    @model_validator(mode="after")
+    def _pressing(self) -> Press:
+        if not self.swing < self.force:
+            raise ValueError("swing < force must hold, or contact is lost")
+        return self
+
+
+Reference = Annotated[Hold | Sine | Path | Press, Field(discriminator="kind")]
 
 
 class Scenario(Section):

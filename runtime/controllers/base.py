@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.control import Control
+from config.schema.control import Control, TensionLoop
 from config.schema.robot import Robot
 from runtime.compiled import rotation_between
+from runtime.passivity import damping
 from runtime.stiffness import LawTerms
 
 Array = NDArray[np.float64]
@@ -29,51 +31,91 @@ class Motion:
     quaternion: Array
     velocity: Array
     angular_velocity: Array
-    external_force: float
-    """N, norm of the estimated external force"""
+    external: Array
+    """N, estimated force on the platform that cables and gravity do not explain"""
+    contact: float
+    """N, at the contact port"""
+    shortfall: Array
+    """N, the part of the last tick's force that the cables could not deliver"""
+    wound: Array
+    """(8,) m, unstretched cable lengths"""
+    winding: Array
+    """(8,) m/s, rate at which they shorten"""
+    push: Array
+    """N, force the scenario asks for at the contact port"""
 
-    @property
-    def error(self) -> Array:
-        return self.desired_position - self.position
-
-    @property
-    def error_rate(self) -> Array:
-        return self.desired_velocity - self.velocity
+    def __post_init__(self) -> None:
+        self.error = self.desired_position - self.position
+        self.error_rate = self.desired_velocity - self.velocity
 
 
 class Controller(ABC):
     """Stiffness first, then the wrench at the stiffness that envelope and limiter let through."""
 
+    follows_platform = True
+    """whether the drums are damped against the rate of the platform's motion, so that it may be
+    pushed, or of the desired one, so that it is held"""
+
     def __init__(self, robot: Robot, control: Control) -> None:
         self._robot, self._control = robot, control
+        self.damping_ratio = control.impedance.damping_ratio
         self.terms = LawTerms()
         """what the law added, where there is a law"""
         self._weight = np.array([0.0, 0.0, robot.platform.mass * robot.gravity])
 
-    @abstractmethod
-    def reset(self) -> None:
+    @property
+    def tension_loop(self) -> TensionLoop:
+        """The inner loop's settings while ACTIVE."""
+        return self._control.tension_loop
+
+    def reset(self) -> None:  # noqa: B027
         """Forget the past, before motion starts."""
 
     @abstractmethod
     def stiffness(self, motion: Motion) -> float:
         """The stiffness (N/m) this controller would like now."""
 
-    @abstractmethod
     def force(self, motion: Motion, stiffness: float) -> Array:
-        """Force (3,) without gravity, at the stiffness allowed."""
+        """Force (3,) without gravity and inertia, at the stiffness allowed: spring and damper,
+        F = K e + D de/dt with D = 2 zeta sqrt(K m)."""
+        resistance = damping(self.damping_ratio, stiffness, self._robot.platform.mass)
+        return np.asarray(stiffness * motion.error + resistance * motion.error_rate)
 
     def wrench(self, motion: Motion, stiffness: float) -> Array:
-        """Wrench (6,) asked of the cables: the controller's force, inertia and weight fed forward,
-        and a rotational spring that keeps the platform level."""
-        impedance = self._control.impedance
-        tilt = rotation_between(motion.quaternion, LEVEL)
+        """Wrench (6,) asked of the cables: the controller's force; inertia, weight and the push fed
+        forward; and a rotational spring that keeps the platform level."""
         mass = self._robot.platform.mass
         result = np.empty(6)
-        result[:3] = (
-            self.force(motion, stiffness) + mass * motion.desired_acceleration + self._weight
-        )
-        result[3:] = (
+        result[:3] = self.force(motion, stiffness) + mass * motion.desired_acceleration
+        result[:3] += self._weight + motion.push
+        result[3:] = self._levelling(motion)
+        return result
+
+    def _levelling(self, motion: Motion) -> Array:
+        impedance = self._control.impedance
+        tilt = rotation_between(motion.quaternion, LEVEL)
+        return np.asarray(
             impedance.rotational_stiffness * tilt
             - impedance.rotational_damping * motion.angular_velocity
         )
+
+    def descent(self, motion: Motion) -> Array:
+        """Wrench (6,) of a stop without all cables, the same for every controller: weight, and a
+        damper that lets the platform down at the reference's pace. A spring would have the cables
+        left fight for a place they cannot keep; but level it has to stay."""
+        impedance, mass = self._control.impedance, self._robot.platform.mass
+        resistance = damping(impedance.damping_ratio, self._control.stiffness.base, mass)
+        result = np.empty(6)
+        result[:3] = self._weight + resistance * motion.error_rate
+        result[3:] = self._levelling(motion)
         return result
+
+    def tensions(self, motion: Motion, stiffness: float, centre: Array) -> Array | None:  # noqa: ARG002
+        """Tensions (8,) round ``centre`` for a controller that commands cables; None for one that
+        commands a wrench. They pass the same distribution, which gives them their bounds."""
+        return None
+
+
+def norm(vector: Array) -> float:
+    """Euclidean, of a short vector."""
+    return math.sqrt(float(vector @ vector))

@@ -1,4 +1,5 @@
-"""The paper's controller: impedance at the stiffness of the bio-inspired law."""
+"""The paper's controller, impedance at the stiffness of the bio-inspired law, and two variants that
+add what the law lacks: something that takes up a constant load."""
 
 from __future__ import annotations
 
@@ -8,31 +9,77 @@ import numpy as np
 
 from config.schema.control import Control
 from config.schema.robot import Robot
-from runtime.controllers.base import Array, Controller, Motion
+from runtime.controllers.base import Array, Controller, Motion, norm
+from runtime.controllers.integral import Integral
 from runtime.stiffness import Law
 
 
 class Bio(Controller):
-    """F = K_eq e + D(K_eq) de/dt with D = 2 zeta sqrt(K_eq m)."""
+    """Spring and damper at K_eq of eq. (3) or (10). What the law reads is smoothed first."""
 
     def __init__(self, robot: Robot, control: Control) -> None:
         super().__init__(robot, control)
         self._law = Law(control.stiffness)
         self.terms = self._law.terms
+        self._share = share(control.stiffness.smoothing_hz, control.rates.period)
+        self._read = np.zeros(3)
 
     def reset(self) -> None:
-        """The law has no memory."""
+        self._read[:] = 0.0
 
     def stiffness(self, motion: Motion) -> float:
         source = self._control.stiffness.velocity_source
         rate = motion.error_rate if source == "error" else motion.velocity
-        return self._law(_norm(motion.error), _norm(rate), motion.external_force)
+        now = (norm(motion.error), norm(rate), norm(motion.external))
+        self._read += self._share * (now - self._read)
+        return self._law(*self._read.tolist())
+
+
+class BioIntegral(Bio):
+    """`bio` with the same integral as `pid`, at a gain of its own."""
+
+    def __init__(self, robot: Robot, control: Control) -> None:
+        super().__init__(robot, control)
+        self._integral = Integral(control.bio_integral, control.rates.period)
+
+    def reset(self) -> None:
+        super().reset()
+        self._integral.reset()
 
     def force(self, motion: Motion, stiffness: float) -> Array:
-        ratio = self._control.impedance.damping_ratio
-        damping = 2.0 * ratio * math.sqrt(stiffness * self._robot.platform.mass)
-        return np.asarray(stiffness * motion.error + damping * motion.error_rate)
+        base = self._control.stiffness.base
+        integral = self._integral(motion, stiffness, held=stiffness < base)
+        return np.asarray(super().force(motion, stiffness) + min(stiffness / base, 1.0) * integral)
 
 
-def _norm(vector: Array) -> float:
-    return math.sqrt(float(vector @ vector))
+class BioObserver(Bio):
+    """`bio` with the estimated load fed forward, low-passed and bounded.
+
+    The contact cell tells a load from a contact: only what the contact force does not account for
+    is compensated, so that the robot stays as soft as `bio` where it touches.
+    """
+
+    def __init__(self, robot: Robot, control: Control) -> None:
+        super().__init__(robot, control)
+        settings = control.bio_observer
+        self._follow = share(settings.cutoff_hz, control.rates.period)
+        self._limit = settings.limit
+        self._load = np.zeros(3)
+
+    def reset(self) -> None:
+        super().reset()
+        self._load[:] = 0.0
+
+    def force(self, motion: Motion, stiffness: float) -> Array:
+        base = self._control.stiffness.base
+        size = norm(motion.external)
+        rest = max(size - motion.contact, 0.0)
+        wanted = min(rest, self._limit) / size if size > 0.0 else 0.0
+        self._load += self._follow * (wanted * motion.external - self._load)
+        give = min(stiffness / base, 1.0)
+        return np.asarray(super().force(motion, stiffness) - give * self._load)
+
+
+def share(cutoff_hz: float, period: float) -> float:
+    """What a first-order low-pass takes over of its input in one tick."""
+    return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)

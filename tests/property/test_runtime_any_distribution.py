@@ -26,17 +26,19 @@ wrenches = st.tuples(*[forces] * 3, *[st.floats(-100.0, 100.0)] * 3)
 places = st.tuples(*[st.floats(-0.3, 0.3)] * 3)
 turns = st.tuples(*[st.floats(-0.2, 0.2)] * 3)
 masks = st.lists(st.booleans(), min_size=8, max_size=8)
+gradients = st.lists(st.floats(0.0, 1.5), min_size=8, max_size=8)
 centres = st.lists(st.floats(0.0, 250.0), min_size=8, max_size=8)
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
-@given(wrenches, places, turns, masks, centres)
+@given(wrenches, places, turns, masks, centres, gradients)
 def test_bounds_always_hold_and_the_optimum_conditions_with_them(
     wrench: tuple[float, ...],
     place: tuple[float, ...],
     turn: tuple[float, ...],
     mask: list[bool],
     centre: list[float],
+    gradient: list[float],
 ) -> None:
     kinematics = Kinematics(ROBOT.geometry)
     level = np.array([1.0, 0.0, 0.0, 0.0])
@@ -44,7 +46,9 @@ def test_bounds_always_hold_and_the_optimum_conditions_with_them(
     usable = np.array(mask)
     low, high = np.where(usable, T_MIN, 0.0), np.where(usable, T_MAX, 0.0)
     matrix, middle = kinematics.matrix * usable, np.where(usable, centre, 0.0)
-    tensions = SHARED(matrix, np.array(wrench), middle, low, high)
+    row = np.array(gradient)
+    tensions = SHARED(matrix, np.array(wrench), middle, low, high, row)
+    row = np.where(usable, row, 0.0)
     assert np.isfinite(tensions).all()
     assert (low <= tensions).all()
     assert (tensions <= high).all()
@@ -55,6 +59,7 @@ def test_bounds_always_hold_and_the_optimum_conditions_with_them(
     # Karush, Kuhn and Tucker: against a bound the slope may only point outwards, else it is zero.
     weight = CONTROL.distribution.wrench_weight
     slope = tensions - middle + weight * (SCALE[:, None] * matrix).T @ miss
+    slope += CONTROL.distribution.stiffness_weight * row * (row @ (tensions - middle))
     # The solver stops at a gap relative to the cost, which the wrench's square dominates.
     asked = 50.0 + float(np.linalg.norm(SCALE * wrench))
     tolerance = weight * asked * math.sqrt(8.0 * CONTROL.distribution.tolerance)

@@ -25,7 +25,7 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
         (["run", "nope.yaml"], "there is no such file"),
         (["run", "config/one_channel.yaml"], "2750 us"),
         (["run", "config/can.yaml", "--scenario", "nope"], "choose one of"),
-        (["run", "config/can.yaml", "--controller", "nope"], "'bio' or 'pid'"),
+        (["run", "config/can.yaml", "--controller", "nope"], "'bio', 'bio_integral'"),
         (["run", "config/direct.yaml"], "--virtual"),
         (["run", "config/can.yaml", "--virtual", "--out", "/dev/null/x"], "--out"),
         (["log", "info", "nope.mcap"], "no such file"),

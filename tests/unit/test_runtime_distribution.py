@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 from config import load
 from config.schema.control import Distribution
 from runtime.compiled import rotate
-from runtime.distribution import TensionDistribution
+from runtime.distribution import TensionDistribution, opposition
 from runtime.kinematics import Kinematics
 from runtime.signals import Solver
 
@@ -84,6 +84,50 @@ def test_co_contraction_raises_tension_and_leaves_the_wrench() -> None:
     stiff = found(matrix, wrench_of(), np.full(8, 68.0), LOW, HIGH)
     assert stiff.mean() - soft.mean() > 20.0
     np.testing.assert_allclose(matrix @ stiff, matrix @ soft, atol=0.03)
+
+
+def test_agonists_pull_with_the_wrench_and_antagonists_against_it() -> None:
+    """To +x pull the cables anchored there, whose other halves hold against them."""
+    kinematics, agonism, gradient = home()
+    opposition(
+        kinematics.matrix, kinematics.lengths, np.array([80.0, 0, 0]), 5.0, agonism, gradient
+    )
+    anchored = np.sign(np.array(ROBOT.geometry.frame)[:, 0])
+    np.testing.assert_array_equal(np.sign(agonism), anchored)
+    opposition(kinematics.matrix, kinematics.lengths, np.zeros(3), 5.0, agonism, gradient)
+    assert not agonism.any()
+
+
+def home() -> tuple[Kinematics, Array, Array]:
+    kinematics = Kinematics(ROBOT.geometry)
+    kinematics.evaluate(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    return kinematics, np.zeros(8), np.zeros(8)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_the_gradient_is_that_of_the_force_of_constant_tensions(axis: int) -> None:
+    """Geometric stiffness by definition: how the force of unchanging tensions grows against a
+    displacement, by central difference."""
+    kinematics, agonism, gradient = home()
+    tensions, step = np.linspace(30.0, 70.0, 8), 1e-5
+    along = np.zeros(3)
+    along[axis] = 1.0
+    opposition(kinematics.matrix, kinematics.lengths, 1e9 * along, 5.0, agonism, gradient)
+    ahead, behind = matrix_at(tuple(step * along)), matrix_at(tuple(-step * along))
+    slope = -((ahead - behind) @ tensions)[axis] / (2.0 * step)
+    assert gradient @ tensions == pytest.approx(slope, rel=1e-6)
+
+
+def test_the_preference_keeps_the_stiffness_along_the_wrench_and_still_delivers_it() -> None:
+    kinematics, agonism, gradient = home()
+    wrench, centre = wrench_of(x=80.0), np.full(8, 50.0)
+    opposition(kinematics.matrix, kinematics.lengths, wrench[:3], 5.0, agonism, gradient)
+    found, off = distribution(), []
+    for preferred in (None, gradient):
+        tensions = found(kinematics.matrix, wrench, centre, LOW, HIGH, preferred)
+        np.testing.assert_allclose(kinematics.matrix @ tensions, wrench, atol=0.03)
+        off.append(abs(float(gradient @ (tensions - centre))))
+    assert off[1] < 0.7 * off[0]
 
 
 @pytest.mark.parametrize("lost", range(8))

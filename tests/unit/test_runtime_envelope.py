@@ -70,15 +70,46 @@ def test_growing_contact_softens_slows_and_only_then_stops() -> None:
 
 
 def test_contact_is_predicted_over_the_horizon() -> None:
-    """6 N that grow by 0.4 N a tick will be 26 N in 50 ms: soft already, but no fault yet."""
-    e = settle(envelope(), contact=5.6)
-    assert e.grade is Grade.GREEN
-    settle(e, contact=6.0, ticks=1)
-    assert (e.grade, e.bound, e.cap) == (Grade.AMBER, Bound.CONTACT, LAW.minimum)
+    """A force that grows by 0.3 N a tick is 15 N more in 50 ms: soft long before it is met."""
+    e = envelope()
+    for force in np.arange(0.0, 10.0, 0.3):
+        settle(e, contact=float(force), ticks=1)
+    assert (e.grade, e.bound, e.cap, e.progress) == (Grade.AMBER, Bound.CONTACT, LAW.minimum, 0.0)
+    steady = settle(envelope(), contact=10.0)
+    assert steady.grade is Grade.GREEN
+    falling = envelope()
+    for force in np.arange(20.0, 9.0, -0.3):
+        settle(falling, contact=float(force), ticks=1)
+    assert falling.contact == pytest.approx((SETTINGS.contact_limit - force) / 25.0)
+
+
+def test_noise_of_the_contact_cell_is_no_growth() -> None:
+    """0.02 N of noise a tick are 20 N/s; twenty of them never come near amber at 17 N."""
+    e, random = envelope(), np.random.default_rng(4)
+    for noise in random.normal(0.0, 0.02, 2000):
+        settle(e, contact=17.0 + noise, ticks=1)
+        assert e.grade is Grade.GREEN
+
+
+def test_what_was_softened_stays_so_until_the_bound_recedes_by_the_band() -> None:
+    e = settle(envelope(), contact=22.0)
+    cap, progress = e.cap, e.progress
+    zone = SETTINGS.contact_limit * (1.0 - SETTINGS.hysteresis - SETTINGS.contact_warning)
+    settle(e, contact=22.0 - 0.9 * SETTINGS.release_band * zone, ticks=500)
+    assert (e.cap, e.progress) == (cap, progress)
+    settle(e, contact=22.4)
+    assert e.cap < cap
+
+
+def test_it_lets_go_slowly_and_in_the_end_altogether() -> None:
+    e = settle(envelope(), contact=24.5)
     assert e.progress == 0.0
-    falling = settle(envelope(), contact=10.0)
-    settle(falling, contact=6.0, ticks=1)
-    assert falling.grade is Grade.GREEN
+    paces = []
+    for _ in range(1500):
+        settle(e, contact=5.0, ticks=1)
+        paces.append(e.progress)
+    assert np.diff(paces).max() <= SETTINGS.release_rate * PERIOD * (1.0 + 1e-9)
+    assert (e.grade, e.cap, e.progress) == (Grade.GREEN, LAW.maximum, 1.0)
 
 
 def test_speed_slows_the_reference_but_leaves_the_stiffness() -> None:

@@ -6,10 +6,9 @@ import pytest
 
 from config import load
 from config.schema.control import StiffnessLaw
-from runtime.stiffness import Law, Limiter
+from runtime.stiffness import Law
 
 LAW = load("config/can.yaml")[0].control.stiffness
-PERIOD = 0.001
 
 
 def law(**changes: object) -> Law:
@@ -55,19 +54,6 @@ def test_the_terms_add_up_to_what_they_made() -> None:
     terms = found.terms
     rise = terms.deviation + terms.velocity + terms.force
     assert stiffness == terms.stiffness == pytest.approx(3210.0 * (1.0 + rise))
-
-
-def test_the_limiter_climbs_at_its_rate_and_falls_at_once() -> None:
-    limiter = Limiter(LAW, PERIOD)
-    assert limiter.value == LAW.minimum
-    climbed = [limiter(4000.0, LAW.maximum) for _ in range(1000)]
-    assert climbed[0] == pytest.approx(LAW.minimum + LAW.rise_rate * PERIOD)
-    assert climbed[-1] == 4000.0
-    needed = (4000.0 - LAW.minimum) / (LAW.rise_rate * PERIOD)
-    assert sum(value < 4000.0 for value in climbed) == pytest.approx(needed, abs=1.0)
-    assert limiter(4000.0, 500.0) == 500.0
-    limiter.reset()
-    assert limiter.value == LAW.minimum
 
 
 def test_schema_refuses_bounds_out_of_order() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import product
 from typing import Any
 
@@ -48,6 +49,21 @@ def test_each_term_stands_alone_and_points_the_right_way() -> None:
     for n in range(1, 6):
         i = integrating(ref, low, ZERO, ZERO, USABLE)
         np.testing.assert_allclose(i, r * (45.0 + n * 100.0 * PERIOD), rtol=1e-14)
+
+
+@pytest.mark.parametrize("rate", [2.0, -2.0], ids=["winding", "paying out"])
+def test_on_the_desired_motion_the_drive_gets_what_it_will_take(rate: float) -> None:
+    """By the balance of a drum at steady speed behind a gearbox that loses a fifth, and helps to
+    hold when driven backwards."""
+    tension, friction = np.full(8, 45.0), SETTINGS.friction
+    speeds = (np.full(8, rate), np.full(8, 5.0))
+    torque = loop()(tension, tension, ZERO, ZERO, USABLE, speeds)[0]
+    efficiency = ROBOT.gearbox.efficiency
+    through = efficiency if rate > 0.0 else 1.0 / efficiency
+    drag = math.copysign(ROBOT.drum.radius * (friction.coulomb + friction.load * 45.0), rate)
+    drag += ROBOT.drum.viscous_friction * rate
+    accelerating = torque * through - ROBOT.drum.radius * 45.0 - drag
+    assert accelerating == pytest.approx(ROBOT.drum.inertia * 5.0, abs=1e-4)
 
 
 def test_the_integral_is_bounded_and_comes_back_at_once() -> None:

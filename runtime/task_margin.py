@@ -1,0 +1,192 @@
+"""Stability margins of a whole controller: task-space loop round tension loop round plant.
+
+Translation along one axis at home, linear and frictionless, as in `runtime.margin`: the eight drums
+move in the pattern g_i = u_i . d of that axis, so that they are one drum behind one cable, and G =
+sum g_i^2 of them pull at the platform. The estimator is taken as exact but for its delay, so a load
+observer, which then sees only what comes from outside, changes nothing here. The loop is cut at the
+torque, where everything acts, and at the force, where the outer loop alone does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from config.schema.control import TensionLoop
+from config.schema.root import Config
+from runtime.controllers import CONTROLLERS
+from runtime.kinematics import Kinematics
+from runtime.margin import DELAY_TICKS, Margins, margins_of
+from runtime.passivity import damping
+
+Array = NDArray[np.float64]
+_LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+_ANGLE, _CELL, _PLACE, _SPEED = 0, 3, 4, 5
+_PLANT = 6
+_INTEGRAL, _LAST, _OUTER, _PIPE = range(_PLANT, _PLANT + 4)
+
+
+@dataclass(frozen=True)
+class Outer:
+    """What a controller's feedback comes to along one axis: force on error, or tension on drums."""
+
+    stiffness: float = 0.0
+    """N/m"""
+    damping: float = 0.0
+    """N s/m"""
+    integral: float = 0.0
+    """N/(m s)"""
+    cable: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """per cable: N/m, N s/m, N/(m s)"""
+    contact: tuple[float, float] = (0.0, 0.0)
+    """on the contact force: -, 1/s"""
+    body: float = 0.0
+    """N/m touched"""
+    follows: bool = True
+    """the drums' damping is against the rate that follows the platform"""
+
+
+def _outer_loops(config: Config, name: str) -> list[Outer]:
+    """The feedback of a controller at the ends of its range."""
+    control, mass = config.control, config.robot.platform.mass
+    law, ratio = control.stiffness, control.impedance.damping_ratio
+
+    def spring(stiffness: float, integral: float = 0.0, zeta: float = ratio) -> Outer:
+        return Outer(stiffness, damping(zeta, stiffness, mass), integral)
+
+    if name == "pid":
+        pid = control.pid
+        return [spring(pid.stiffness, pid.integral.gain, pid.damping_ratio)]
+    if name == "pid_length":
+        own = control.pid_length
+        gains = (own.proportional, own.derivative, own.integral)
+        return [Outer(cable=gains, follows=False)]
+    if name == "pd_matched":
+        return [spring(control.pd_matched.stiffness)]
+    if name in ("pd", "force"):
+        free, force = spring(law.base), control.force
+        touching = Outer(
+            damping=force.damping,
+            contact=(force.proportional, force.integral),
+            body=force.body_stiffness,
+        )
+        return [free, touching] if name == "force" else [free]
+    integral = control.bio_integral.gain if name == "bio_integral" else 0.0
+    return [spring(stiffness, integral) for stiffness in (law.base, law.maximum)]
+
+
+class _Loop:
+    """The sampled loop as a linear map of its state: plant, tension integral, last drum angle,
+    outer integral, torques under way."""
+
+    def __init__(self, config: Config, tension: TensionLoop, outer: Outer, axis: int) -> None:
+        assert config.lab is not None
+        robot, lab = config.robot, config.lab
+        kinematics = Kinematics(robot.geometry)
+        kinematics.evaluate(np.array(robot.home), _LEVEL)
+        self._gather = gather = float((kinematics.matrix[axis] ** 2).sum())
+        self._radius = radius = robot.drum.radius
+        self._tension, self._outer, self._period = tension, outer, config.control.rates.period
+        k = robot.cable.axial_stiffness / float(kinematics.lengths.mean())
+        c, inertia, mass = robot.cable.damping, robot.drum.inertia, robot.platform.mass
+        drive = 2.0 * np.pi * lab.plant.current_loop_hz
+        cell = 2.0 * np.pi * lab.noise.force_cell.bandwidth_hz
+        pull = np.array([k * radius, c * radius, 0.0, 0.0, -k, -c])
+        flow = np.zeros((_PLANT, _PLANT))
+        flow[0, 1] = flow[4, 5] = 1.0
+        flow[1] = -radius / inertia * pull
+        flow[1, 1] -= robot.drum.viscous_friction / inertia
+        flow[1, 2] = 1.0 / inertia
+        flow[2, 2] = -drive
+        flow[3] = cell * pull
+        flow[3, 3] -= cell
+        flow[5] = gather / mass * pull
+        flow[5, 4] -= outer.body / mass
+        enter = np.zeros((_PLANT, 1))
+        enter[2] = drive
+        self._step, effect, *_ = signal.cont2discrete(
+            (flow, enter, np.eye(_PLANT), np.zeros((_PLANT, 1))), self._period
+        )
+        self._effect = effect[:, 0]
+        self.size = _PIPE + DELAY_TICKS
+
+    def _feedback(self, s: Array) -> tuple[float, float]:
+        """Force asked of the cables, and the outer integral."""
+        o, h = self._outer, self._period
+        drum, speed = self._radius * s[_ANGLE], self._radius * s[1]
+        touch = o.body * s[_PLACE]
+        gains = (o.integral, self._gather * o.cable[2], o.contact[1])
+        grown = 0.0
+        if any(gains):  # else an integral of nothing would count as a pole at one
+            grown = s[_OUTER] + h * float(np.dot(gains, (s[_PLACE], drum, touch)))
+        force = o.stiffness * s[_PLACE] + o.damping * s[_SPEED] + o.contact[0] * touch
+        force += self._gather * (o.cable[0] * drum + o.cable[1] * speed)
+        return -(force + grown), grown
+
+    def step(
+        self, s: Array, torque: float | None = None, force: float | None = None
+    ) -> tuple[Array, float, float]:
+        """Next state, and the torque and the force that the loop returns. One of them may be given
+        instead: there the loop is cut."""
+        t, h, r = self._tension, self._period, self._radius
+        returned, grown = self._feedback(s)
+        reference = (returned if force is None else force) / self._gather
+        error = reference - s[_CELL]
+        integral = s[_INTEGRAL] + t.integral * h * error
+        asked = r * (t.feed_forward * reference + t.proportional * error + integral)
+        rate = (s[_ANGLE] - s[_LAST]) / h
+        asked += t.rate_damping * (self._outer.follows * s[_SPEED] / r - rate)
+        new = np.empty(self.size)
+        new[:_PLANT] = self._step @ s[:_PLANT] + self._effect * s[-1]
+        new[_INTEGRAL], new[_LAST], new[_OUTER] = integral, s[_ANGLE], grown
+        new[_PIPE] = asked if torque is None else torque
+        new[_PIPE + 1 :] = s[_PIPE:-1]
+        return new, asked, returned
+
+    def _columns(self, cut: str | None) -> tuple[Array, Array, Array, float]:
+        """State matrix, entry, exit and direct part of the loop cut at ``cut``."""
+        given = {} if cut is None else {cut: 0.0}
+        which = 1 if cut == "torque" else 2
+        states = [self.step(unit, **given) for unit in np.eye(self.size)]
+        matrix = np.array([state[0] for state in states]).T
+        out = np.array([state[which] for state in states])
+        driven = self.step(np.zeros(self.size), **({} if cut is None else {cut: 1.0}))
+        return matrix, driven[0], out, float(driven[which])
+
+    @property
+    def stable(self) -> bool:
+        return bool(np.abs(np.linalg.eigvals(self._columns(None)[0])).max() < 1.0)
+
+    def margins(self, cut: str) -> Margins:
+        matrix, entry, out, direct = self._columns(cut)
+        frequency = np.geomspace(0.05, 0.499 / self._period, 3000)
+        z = np.exp(2j * np.pi * frequency * self._period)
+        shifted = z[:, None, None] * np.eye(self.size) - matrix
+        driven = np.linalg.solve(shifted, entry[:, None].astype(complex))[:, :, 0]
+        return margins_of(np.asarray(-(driven @ out + direct), complex), frequency)
+
+
+def margins(config: Config, controller: str, *, cut: str = "torque") -> Margins:
+    """The least margins of a controller by name, with its configured gains, over three axes and the
+    ends of its stiffness. Cut at the ``torque``, the plant's input, every loop counts; at the
+    ``force``, the outer one round all others. An unstable loop has none: minus infinity.
+
+    Bandwidths of drives and cells stand in the configuration's lab section, which it needs.
+    """
+    found = Margins(np.inf, np.inf, 0.0)
+    tension = CONTROLLERS[controller](config.robot, config.control).tension_loop
+    for outer in _outer_loops(config, controller):
+        for axis in range(3):
+            loop = _Loop(config, tension, outer, axis)
+            if not loop.stable:
+                return Margins(-np.inf, -np.inf, 0.0)
+            here = loop.margins(cut)
+            found = Margins(
+                min(found.gain_db, abs(here.gain_db)),
+                min(found.phase_deg, here.phase_deg),
+                max(found.crossover_hz, here.crossover_hz),
+            )
+    return found

@@ -1,0 +1,72 @@
+"""Stability margins of whole controllers at the plant's input."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from config import load
+from runtime.controllers import CONTROLLERS
+from runtime.kinematics import Kinematics
+from runtime.margin import tension_loop_margins
+from runtime.task_margin import margins
+
+CONFIG, _ = load("config/can.yaml")
+FLOOR = CONFIG.control.tension_loop
+
+
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name != "eq9_literal"])
+def test_every_controller_meets_the_floors_at_the_torque(name: str) -> None:
+    found = margins(CONFIG, name)
+    assert found.gain_db >= FLOOR.gain_margin_db
+    assert found.phase_deg >= FLOOR.phase_margin_deg
+
+
+def test_equation_9_as_printed_is_unstable() -> None:
+    assert margins(CONFIG, "eq9_literal").gain_db == -math.inf
+
+
+def test_with_an_unmoving_platform_only_the_tension_loop_is_left() -> None:
+    """The other computation of its margins, for one cable and a fixed end, agrees."""
+    overrides = {"robot.platform.mass": 1.0e7}
+    config, _ = load("config/can.yaml", overrides=overrides)
+    kinematics = Kinematics(config.robot.geometry)
+    kinematics.evaluate(np.array(config.robot.home), np.array([1.0, 0.0, 0.0, 0.0]))
+    lab = config.lab
+    assert lab is not None
+    alone = tension_loop_margins(
+        config.robot,
+        config.control.tension_loop,
+        config.control.rates.period,
+        cable_length=float(kinematics.lengths.mean()),
+        current_loop_hz=lab.plant.current_loop_hz,
+        cell_bandwidth_hz=lab.noise.force_cell.bandwidth_hz,
+    )
+    whole = margins(config, "pd")
+    assert whole.gain_db == pytest.approx(alone.gain_db, abs=0.05)
+    assert whole.phase_deg == pytest.approx(alone.phase_deg, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("pid", "control.pid.integral.gain", 2.0e5),
+        ("pid_length", "control.pid_length.derivative", 60.0),
+        ("force", "control.force.integral", 300.0),
+        ("pd", "control.impedance.damping_ratio", 0.05),
+    ],
+)
+def test_a_gain_beyond_reason_leaves_no_margin(name: str, key: str, value: float) -> None:
+    config, _ = load("config/can.yaml", overrides={key: value})
+    found = margins(config, name)
+    assert found.gain_db < FLOOR.gain_margin_db or found.phase_deg < FLOOR.phase_margin_deg
+
+
+def test_a_stiffer_spring_leaves_the_outer_loop_less_margin() -> None:
+    found = []
+    for stiffness in (1000.0, 2000.0, 4000.0):
+        config, _ = load("config/can.yaml", overrides={"control.pid.stiffness": stiffness})
+        found.append(margins(config, "pid", cut="force").phase_deg)
+    assert found == sorted(found, reverse=True)
