@@ -17,6 +17,7 @@ from tools.cli.check import check
 from tools.cli.lab import lab
 from tools.cli.log import log
 from tools.cli.run import run
+from tools.cli.workspace import workspace
 from tools.errors import ToolError
 
 
@@ -26,7 +27,7 @@ def tonus() -> None:
     """Control software of an eight-cable parallel robot, and its lab in software."""
 
 
-for command in (run, lab, check, log):
+for command in (run, lab, check, log, workspace):
     tonus.add_command(command)
 
 
