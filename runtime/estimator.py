@@ -87,12 +87,8 @@ class PoseEstimator:
         self._kinematics, self._cables = kinematics, Kinematics(robot.geometry)
         self._seen = Kinematics(robot.geometry)
         inertia = np.array(robot.platform.inertia)
-        self._body = (
-            robot.platform.mass,
-            inertia,
-            robot.gravity,
-            robot.cable.axial_stiffness,
-        )
+        body = robot.platform
+        self._body = (body.mass, inertia, robot.gravity, robot.cable.axial_stiffness)
         self._anchors = (kinematics.frame, kinematics.platform)
         self._moment_length = robot.geometry.moment_length
         self._noise = (
@@ -158,7 +154,7 @@ class PoseEstimator:
     @property
     def sigma(self) -> float:
         """m, standard deviation of the position along its worst axis."""
-        return math.sqrt(max(float(self.covariance[i, i]) for i in range(3)))
+        return math.sqrt(max(0.0, *(float(self.covariance[i, i]) for i in range(3))))
 
     @property
     def consistency(self) -> Consistency:
@@ -179,23 +175,24 @@ class PoseEstimator:
         self._position[:], self._quaternion[:] = position, quaternion
         self.cable_position[:], self._cable_quaternion[:] = position, quaternion
         self._rest[:] = 0.0
-        self._rest[6:12] = -kinematics.matrix @ tensions
-        self._rest[8] += mass * gravity
+        external = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
+        external[:] = -kinematics.matrix @ tensions
+        external[2] += mass * gravity
         for i, cable in enumerate(zip(kinematics.lengths, tensions, strict=True)):
             self._stretch[i] = elongation(*cable, stiffness)
         self._tensions[:] = tensions
-        self._begin(1.0 / samples)
+        self._begin(samples)
         self._count = 0
         self.inconsistency, self._odd = 1.0, False
         self.disagreement.reset()
         self._publish()
 
-    def _begin(self, share: float) -> None:
+    def _begin(self, samples: int) -> None:
         """Covariance after a reference: what was wrong in the pose, and in the elongation taken out
         of the lengths, is wrong in the offsets, the other way round."""
         covariance, settings, stretch = self.covariance, self._settings, self._stretch
         position, rotation, length = self._variances
-        pose = np.diag([position] * 3 + [rotation] * 3) * share
+        pose = np.diag([position] * 3 + [rotation] * 3) / samples
         loose = settings.compliance_sigma**2 * np.outer(stretch, stretch)
         shift = -self._kinematics.matrix.T
         covariance[:] = 0.0
