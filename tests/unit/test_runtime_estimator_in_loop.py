@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loop import QUICK, ClosedLoop, Trace, configured, rms
 
 from config.schema.lab import Load, LoadPoint
 from runtime.signals import Consistency
 from runtime.states import State
-from tests.loop import QUICK, ClosedLoop, Trace, configured, rms
 
 WRONG: dict[str, Any] = {
     "lab.plant.stiffness_scale": 0.87,
