@@ -1,4 +1,5 @@
-"""The compiled part of pose and motion: geometry, rotations, and the estimator's tick.
+"""The compiled part of pose and motion: geometry, rotations, forward kinematics, and the
+estimator's filter.
 
 Functions that call each other stand in this one file because numba's cache notices a change in a
 function's own file only. In plain numpy the geometry alone, which a tick needs three times, takes
@@ -14,6 +15,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+_FIRST_DAMPING, _LESS, _MORE = 1e-9, 0.1, 1e4
+"""Levenberg-Marquardt: nearly Gauss-Newton, which from a warm start converges in one or two steps;
+the damping shrinks after a step that helped and grows after one that did not."""
+_CONVERGED = 1e-10
+"""m and rad"""
+_RIDGE = 1e-12
+_UNKNOWN = 1.0
+"""m2, variance of a length that nobody measured"""
+TWIST, EXTERNAL, OFFSETS, EXCESS, ERRORS = 6, 12, 18, 26, 27
+"""Where the parts of the error state begin after the pose, and its size."""
 
 
 @njit(cache=True)
@@ -85,107 +96,278 @@ def rotation_between(start: Array, end: Array) -> Array:
 
 
 @njit(cache=True)
-def correction(lengths: Array, matrix: Array, measured: Array) -> Array:
-    """One Gauss-Newton step (6,) from a pose with these lengths and structure matrix towards the
-    pose whose lengths are ``measured``: least squares over the eight cables."""
-    step = np.full(6, np.nan)
-    normal = matrix @ matrix.T
-    right = matrix @ (lengths - measured)
-    if np.isfinite(normal).all() and np.isfinite(right).all():
-        # Regular at every pose; the ridge, far below the last bit, only keeps a lost estimate from
-        # raising out of the tick.
-        step[:] = np.linalg.solve(normal + 1e-12 * np.eye(6), right)
-    return step
-
-
-@njit(cache=True)
-def _predict(state: Array, period: float, acceleration: Array) -> None:
-    """Motion of three axes (3, 3), rows position, velocity, external acceleration, over a period,
-    under a known acceleration (3,) besides."""
-    for axis in range(3):
-        total = acceleration[axis] + state[2, axis]
-        state[0, axis] += period * (state[1, axis] + 0.5 * period * total)
-        state[1, axis] += period * total
-
-
-@njit(cache=True)
-def _correct(state: Array, gain: Array, innovation: Array) -> None:
-    for row in range(3):
-        for axis in range(3):
-            state[row, axis] += gain[row] * innovation[axis]
-
-
-@njit(cache=True)
-def _fold(rotation: Array, quaternion: Array) -> None:
-    """Move the rotation error into the quaternion."""
-    quaternion[:] = rotate(quaternion, rotation[0])
-    rotation[0] = 0.0
-
-
-@njit(cache=True)
-def motion_tick(
-    translation: Array,
-    rotation: Array,
+def forward(
+    measured: Array,
+    usable: NDArray[np.bool_],
+    anchors: tuple[Array, Array],
+    position: Array,
     quaternion: Array,
-    gains: tuple[Array, Array],
-    body: tuple[float, Array, float],
+    lengths: Array,
+    matrix: Array,
+    iterations: int,
+) -> float:
+    """Levenberg-Marquardt from ``position`` and ``quaternion``, which it moves to the pose whose
+    lengths fit the ``usable`` ones of ``measured`` (8,) best; geometry is left standing there.
+
+    Returns the RMS of what remains (m); not a number for lengths that are none.
+    """
+    count = max(1, usable.sum())
+    geometry(position, quaternion, anchors[0], anchors[1], lengths, matrix)
+    cost = ((lengths - measured)[usable] ** 2).sum()
+    damping, step = _FIRST_DAMPING, np.empty(6)
+    for _ in range(iterations):
+        normal, right = np.zeros((6, 6)), np.zeros(6)
+        for i in range(lengths.shape[0]):
+            if not usable[i]:
+                continue
+            error = lengths[i] - measured[i]
+            for row in range(6):
+                right[row] += matrix[row, i] * error
+                for column in range(6):
+                    normal[row, column] += matrix[row, i] * matrix[column, i]
+        for row in range(6):
+            # The ridge, far below the last bit, is for a cable or two without a measurement.
+            normal[row, row] += damping * normal[row, row] + _RIDGE
+        if not (np.isfinite(normal).all() and np.isfinite(right).all()):
+            return math.nan
+        step[:] = np.linalg.solve(normal, right)
+        there, turned = position + step[:3], rotate(quaternion, step[3:])
+        geometry(there, turned, anchors[0], anchors[1], lengths, matrix)
+        found = ((lengths - measured)[usable] ** 2).sum()
+        if found <= cost:
+            position[:], quaternion[:], cost = there, turned, found
+            damping *= _LESS
+        else:
+            geometry(position, quaternion, anchors[0], anchors[1], lengths, matrix)
+            damping *= _MORE
+        if np.abs(step).max() < _CONVERGED:
+            break
+    return math.sqrt(cost / count)
+
+
+@njit(cache=True)
+def condition(matrix: Array, moment_length: float) -> float:
+    """Condition number of the structure matrix, its moments divided by ``moment_length``; infinite
+    in a singular pose."""
+    scaled = matrix.copy()
+    scaled[3:] /= moment_length
+    normal = scaled @ scaled.T
+    if not np.isfinite(normal).all():
+        return math.nan
+    sizes = np.linalg.eigvalsh(normal)
+    return math.sqrt(sizes[5] / sizes[0]) if sizes[0] > 0.0 else math.inf
+
+
+@njit(cache=True)
+def elongation(length: float, tension: float, axial_stiffness: float) -> float:
+    """m, of a cable that is ``length`` long under ``tension``."""
+    return length * tension / (axial_stiffness + tension)
+
+
+@njit(cache=True)
+def accelerations(
+    wrench: Array, mobility: Array, rest: Array, body: tuple[float, Array, float, float]
+) -> Array:
+    """(6,) under the cables' wrench, the external one and gravity. The gyroscopic moment is left to
+    the external one: at 0.3 rad/s it is 1 mN m."""
+    result = mobility @ (wrench + rest[EXTERNAL - TWIST : OFFSETS - TWIST])
+    result[2] -= body[2]
+    return result
+
+
+@njit(cache=True)
+def _mobility(quaternion: Array, mass: float, inertia: Array) -> Array:
+    """Accelerations per wrench, (6, 6), base frame."""
+    mobility = np.zeros((6, 6))
+    w, x, y, z = quaternion
+    rotation = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    for i in range(3):
+        mobility[i, i] = 1.0 / mass
+        for j in range(3):
+            for k in range(3):
+                mobility[3 + i, 3 + j] += rotation[i][k] * rotation[j][k] / inertia[k]
+    return mobility
+
+
+@njit(cache=True)
+def _predict(covariance: Array, mobility: Array, noise: Array, h: float) -> None:
+    """F P F' + Q in place, with F = [[1, h, h^2/2 B], [0, 1, h B], [0, 0, 1]] over pose, twist and
+    external wrench; B is the mobility, and the constants of calibration stay what they are."""
+    size = covariance.shape[0]
+    pushed = np.zeros((6, size))
+    for i in range(6):
+        for k in range(6):
+            share = mobility[i, k]
+            if share != 0.0:
+                for j in range(size):
+                    pushed[i, j] += share * covariance[EXTERNAL + k, j]
+    for i in range(6):
+        for j in range(size):
+            covariance[i, j] += h * (covariance[TWIST + i, j] + 0.5 * h * pushed[i, j])
+            covariance[TWIST + i, j] += h * pushed[i, j]
+    pulled = np.zeros((size, 6))
+    for j in range(size):
+        for i in range(6):
+            for k in range(6):
+                pulled[j, i] += covariance[j, EXTERNAL + k] * mobility[k, i]
+    for j in range(size):
+        for i in range(6):
+            covariance[j, i] += h * (covariance[j, TWIST + i] + 0.5 * h * pulled[j, i])
+            covariance[j, TWIST + i] += h * pulled[j, i]
+    for i in range(size):
+        for j in range(i):
+            # The two halves were computed in different orders, and differ in the last bit.
+            covariance[i, j] = covariance[j, i]
+        covariance[i, i] += noise[i]
+
+
+@njit(cache=True)
+def _absorb(position: Array, quaternion: Array, rest: Array, error: Array) -> None:
+    """Move an error state into the nominal one: addition, and a turn for the orientation."""
+    position += error[:3]
+    quaternion[:] = rotate(quaternion, error[3:6])
+    rest += error[6:]
+
+
+@njit(cache=True)
+def filter_tick(
+    state: tuple[Array, Array, Array, Array, Array],
+    body: tuple[float, Array, float, float],
     period: float,
+    noise: tuple[Array, float, float],
     anchors: tuple[Array, Array],
     measured: tuple[Array, Array, NDArray[np.bool_]],
     lengths: Array,
     matrix: Array,
-    cable_position: Array,
 ) -> float:
-    """Predict and correct both motion filters with one tick of cables.
+    """Predict over a period with the cables' wrench, then correct with each usable length.
 
-    ``body``: mass, principal inertia (3,), gravity. ``measured``: cable lengths, tensions, and
-    which cables may be believed. ``matrix`` comes in as of the last estimate. Writes the states,
-    ``quaternion`` and ``cable_position``; returns the RMS disagreement of the lengths (m).
+    ``state``: position (3,), quaternion (4,), rest (21,), covariance (27, 27) and mean elongations
+    (8,), all changed. ``measured``: lengths with the nominal elongation, tensions, and which cables
+    to believe. ``noise``: variances (27,) a tick adds, a length's, and the share of a tick in the
+    mean elongations. ``matrix`` comes in as of the last estimate. Returns the mean squared
+    innovation in sigmas: about 1.
     """
-    mass, inertia, gravity = body
+    position, quaternion, rest, covariance, mean = state
     wanted, tensions, usable = measured
-    wrench = matrix @ tensions
-    linear = wrench[:3] / mass
-    linear[2] -= gravity
-    _predict(translation, period, linear)
-    _predict(rotation, period, wrench[3:] / inertia)
-    _fold(rotation, quaternion)
-    geometry(translation[0], quaternion, anchors[0], anchors[1], lengths, matrix)
-    target = np.where(usable, wanted, lengths)
-    step = correction(lengths, matrix, target)
-    total = 0.0
+    mobility = _mobility(quaternion, body[0], body[1])
+    acceleration = accelerations(matrix @ tensions, mobility, rest, body)
+    position += period * (rest[:3] + 0.5 * period * acceleration[:3])
+    quaternion[:] = rotate(quaternion, period * (rest[3:6] + 0.5 * period * acceleration[3:]))
+    rest[:6] += period * acceleration
+    _predict(covariance, mobility, noise[0], period)
+    geometry(position, quaternion, anchors[0], anchors[1], lengths, matrix)
+    size = covariance.shape[0]
+    error, seen = np.zeros(size), np.empty(size)
+    total, count = 0.0, 0
     for i in range(lengths.shape[0]):
-        remaining = lengths[i] - target[i]
+        if not usable[i]:
+            continue
+        stretch = elongation(wanted[i], tensions[i], body[3])
+        # The measured length is l(x) - offset - excess * stretch, so H = [-W', 0, 0, -1, -stretch];
+        # in H a mean, for the cells' noise would pass for a motion that tells excess from offset.
+        # Where it lags behind, the difference is one more uncertainty of the length.
+        mean[i] += noise[2] * (stretch - mean[i])
+        innovation = wanted[i] + rest[OFFSETS - TWIST + i] + rest[EXCESS - TWIST] * stretch
+        innovation -= lengths[i]
+        variance = noise[1] + covariance[EXCESS, EXCESS] * (stretch - mean[i]) ** 2
+        for j in range(size):
+            value = -covariance[OFFSETS + i, j] - mean[i] * covariance[EXCESS, j]
+            for row in range(6):
+                value -= matrix[row, i] * covariance[row, j]
+            seen[j] = value
         for row in range(6):
-            remaining -= step[row] * matrix[row, i]
-        total += remaining * remaining
-    cable_position[:] = translation[0] + step[:3]
-    _correct(translation, gains[0], step[:3])
-    _correct(rotation, gains[1], step[3:])
-    _fold(rotation, quaternion)
-    return math.sqrt(total / lengths.shape[0])
+            innovation += matrix[row, i] * error[row]
+            variance -= matrix[row, i] * seen[row]
+        innovation += error[OFFSETS + i] + mean[i] * error[EXCESS]
+        variance -= seen[OFFSETS + i] + mean[i] * seen[EXCESS]
+        seen /= math.sqrt(variance)
+        innovation /= math.sqrt(variance)
+        for j in range(size):
+            error[j] += seen[j] * innovation
+            for k in range(size):
+                covariance[j, k] -= seen[j] * seen[k]
+        total += innovation * innovation
+        count += 1
+    _absorb(position, quaternion, rest, error)
+    return total / max(1, count)
+
+
+@njit(cache=True)
+def track(
+    state: tuple[Array, Array, Array, Array, Array],
+    seen: tuple[Array, Array],
+    variances: tuple[float, float, float],
+    then: tuple[Array, Array, NDArray[np.bool_]],
+    anchors: tuple[Array, Array],
+    axial_stiffness: float,
+    gate: float,
+    innovation: Array,
+    matrix: Array,
+) -> float:
+    """Correct with a tracker pose ``seen`` against what the cables said ``then``: lengths,
+    tensions, which to believe. How long ago that was costs neither time nor accuracy, for the pose
+    of that instant cancels, and what is left of the comparison are the constants of calibration,
+
+        l(seen) - measured = offset + excess * stretch + noise.
+
+    ``variances``: of the tracker's position and rotation, and of a length. Writes the
+    ``innovation`` (8,) m and the structure matrix at the pose seen; returns its chi-square, and
+    corrects nothing when that is beyond ``gate`` or not a number.
+    """
+    position, quaternion, rest, covariance, mean = state
+    cables, size = innovation.shape[0], covariance.shape[0]
+    geometry(seen[0], seen[1], anchors[0], anchors[1], innovation, matrix)
+    cross = np.zeros((size, cables))
+    spread = np.zeros((cables, cables))
+    for i in range(cables):
+        stretch = elongation(then[0][i], then[1][i], axial_stiffness)
+        innovation[i] -= then[0][i] + rest[OFFSETS - TWIST + i] + rest[EXCESS - TWIST] * stretch
+        for j in range(size):
+            cross[j, i] = covariance[j, OFFSETS + i] + mean[i] * covariance[j, EXCESS]
+    for i in range(cables):
+        for j in range(cables):
+            value = cross[OFFSETS + i, j] + mean[i] * cross[EXCESS, j]
+            for row in range(6):
+                value += matrix[row, i] * matrix[row, j] * variances[0 if row < 3 else 1]
+            spread[i, j] = value
+        stretch = elongation(then[0][i], then[1][i], axial_stiffness)
+        spread[i, i] += variances[2] + covariance[EXCESS, EXCESS] * (stretch - mean[i]) ** 2
+        if not then[2][i]:
+            spread[i, i] += _UNKNOWN
+    if not (np.isfinite(spread).all() and np.isfinite(innovation).all()):
+        return math.nan
+    weighted = np.linalg.solve(spread, innovation)
+    chi_square = (innovation * weighted).sum()
+    if chi_square <= gate:
+        error = cross @ weighted
+        covariance -= cross @ np.linalg.solve(spread, cross.T)
+        _absorb(position, quaternion, rest, error)
+    return float(chi_square)
 
 
 @njit(cache=True)
 def carry_forward(
-    translation: Array,
-    rotation: Array,
-    quaternion: Array,
-    biases: tuple[Array, Array],
-    body: tuple[float, Array, float],
+    state: tuple[Array, Array, Array, Array, Array],
+    body: tuple[float, Array, float, float],
     period: float,
+    wrench: Array,
     anchors: tuple[Array, Array],
     lengths: Array,
     matrix: Array,
-    estimate: tuple[Array, Array, Array, Array, Array],
+    estimate: tuple[Array, Array, Array, Array],
 ) -> None:
-    """The estimate one period on, the biases taken out; geometry is left standing there."""
-    mass, inertia, _ = body
-    position, oriented, velocity, turning, external = estimate
-    position[:] = translation[0] + period * translation[1] - biases[0]
-    oriented[:] = rotate(quaternion, period * rotation[1] - biases[1])
-    velocity[:] = translation[1]
-    turning[:] = rotation[1]
-    external[:3] = mass * translation[2]
-    external[3:] = inertia * rotation[2]
-    geometry(position, oriented, anchors[0], anchors[1], lengths, matrix)
+    """The estimate one period on, under the cables' ``wrench``; geometry is left standing there."""
+    position, quaternion, rest = state[0], state[1], state[2]
+    there, oriented, velocity, turning = estimate
+    mobility = _mobility(quaternion, body[0], body[1])
+    acceleration = accelerations(wrench, mobility, rest, body)
+    there[:] = position + period * (rest[:3] + 0.5 * period * acceleration[:3])
+    oriented[:] = rotate(quaternion, period * (rest[3:6] + 0.5 * period * acceleration[3:]))
+    velocity[:] = rest[:3] + period * acceleration[:3]
+    turning[:] = rest[3:6] + period * acceleration[3:]
+    geometry(there, oriented, anchors[0], anchors[1], lengths, matrix)

@@ -153,9 +153,9 @@ class ControlCycle:
             self._controller.reset()
         elif state is State.PRETENSION:
             reference, tension = self._referencing, self._sensing.filter.value[:CABLES]
-            self._kinematics.evaluate(reference.position, reference.quaternion)
-            wrench = self._kinematics.matrix @ tension
-            self._estimator.start(reference.position, reference.quaternion, wrench, reference.poses)
+            self._estimator.start(
+                reference.position, reference.quaternion, tension, reference.poses
+            )
             self._guide.start(reference.position)
         elif state is State.SAFE_STOP:
             self.sequence.plan_stop(self._guide.plan_stop())
@@ -298,8 +298,11 @@ class ControlCycle:
         tension.iterations[...] = distribution.iterations
         tension.co_contraction[:] = self._centre
         tension.agonism[:] = self._agonism
-        record.tracker.accepted[...] = self._accepted
-        pose, estimator = record.pose, self._estimator
+        pose, estimator, tracker = record.pose, self._estimator, record.tracker
+        tracker.accepted[...] = self._accepted
+        tracker.disagreement[...] = estimator.disagreement.distance
+        tracker.refused[...] = estimator.disagreement.poses
+        tracker.learnt[...] = estimator.disagreement.learnt
         pose.position[:] = estimate.position
         pose.quaternion[:] = estimate.quaternion
         pose.velocity[:] = estimate.velocity
@@ -311,6 +314,12 @@ class ControlCycle:
         pose.cable_position[:] = estimator.cable_position
         pose.bias[:] = estimator.bias
         pose.residual[...] = estimator.residual
+        pose.length_offset[:] = estimator.offsets
+        pose.compliance[...] = estimator.compliance
+        pose.sigma[...] = estimator.sigma
+        pose.inconsistency[...] = estimator.inconsistency
+        pose.condition[...] = estimator.condition
+        pose.consistency[...] = estimator.consistency
         self._write_law(record.stiffness, self._controller.terms)
         self._write_energy(record.energy)
         wrench = record.wrench

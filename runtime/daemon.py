@@ -23,13 +23,19 @@ from runtime.cycle import ControlCycle
 from runtime.operator import Commander
 from runtime.scheduler import Misses, Pacing, Scheduler
 from runtime.sequence import MOVING
-from runtime.signals import Grade
+from runtime.signals import Consistency, Grade
 from runtime.states import ARMED, Fault, Operator, State
 from runtime.taps import Level
 from runtime.words import describe, place, reaction
 
 _NOTICEABLE_S = 0.5
 """Slowing at the start and at the end takes a tenth of a second; more was the envelope."""
+_CONSISTENCY = {
+    Consistency.GOOD: "lengths, tensions and tracker fit together again",
+    Consistency.CABLES: "the cable lengths contradict each other or the motion",
+    Consistency.TRACKER: "the tracker's poses are not believed",
+    Consistency.SINGULAR: "the cables hardly determine the pose",
+}
 
 
 class TrackerDoor(Protocol):
@@ -91,6 +97,7 @@ class Daemon:
         self._grade = Grade.GREEN
         self._fault = Fault.NONE
         self._short = False
+        self._consistency, self._learnt = Consistency.GOOD, 0
         self._tracker_tick, self._tracker_silent = 0, False
         patience = config.tracker.maximum_age_ms * 1e-3 / config.control.rates.period
         self._tracker_patience = int(patience)
@@ -220,6 +227,7 @@ class Daemon:
             level = Level.INFO if grade is Grade.GREEN else Level.WARNING
             self._emit(tick, level, "envelope", "", f"grade {grade.name.lower()}")
         self._watch_tracker(tick)
+        self._watch_estimator(tick)
         self._watch_deficit(tick)
         for source in (self._fieldbus, self._tracker):
             for event in source.take_events():
@@ -237,6 +245,23 @@ class Daemon:
             self._tracker_silent = True
             text = "no pose that can be believed; the estimate rests on the cables alone"
             self._emit(tick, Level.WARNING, "tracker_lost", "tracker", text)
+
+    def _watch_estimator(self, tick: int) -> None:
+        """Measurements that contradict each other, and what the estimator made of it."""
+        pose, tracker = self.cycle.record.pose, self.cycle.record.tracker
+        away = 1e3 * float(tracker.disagreement)
+        consistency, learnt = Consistency(int(pose.consistency)), int(tracker.learnt)
+        if consistency is not self._consistency:
+            self._consistency = consistency
+            level = Level.INFO if consistency is Consistency.GOOD else Level.WARNING
+            text = _CONSISTENCY[consistency]
+            if consistency is Consistency.TRACKER:
+                text += f", {away:.1f} mm away"
+            self._emit(tick, level, f"pose_{consistency.name.lower()}", "estimator", text)
+        if learnt > self._learnt:
+            text = f"the tracker insists on {away:.1f} mm: the cable lengths are referenced anew"
+            self._emit(tick, Level.WARNING, "tracker_learnt", "estimator", text)
+        self._learnt = learnt
 
     def _watch_deficit(self, tick: int) -> None:
         """A wrench the cables cannot deliver inside their bounds: said once an episode."""

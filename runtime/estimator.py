@@ -1,91 +1,50 @@
 """Where the platform is, how fast it moves, and what pushes it.
 
 Two sources that fail differently: the cables (each tick, precise, but wrong by what calibration
-missed) and the optical tracker (its own rate and latency, coarse, but right). So there are two
-Kalman filters, for translation and for rotation alike, whose three axes share one covariance:
+missed) and the optical tracker (its own rate and latency, coarse, but right). One error-state
+extended Kalman filter holds both, 27 states: pose, twist, external wrench, and the constants of
+calibration, an offset of each cable's length and the excess of the cables' compliance over the
+nominal one. The orientation is a quaternion; only its error, a rotation vector in the base frame,
+has a covariance. Predict and correct are filterpy's algebra, compiled (`runtime.compiled`) and held
+against filterpy by test.
 
-- the *motion* filter runs each tick on the pose solved from the cables; its state is position,
-  velocity and the acceleration by external forces, and the measured cable wrench drives it as an
-  accelerometer would, so that velocity needs no differentiation. Its measurements never change in
-  kind or rate, so it runs on the gains its covariance settles at;
-- the *bias* filter runs when a tracker pose arrives, on the difference between that pose and the
-  cables' pose of the same instant. Its covariance grows while the tracker is silent.
+- The measured cable wrench drives the prediction as an accelerometer would, so that velocity needs
+  no differentiation; what it leaves unexplained is the external wrench.
+- The lengths correct each tick, one after the other, a cable without a measurement left out.
+- A tracker pose is compared with what the cables said at its exposure. In that difference the pose
+  itself cancels and only constants of calibration are left, so that its age matters neither to the
+  result nor to the cost.
 
-The algebra of both is filterpy's. Rotation lives on the manifold: its state is the error of a
-quaternion that carries it.
+While the tracker is silent the offsets drift, and the covariance says by how much.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 
 from config.schema.bus import Tracker
 from config.schema.control import Estimator as Settings
-from config.schema.robot import Robot
-from runtime.compiled import carry_forward, motion_tick, rotate, rotation_between
+from config.schema.robot import CABLES, Robot
+from runtime.compiled import (
+    ERRORS,
+    EXCESS,
+    EXTERNAL,
+    OFFSETS,
+    TWIST,
+    carry_forward,
+    elongation,
+    filter_tick,
+    track,
+)
+from runtime.disagreement import Disagreement
 from runtime.kinematics import Kinematics
+from runtime.signals import Consistency
 
 Array = NDArray[np.float64]
-_ZERO, _ONE = np.zeros((1, 1)), np.ones((1, 1))
-
-
-def _settled_gain(period: float, sigma: float, acceleration: float, drift: float) -> Array:
-    """Gain (3,) of the motion filter: its covariance iterated until it stands still. Updating a
-    zero state with a unit innovation yields the gain."""
-    h, a, d = period, acceleration**2, drift**2
-    transition = np.array([[1.0, h, h * h / 2], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
-    noise = a * np.array([[h**3 / 3, h**2 / 2, 0], [h**2 / 2, h, 0], [0, 0, 0]])
-    noise += d * np.array(
-        [
-            [h**5 / 20, h**4 / 8, h**3 / 6],
-            [h**4 / 8, h**3 / 3, h**2 / 2],
-            [h**3 / 6, h**2 / 2, h],
-        ]
-    )
-    observed, measured = np.array([[1.0, 0.0, 0.0]]), np.array([[sigma * sigma]])
-    state, covariance = np.zeros((3, 1)), np.eye(3)
-    gain, settled = np.zeros((3, 1)), np.ones((3, 1))
-    while not np.allclose(gain, settled, rtol=1e-12, atol=0.0):
-        settled = gain
-        _, covariance = predict(state, covariance, F=transition, Q=noise)
-        gain, covariance = update(state, covariance, 1.0, measured, observed)
-    return np.ascontiguousarray(gain[:, 0])
-
-
-class _Bias:
-    """Kalman filter of a slowly drifting offset (3,) with one variance for its axes."""
-
-    def __init__(self, sigma: float, drift: float) -> None:
-        self._measured, self._drift = sigma * sigma, drift * drift
-        self.value = np.zeros(3)
-        self._variance = 0.0
-        self._silent = 0.0
-
-    def start(self, samples: int) -> None:
-        """The lengths were referenced with the mean of so many poses: what was wrong in it is the
-        first bias."""
-        self.value[:] = 0.0
-        self._variance = self._measured / samples
-        self._silent = 0.0
-
-    def wait(self, seconds: float) -> None:
-        self._silent += seconds
-
-    def sigmas(self, innovation: Array) -> float:
-        """Largest component of an innovation, in its own standard deviations."""
-        variance = self._variance + self._drift * self._silent + self._measured
-        return float(np.abs(innovation).max() / np.sqrt(variance))
-
-    def correct(self, innovation: Array) -> None:
-        variance = self._variance + self._drift * self._silent
-        gain, settled = update(_ZERO, variance * _ONE, 1.0, self._measured * _ONE, _ONE)
-        self._variance = float(settled[0, 0])
-        self.value = self.value + gain[0, 0] * innovation
-        self._silent = 0.0
 
 
 @dataclass
@@ -98,6 +57,18 @@ class Estimate:
     angular_velocity: Array
     external: Array
     """(6,) force and moment that the cables and gravity do not explain"""
+
+
+def _noise(settings: Settings, period: float) -> Array:
+    """Variances (27,) that a tick adds to the error state."""
+    density = np.zeros(ERRORS)
+    density[TWIST : TWIST + 3] = settings.acceleration_sigma
+    density[TWIST + 3 : EXTERNAL] = settings.angular_acceleration_sigma
+    density[EXTERNAL : EXTERNAL + 3] = settings.force_drift
+    density[EXTERNAL + 3 : OFFSETS] = settings.moment_drift
+    density[OFFSETS:EXCESS] = settings.offset_drift
+    density[EXCESS] = settings.compliance_drift
+    return np.asarray(density**2 * period)
 
 
 class PoseEstimator:
@@ -113,37 +84,54 @@ class PoseEstimator:
         period: float,
     ) -> None:
         self._settings, self._period = settings, period
-        self._kinematics = kinematics
+        self._kinematics, self._cables = kinematics, Kinematics(robot.geometry)
+        self._seen = Kinematics(robot.geometry)
         inertia = np.array(robot.platform.inertia)
-        self._body = (robot.platform.mass, inertia, robot.gravity)
+        body = robot.platform
+        self._body = (body.mass, inertia, robot.gravity, robot.cable.axial_stiffness)
         self._anchors = (kinematics.frame, kinematics.platform)
-        self._translation, self._rotation = np.zeros((3, 3)), np.zeros((3, 3))
-        """rows: position, velocity, external acceleration; the rotation's position is its error"""
-        self._gains = (
-            _settled_gain(
-                period,
-                settings.cable_position_sigma,
-                settings.acceleration_sigma,
-                settings.force_drift / robot.platform.mass,
-            ),
-            _settled_gain(
-                period,
-                settings.cable_rotation_sigma,
-                settings.angular_acceleration_sigma,
-                settings.moment_drift / float(inertia.mean()),
-            ),
+        self._moment_length = robot.geometry.moment_length
+        self._noise = (
+            _noise(settings, period),
+            settings.length_sigma**2,
+            period / settings.elongation_time,
         )
-        self._offset = _Bias(tracker.position_sigma, settings.bias_drift)
-        self._twist = _Bias(tracker.rotation_sigma, settings.rotation_bias_drift)
-        depth = int(np.ceil(tracker.maximum_age_ms * 1e-3 / period)) + 2
-        self._past_position = np.zeros((depth, 3))
-        self._past_quaternion = np.zeros((depth, 4))
+        self._variances = (
+            tracker.position_sigma**2,
+            tracker.rotation_sigma**2,
+            settings.length_sigma**2,
+        )
+        self._position, self._quaternion = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+        self._rest = np.zeros(ERRORS - TWIST)
+        """twist, external wrench, offsets, excess: the error state without the pose"""
+        self.covariance = np.zeros((ERRORS, ERRORS))
+        """(27, 27) of the error state, at the sampling instant"""
+        self._stretch = np.zeros(CABLES)
+        """m, mean elongations"""
+        self._state = (
+            self._position,
+            self._quaternion,
+            self._rest,
+            self.covariance,
+            self._stretch,
+        )
+        depth = math.ceil(tracker.maximum_age_ms * 1e-3 / period) + 2
+        self._past_lengths = np.zeros((depth, CABLES))
+        self._past_tensions = np.zeros((depth, CABLES))
+        self._past_usable = np.zeros((depth, CABLES), dtype=bool)
         self._count = 0
-        self._quaternion = np.array([1.0, 0.0, 0.0, 0.0])
-        """orientation as the cables see it"""
-        self.cable_position = np.zeros(3)
+        self._tensions = np.zeros(CABLES)
+        self._innovation = np.zeros(CABLES)
+        self.cable_position, self._cable_quaternion = np.zeros(3), self._quaternion.copy()
+        """as solved from the lengths alone, with nothing calibrated"""
         self.residual = 0.0
-        """m, RMS disagreement of the eight lengths"""
+        """m, RMS disagreement of the eight lengths with that pose"""
+        self.inconsistency = 1.0
+        """mean squared innovation of the lengths in their own sigmas, smoothed; about 1"""
+        self._odd = False
+        self.condition = 1.0
+        """of the structure matrix"""
+        self.disagreement = Disagreement(settings, tracker)
         self.estimate = Estimate(
             np.zeros(3), self._quaternion.copy(), np.zeros(3), np.zeros(3), np.zeros(6)
         )
@@ -151,85 +139,164 @@ class PoseEstimator:
     @property
     def bias(self) -> Array:
         """(3,) m, what the cables' position is wrong by."""
-        return self._offset.value
+        return self.cable_position - self._position
 
-    def start(self, position: Array, quaternion: Array, wrench: Array, samples: int) -> None:
-        """Begin at rest at a referenced pose, the mean of ``samples`` tracker poses, where the
-        cables exert ``wrench``: whatever else holds the platform is the first external load."""
-        mass, inertia, gravity = self._body
-        translation, rotation = self._translation, self._rotation
-        translation[:] = position, np.zeros(3), -wrench[:3] / mass
-        translation[2, 2] += gravity
-        rotation[:] = np.zeros(3), np.zeros(3), -wrench[3:] / inertia
-        self._offset.start(samples)
-        self._twist.start(samples)
-        self._quaternion[:] = quaternion
+    @property
+    def offsets(self) -> Array:
+        """(8,) m, to be added to the cables' lengths."""
+        return self._rest[OFFSETS - TWIST : EXCESS - TWIST]
+
+    @property
+    def compliance(self) -> float:
+        """of the cables, over the nominal one."""
+        return 1.0 + float(self._rest[EXCESS - TWIST])
+
+    @property
+    def sigma(self) -> float:
+        """m, standard deviation of the position along its worst axis."""
+        return math.sqrt(max(0.0, *(float(self.covariance[i, i]) for i in range(3))))
+
+    @property
+    def consistency(self) -> Consistency:
+        """Whether what is measured fits together."""
+        settings = self._settings
+        if not self.condition <= settings.condition_limit:
+            return Consistency.SINGULAR
+        if self._odd:
+            return Consistency.CABLES
+        return Consistency.TRACKER if self.disagreement.lasting else Consistency.GOOD
+
+    def start(self, position: Array, quaternion: Array, tensions: Array, samples: int) -> None:
+        """Begin at rest at a referenced pose, the mean of ``samples`` tracker poses, under
+        ``tensions`` (8,): whatever else holds the platform is the first external load."""
+        mass, _, gravity, stiffness = self._body
+        kinematics = self._kinematics
+        kinematics.evaluate(position, quaternion)
+        self._position[:], self._quaternion[:] = position, quaternion
+        self.cable_position[:], self._cable_quaternion[:] = position, quaternion
+        self._rest[:] = 0.0
+        external = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
+        external[:] = -kinematics.matrix @ tensions
+        external[2] += mass * gravity
+        for i, cable in enumerate(zip(kinematics.lengths, tensions, strict=True)):
+            self._stretch[i] = elongation(*cable, stiffness)
+        self._tensions[:] = tensions
+        self._begin(samples)
         self._count = 0
+        self.inconsistency, self._odd = 1.0, False
+        self.disagreement.reset()
         self._publish()
 
+    def _begin(self, samples: int) -> None:
+        """Covariance after a reference: what was wrong in the pose, and in the elongation taken out
+        of the lengths, is wrong in the offsets, the other way round."""
+        covariance, settings, stretch = self.covariance, self._settings, self._stretch
+        position, rotation, length = self._variances
+        pose = np.diag([position] * 3 + [rotation] * 3) / samples
+        loose = settings.compliance_sigma**2 * np.outer(stretch, stretch)
+        shift = -self._kinematics.matrix.T
+        covariance[:] = 0.0
+        covariance[:TWIST, :TWIST] = pose
+        speed = settings.start_speed_sigma
+        turning = speed / self._moment_length
+        covariance[TWIST:EXTERNAL, TWIST:EXTERNAL] = np.diag([speed**2] * 3 + [turning**2] * 3)
+        covariance[OFFSETS:EXCESS, :TWIST] = shift @ pose
+        covariance[:TWIST, OFFSETS:EXCESS] = pose @ shift.T
+        covariance[OFFSETS:EXCESS, OFFSETS:EXCESS] = shift @ pose @ shift.T + loose
+        covariance[OFFSETS:EXCESS, OFFSETS:EXCESS] += length * np.eye(CABLES)
+        covariance[EXCESS, OFFSETS:EXCESS] = -(settings.compliance_sigma**2) * stretch
+        covariance[OFFSETS:EXCESS, EXCESS] = covariance[EXCESS, OFFSETS:EXCESS]
+        covariance[EXCESS, EXCESS] = settings.compliance_sigma**2
+
     def step(self, lengths: Array, tensions: Array, usable: NDArray[np.bool_]) -> Estimate:
-        """One tick with measured cable lengths (8,), elongation included, and tensions (8,); a
-        cable that is not ``usable`` says nothing about the pose."""
-        kinematics = self._kinematics
-        self.residual = motion_tick(
-            self._translation,
-            self._rotation,
-            self._quaternion,
-            self._gains,
+        """One tick with measured cable lengths (8,), nominal elongation included, and tensions
+        (8,). A cable that is not ``usable`` says nothing about the pose."""
+        kinematics, cables, settings = self._kinematics, self._cables, self._settings
+        self._tensions[:] = tensions
+        squared = filter_tick(
+            self._state,
             self._body,
             self._period,
+            self._noise,
             self._anchors,
             (lengths, tensions, usable),
             kinematics.lengths,
             kinematics.matrix,
-            self.cable_position,
         )
-        slot = self._count % len(self._past_position)
-        self._past_position[slot] = self._translation[0]
-        self._past_quaternion[slot] = self._quaternion
+        share = self._period / settings.consistency_time
+        self.inconsistency += share * (squared - self.inconsistency)
+        # Half the limit, once beyond it: said once an episode.
+        limit = settings.consistency_limit * (0.5 if self._odd else 1.0)
+        self._odd = not self.inconsistency <= limit
+        self.residual = cables.fit(lengths, usable, self.cable_position, self._cable_quaternion)
+        self.condition = cables.condition
+        slot = self._count % len(self._past_lengths)
+        self._past_lengths[slot] = lengths
+        self._past_tensions[slot] = tensions
+        self._past_usable[slot] = usable
         self._count += 1
-        self._offset.wait(self._period)
-        self._twist.wait(self._period)
         return self._publish()
 
     def track(self, position: Array, quaternion: Array, delay: float) -> bool:
-        """Use a tracker pose taken ``delay`` s before this tick, against what the cables said then:
-        the cost does not grow with the delay.
+        """Use a tracker pose taken ``delay`` s before this tick.
 
-        Returns False, and changes nothing, when the pose is too old or beyond the gate.
+        Returns False, and changes no estimate, when the pose is too old or beyond the gate.
         """
         # What the cables say lags the tick by one period: the newest entry is that far back.
         back = delay / self._period - 1.0
-        depth = len(self._past_position)
+        depth = len(self._past_lengths)
         if not 0.0 <= back <= min(self._count, depth) - 2:
             return False
         whole = int(back)
         share = back - whole
         newer = (self._count - 1 - whole) % depth
         older = (newer - 1) % depth
-        then = (1.0 - share) * self._past_position[newer] + share * self._past_position[older]
-        turn = rotation_between(self._past_quaternion[newer], self._past_quaternion[older])
-        oriented = rotate(self._past_quaternion[newer], share * turn)
-        offset = then - position - self._offset.value
-        twist = rotation_between(quaternion, oriented) - self._twist.value
-        beyond = max(self._offset.sigmas(offset), self._twist.sigmas(twist))
-        if not beyond <= self._settings.gate:
-            return False
-        self._offset.correct(offset)
-        self._twist.correct(twist)
-        self._publish()
-        return True
+        then = (
+            (1.0 - share) * self._past_lengths[newer] + share * self._past_lengths[older],
+            (1.0 - share) * self._past_tensions[newer] + share * self._past_tensions[older],
+            self._past_usable[newer] & self._past_usable[older],
+        )
+        seen, gate = self._seen, self._settings.gate
+        chi_square = track(
+            self._state,
+            (position, quaternion),
+            self._variances,
+            then,
+            self._anchors,
+            self._body[3],
+            gate,
+            self._innovation,
+            seen.matrix,
+        )
+        if chi_square <= gate:
+            self.disagreement.end()
+            self._publish()
+            return True
+        if math.isfinite(chi_square):
+            self._doubt()
+        return False
+
+    def _doubt(self) -> None:
+        """A pose beyond the gate. Where many agree, the pose and the offsets are made as uncertain,
+        along the difference, as that is large, and the next pose is believed."""
+        matrix, disagreement = self._seen.matrix, self.disagreement
+        shift = np.linalg.solve(matrix @ matrix.T, -matrix @ self._innovation)
+        disagreement.add(np.asarray(shift, dtype=np.float64))
+        if disagreement.learnable:
+            direction = np.zeros(ERRORS)
+            direction[:TWIST] = disagreement.shift
+            direction[OFFSETS:EXCESS] = -matrix.T @ disagreement.shift
+            self.covariance += np.outer(direction, direction)
+            disagreement.learn()
 
     def _publish(self) -> Estimate:
-        """The estimate one period on, the bias taken out."""
+        """The estimate one period on."""
         estimate, kinematics = self.estimate, self._kinematics
         carry_forward(
-            self._translation,
-            self._rotation,
-            self._quaternion,
-            (self._offset.value, self._twist.value),
+            self._state,
             self._body,
             self._period,
+            kinematics.matrix @ self._tensions,
             self._anchors,
             kinematics.lengths,
             kinematics.matrix,
@@ -238,7 +305,7 @@ class PoseEstimator:
                 estimate.quaternion,
                 estimate.velocity,
                 estimate.angular_velocity,
-                estimate.external,
             ),
         )
+        estimate.external[:] = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
         return estimate

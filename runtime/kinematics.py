@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.schema.robot import Geometry
-from runtime.compiled import correction, geometry, rotate
+from runtime.compiled import condition, forward, geometry
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,9 @@ class Kinematics:
     def __init__(self, robot_geometry: Geometry) -> None:
         self.frame = np.array(robot_geometry.frame, dtype=np.float64)
         self.platform = np.array(robot_geometry.platform, dtype=np.float64)
+        self._moment_length = robot_geometry.moment_length
         cables = len(self.frame)
+        self._all = np.ones(cables, dtype=bool)
         self.lengths = np.zeros(cables)
         """m, anchor to anchor"""
         self.matrix = np.zeros((6, cables))
@@ -31,20 +33,46 @@ class Kinematics:
     def evaluate(self, position: Array, quaternion: Array) -> None:
         geometry(position, quaternion, self.frame, self.platform, self.lengths, self.matrix)
 
-    def solve(
-        self, measured: Array, position: Array, quaternion: Array, *, iterations: int = 20
-    ) -> tuple[Array, Array, float]:
-        """Pose whose lengths fit ``measured`` best, from a starting pose.
+    @property
+    def condition(self) -> float:
+        """Condition number of the structure matrix, moments scaled: infinite in a singular pose."""
+        return float(condition(self.matrix, self._moment_length))
 
-        Returns position, quaternion and the RMS of the remaining length errors.
+    def fit(
+        self,
+        measured: Array,
+        usable: NDArray[np.bool_],
+        position: Array,
+        quaternion: Array,
+        *,
+        iterations: int = 2,
+    ) -> float:
+        """Forward kinematics from a warm start: moves ``position`` and ``quaternion`` to the pose
+        whose lengths fit the ``usable`` ones of ``measured`` (8,) best. Two iterations are enough
+        for what a platform does in a tick.
+
+        ``measured`` includes elongation (`Referencing.lengths`). Returns the RMS of the remaining
+        length errors (m).
         """
-        for _ in range(iterations):
-            self.evaluate(position, quaternion)
-            step = correction(self.lengths, self.matrix, measured)
-            position = position + step[:3]
-            quaternion = rotate(quaternion, step[3:])
-            if float(np.abs(step).max()) < 1e-12:
-                break
-        self.evaluate(position, quaternion)
-        residual = float(np.sqrt(np.mean((self.lengths - measured) ** 2)))
+        anchors = (self.frame, self.platform)
+        return float(
+            forward(
+                measured,
+                usable,
+                anchors,
+                position,
+                quaternion,
+                self.lengths,
+                self.matrix,
+                iterations,
+            )
+        )
+
+    def solve(
+        self, measured: Array, position: Array, quaternion: Array, *, iterations: int = 50
+    ) -> tuple[Array, Array, float]:
+        """Forward kinematics from a pose that may be far away: position, quaternion and the RMS of
+        the remaining length errors (m)."""
+        position, quaternion = position.copy(), quaternion.copy()
+        residual = self.fit(measured, self._all, position, quaternion, iterations=iterations)
         return position, quaternion, residual

@@ -15,7 +15,7 @@ from config.schema.bus import CELLS
 from config.schema.robot import CABLES
 from runtime.topics import Field, Topic, record_dtype
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Counts up when a field changes its name, type, unit or meaning."""
 
 
@@ -49,6 +49,18 @@ class Bound(IntEnum):
     CONTACT = 4
     SPEED = 5
     WORKSPACE = 6
+
+
+class Consistency(IntEnum):
+    """Whether what the estimator is told fits together."""
+
+    GOOD = 0
+    CABLES = 1
+    """the lengths contradict each other, or the motion: slack, a slipped cable, a wrong constant"""
+    TRACKER = 2
+    """poses in a row lie beyond the gate: the tracker or the reference has moved"""
+    SINGULAR = 3
+    """the cables hardly determine the pose"""
 
 
 def _topic(name: str, message: str, doc: str, *fields: Field) -> Topic:
@@ -116,7 +128,10 @@ TOPICS: tuple[Topic, ...] = (
         _f8("position", 3, "m", "platform origin in the base frame"),
         _f8("quaternion", 4, "", "w x y z"),
         _f8("delay", 0, "s", "from the pose's timestamp to this tick"),
+        _f8("disagreement", 0, "m", "mean distance of the poses refused in a row, 0 for none"),
         Field("sequence", "uint32", 0, "", "datagram number"),
+        Field("refused", "uint32", 0, "", "poses refused in a row"),
+        Field("learnt", "uint32", 0, "", "lasting disagreements that the estimator has followed"),
         Field("fresh", "uint8", 0, "", "1 when the pose arrived in this tick"),
         Field("accepted", "uint8", 0, "", "1 when the estimator believed it"),
     ),
@@ -134,6 +149,12 @@ TOPICS: tuple[Topic, ...] = (
         _f8("cable_position", 3, "m", "pose solved from the cables alone"),
         _f8("bias", 3, "m", "estimated error of the cables' pose"),
         _f8("residual", 0, "m", "disagreement of the eight cable lengths, RMS"),
+        _f8("length_offset", CABLES, "m", "estimated, to be added to the measured lengths"),
+        _f8("compliance", 0, "", "of the cables, estimated, over the nominal one"),
+        _f8("sigma", 0, "m", "standard deviation of the position along its worst axis"),
+        _f8("inconsistency", 0, "", "mean squared innovation of the lengths in sigmas, about 1"),
+        _f8("condition", 0, "", "condition number of the structure matrix, moments scaled"),
+        Field("consistency", "uint8", 0, "", "Consistency"),
     ),
     _topic(
         "stiffness",

@@ -8,23 +8,28 @@ c = (N_j x N_k, N_k x N_i, N_i x N_j) is the combination in which lambda cancels
 inequalities a pose, exact, and the same as the facets of the available wrench set (Bouchard,
 Gosselin and Moore 2010), without a solver. With |c| in the 1-norm, what is left of the
 tightest inequality is the distance that all tensions together can keep from their bounds.
+
+With T_p = 0 the same inequalities tell how even a self-stress can be: its least tension over its
+largest is at most the smaller of c's positive and negative parts over the larger. Zero is the end
+of wrench closure. Seven cables, one being lost, leave a line of lambda, and pairs do for triples.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from config.schema.robot import Geometry, Tension, Workspace
 from runtime.compiled import geometry, rotate
 
 Array = NDArray[np.float64]
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-REDUNDANCY = 2
-"""Cables beyond the six degrees of freedom: what makes the tensions' freedom a plane."""
+FREEDOMS = 6
 TOLERANCE = 1e-9
 """Relative to the largest: below it a singular value or a combination counts as zero."""
 
@@ -41,6 +46,8 @@ class Poses:
     """m, (n, 8)"""
     matrices: Array
     """structure matrices, (n, 6, 8)"""
+    arms: Array
+    """m, platform anchors from the platform's origin, base frame, (n, 8, 3)"""
 
     def describe(self, index: int) -> str:
         x, y, z = self.positions[index]
@@ -50,6 +57,16 @@ class Poses:
             axis = int(np.abs(tilt).argmax())
             text += f" turned {tilt[axis]:+.0f} deg about {'xyz'[axis]}"
         return text
+
+    def without(self, cable: int) -> Poses:
+        """The same poses with a cable gone."""
+        return Poses(
+            self.positions,
+            self.rotations,
+            np.delete(self.lengths, cable, axis=1),
+            np.delete(self.matrices, cable, axis=2),
+            np.delete(self.arms, cable, axis=1),
+        )
 
 
 @dataclass(frozen=True)
@@ -73,7 +90,9 @@ def poses(robot_geometry: Geometry, positions: Array, rotations: Array) -> Poses
     for index in range(count):
         quaternion = rotate(UPRIGHT, rotations[index])
         geometry(positions[index], quaternion, frame, platform, lengths[index], matrices[index])
-    return Poses(positions, rotations, lengths, matrices)
+    turned = Rotation.from_rotvec(np.repeat(rotations, cables, axis=0))
+    arms = turned.apply(np.tile(platform, (count, 1))).reshape(count, cables, 3)
+    return Poses(positions, rotations, lengths, matrices, arms)
 
 
 def workspace_poses(robot_geometry: Geometry, box: Workspace, points: int) -> Poses:
@@ -101,15 +120,9 @@ def reserves(at: Poses, wrenches: Array, tension: Tension, moment_length: float)
     wanted = np.broadcast_to(wrenches * scale, (len(size), *wrenches.shape[-2:]))
     # T_p = V S^-1 U^T w, for all poses and wrenches at once: (n, k, 8).
     particular = (wanted @ left / size[:, None, :]) @ right[:, : size.shape[1], :]
-    null = right[:, -REDUNDANCY:, :]
     worst = np.full(particular.shape[:2], np.inf)
-    for triple in combinations(range(at.matrices.shape[2]), REDUNDANCY + 1):
-        first, second = null[:, 0, triple], null[:, 1, triple]
-        combination = np.cross(first, second)
-        weight = np.abs(combination).sum(axis=1)
-        used = weight > TOLERANCE
-        combination = combination / np.where(used, weight, 1.0)[:, None]
-        value = np.einsum("nkt,nt->nk", particular[:, :, triple], combination)
+    for chosen, combination, used in _combinations(right[:, FREEDOMS:, :]):
+        value = np.einsum("nkt,nt->nk", particular[:, :, chosen], combination)
         positive = np.maximum(combination, 0.0).sum(axis=1)
         negative = 1.0 - positive
         highest = positive * tension.max - negative * tension.min
@@ -117,6 +130,35 @@ def reserves(at: Poses, wrenches: Array, tension: Tension, moment_length: float)
         left_over = np.minimum(highest[:, None] - value, value - lowest[:, None])
         worst = np.where(used[:, None], np.minimum(worst, left_over), worst)
     return np.where(full[:, None], worst, -np.inf)
+
+
+def _combinations(null: Array) -> Iterator[tuple[list[int], Array, NDArray[np.bool_]]]:
+    """Of each few cables (with ``null`` (n, 2, 8) each three, with (n, 1, 7) each two) the
+    combination (n, few) of 1-norm 1 in which the null space cancels, and where there is one."""
+    redundancy, cables = null.shape[1:]
+    for few in combinations(range(cables), redundancy + 1):
+        chosen = list(few)
+        part = null[:, :, chosen]
+        if redundancy == 1:
+            combination = np.stack([part[:, 0, 1], -part[:, 0, 0]], axis=1)
+        else:
+            combination = np.cross(part[:, 0], part[:, 1])
+        weight = np.abs(combination).sum(axis=1)
+        used = weight > TOLERANCE
+        yield chosen, combination / np.where(used, weight, 1.0)[:, None], used
+
+
+def closures(at: Poses, moment_length: float) -> Array:
+    """Least over largest tension of the evenest self-stress, (n,): above zero the cables can exert
+    any wrench at all (wrench closure), were they strong enough."""
+    scale = np.array([1.0, 1.0, 1.0, *(1.0 / moment_length,) * 3])
+    _, size, right = np.linalg.svd(at.matrices * scale[:, None])
+    ratio = np.ones(len(size))
+    for _, combination, used in _combinations(right[:, FREEDOMS:, :]):
+        positive = np.maximum(combination, 0.0).sum(axis=1)
+        less = np.clip(np.minimum(positive, 1.0 - positive), 0.0, None)
+        ratio = np.where(used, np.minimum(ratio, less / (1.0 - less)), ratio)
+    return np.where(size[:, -1] > TOLERANCE * size[:, 0], ratio, 0.0)
 
 
 def feasibility(at: Poses, wrenches: Array, tension: Tension, moment_length: float) -> Feasibility:

@@ -20,12 +20,11 @@ class Filters(Section):
 
 
 class Estimator(Section):
-    """Kalman filters of motion and of the cables' bias, for translation and for rotation."""
+    """Error-state Kalman filter of pose, twist, external wrench and the cables' calibration.
+    Process noise is white: per square root of a hertz."""
 
-    cable_position_sigma: Positive
-    """m, noise of the pose solved from the cables"""
-    cable_rotation_sigma: Positive
-    """rad"""
+    length_sigma: Positive
+    """m, noise of a measured cable length, elongation included"""
     acceleration_sigma: Positive
     """m/s2 per sqrt(Hz): what the wrench balance misses"""
     angular_acceleration_sigma: Positive
@@ -33,11 +32,30 @@ class Estimator(Section):
     """N/s per sqrt(Hz): how fast an external force may change"""
     moment_drift: Positive
     """N m/s per sqrt(Hz)"""
-    bias_drift: Positive
-    """m/s per sqrt(Hz)"""
-    rotation_bias_drift: Positive
+    offset_drift: NonNegative
+    """m/s per sqrt(Hz): how fast a cable's length offset may change"""
+    start_speed_sigma: NonNegative
+    """m/s: how far from rest the platform may be when it has been referenced"""
+    compliance_sigma: NonNegative
+    """relative uncertainty of EA before the first motion; 0, like its drift, for no calibration"""
+    compliance_drift: NonNegative
+    """1/s per sqrt(Hz)"""
+    elongation_time: Positive
+    """s over which elongations are averaged before they tell compliance from offset"""
     gate: Positive
-    """largest normalised innovation (sigmas) of a tracker pose that is still believed"""
+    """largest chi-square (eight lengths) of a tracker pose that is still believed"""
+    refused_poses: Count
+    """so many in a row beyond the gate are no outliers"""
+    refused_spread: Positive
+    """times the tracker's own sigma: refused poses within it of each other are of one opinion"""
+    relearn_limit: NonNegative
+    """m: largest such disagreement that is taken for an error of the cables and learnt"""
+    consistency_time: Positive
+    """s over which the lengths' squared innovations are averaged"""
+    consistency_limit: Positive
+    """their largest average, in variances, that still counts as consistent"""
+    condition_limit: Positive
+    """of the structure matrix, moments scaled; beyond it a pose counts as singular"""
 
 
 class StiffnessLaw(Section):

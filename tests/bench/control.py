@@ -6,14 +6,16 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from config import load
+from config import Config, load
 from config.schema.control import Distribution
 from drivers.process_image import AxisState, ProcessImage
 from runtime.cycle import ControlCycle
 from runtime.distribution import TensionDistribution
+from runtime.estimator import PoseEstimator
 from runtime.kinematics import Kinematics
 from runtime.states import Operator, State
 from tests.bench.measure import Figure, against, microseconds
@@ -37,6 +39,7 @@ def control() -> list[Figure]:
     ]
     kinematics.evaluate(position, quaternion)
     figures += _distribution(config.control.distribution, kinematics.matrix)
+    figures += _estimator(config)
     cycle, image = _holding_cycle()
     counter = iter(range(10**6, 10**9))
     step = microseconds(lambda: cycle.step(image, next(counter), Operator.NONE))
@@ -50,6 +53,40 @@ def _geometry_in_numpy(kinematics: Kinematics, position: Array) -> tuple[Array, 
     lengths = np.linalg.norm(ways, axis=1)
     units = ways / lengths[:, None]
     return lengths, np.concatenate([units.T, np.cross(arms, units).T])
+
+
+def _estimator(config: Config) -> list[Figure]:
+    """A tick of lengths, and a tracker pose, each against the same algebra in filterpy."""
+    period = config.control.rates.period
+    kinematics = Kinematics(config.robot.geometry)
+    estimator = PoseEstimator(
+        config.robot, config.control.estimator, config.tracker, kinematics, period
+    )
+    position, quaternion = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    tensions, usable = np.full(8, 45.0), np.ones(8, dtype=bool)
+    estimator.start(position, quaternion, tensions, 60)
+    lengths = kinematics.lengths.copy()
+    state, covariance = np.zeros((27, 1)), estimator.covariance.copy()
+    seen, innovation = np.hstack([np.eye(8), np.zeros((8, 19))]), np.zeros((8, 1))
+    noise = 4e-10 * np.eye(8)
+
+    def dense() -> None:
+        _, predicted = predict(state, covariance, F=np.eye(27), Q=1e-12)
+        update(state, predicted, innovation, noise, seen)
+
+    step = partial(estimator.step, lengths, tensions, usable)
+    for _ in range(100):
+        step()
+    return [
+        against("estimator, eight lengths", step, "filterpy, dense", dense),
+        against(
+            "estimator, a tracker pose",
+            partial(estimator.track, position, quaternion, 0.01),
+            "filterpy, update alone",
+            partial(update, state, covariance, innovation, noise, seen),
+            "on one tick in eight",
+        ),
+    ]
 
 
 def _distribution(settings: Distribution, matrix: Array) -> list[Figure]:

@@ -16,6 +16,7 @@ from runtime.scheduler import VirtualPacing
 from runtime.sequence import Sequence
 from runtime.states import Operator, State
 from runtime.taps import Level
+from sim.devices.tracker import DATAGRAM
 from sim.lab import Lab
 
 
@@ -40,34 +41,59 @@ class Heard:
         return [name for _, name in self.events]
 
 
-class Meddler(Script):
-    """A script that hides the platform from the tracker for a while in ACTIVE."""
+class Camera:
+    """The lab's tracker on a tripod that somebody may knock against: poses are then ``shift`` m off
+    along x."""
 
-    def __init__(self, duration: float, lab: Lab, hidden: tuple[float, float]) -> None:
+    def __init__(self, lab: Lab) -> None:
+        self._lab = lab
+        self.shift = 0.0
+
+    def poll(self, now_ns: int) -> list[bytes]:
+        return [self._seen(datagram) for datagram in self._lab.tracker.poll(now_ns)]
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def _seen(self, datagram: bytes) -> bytes:
+        parts = list(DATAGRAM.unpack(datagram))
+        parts[6] += self.shift
+        return DATAGRAM.pack(*parts)
+
+
+class Meddler(Script):
+    """A script that hides the platform from the tracker for a while in ACTIVE, or knocks against
+    its camera after 0.3 s."""
+
+    def __init__(
+        self, duration: float, lab: Lab, camera: Camera, hidden: tuple[float, float], knock: float
+    ) -> None:
         super().__init__(duration)
-        self._lab, self._hidden = lab, hidden
+        self._lab, self._camera, self._hidden, self._knock = lab, camera, hidden, knock
 
     def next(self, sequence: Sequence) -> Operator:
         if sequence.state is State.ACTIVE:
             first, last = self._hidden
             self._lab.tracker.blocked = first <= sequence.elapsed < last
+            if sequence.elapsed >= 0.3:
+                self._camera.shift = self._knock
         return super().next(sequence)
 
 
-def play(hidden: tuple[float, float]) -> tuple[Outcome, Heard]:
+def play(hidden: tuple[float, float] = (9.0, 9.0), knock: float = 0.0) -> tuple[Outcome, Heard]:
     config, scenario = configured("config/direct.yaml", duration=1.2)
     heard = Heard()
 
     async def main() -> Outcome:
         now = clock.loop_clock()
         lab = Lab(config, scenario.lab, seed=1, clock=now)
-        image = ProcessImage()
+        image, camera = ProcessImage(), Camera(lab)
         daemon = Daemon(
             config,
             scenario,
             DirectFieldbus(config, image, lab.direct, now),
-            TrackerInput(image, lab.tracker),
-            Meddler(scenario.duration, lab, hidden),
+            TrackerInput(image, camera),
+            Meddler(scenario.duration, lab, camera, hidden, knock),
             ring=heard,
             events=heard,
             stopwatch=clock.Stopwatch(running=False),
@@ -96,7 +122,28 @@ def test_a_short_gap_is_nothing_to_speak_of() -> None:
     assert heard.cycles == outcome.ticks
 
 
+def test_a_tracker_that_insists_is_followed_and_that_is_said() -> None:
+    """A camera 2 mm aside cannot be told from cables that are; a pose every 8.3 ms, 24 of them."""
+    outcome, heard = play(knock=0.002)
+    assert outcome.state is State.STANDBY
+    assert heard.names.count("tracker_learnt") == 1
+    assert "tracker_lost" in heard.names
+    assert "tracker_back" in heard.names
+
+
+def test_a_tracker_too_far_off_is_not_followed_and_that_is_said() -> None:
+    outcome, heard = play(knock=0.03)
+    assert outcome.state is State.STANDBY
+    assert heard.names.count("pose_tracker") == 1
+    assert "tracker_learnt" not in heard.names
+
+
+def test_sound_measurements_are_nothing_to_speak_of() -> None:
+    _, heard = play()
+    assert not [name for name in heard.names if name.startswith(("pose_", "tracker_"))]
+
+
 def test_every_state_is_told_once_and_in_order() -> None:
-    _, heard = play(hidden=(9.0, 9.0))
+    _, heard = play()
     assert heard.names.count("state") == 7
     assert heard.names.count("operator") == 3

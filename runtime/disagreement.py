@@ -1,0 +1,66 @@
+"""Tracker poses that are not believed: one is an outlier; many in a row that say the same are
+right, or the tracker has been moved, and either way somebody must hear of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.schema.bus import Tracker
+from config.schema.control import Estimator as Settings
+
+Array = NDArray[np.float64]
+
+
+class Disagreement:
+    """The refused poses since the last believed one."""
+
+    def __init__(self, settings: Settings, tracker: Tracker) -> None:
+        self._settings = settings
+        sigma = np.array([tracker.position_sigma] * 3 + [tracker.rotation_sigma] * 3)
+        self._narrow = settings.refused_spread * sigma
+        self.learnt = 0
+        """how often the estimator has followed the tracker after a disagreement"""
+        self.reset()
+
+    def reset(self) -> None:
+        """A new reference."""
+        self.learnt = 0
+        self.end()
+
+    def end(self) -> None:
+        """A pose was believed."""
+        self.shift = np.zeros(6)
+        """m and rad, mean difference between the refused poses and the estimate"""
+        self.poses = 0
+
+    def learn(self) -> None:
+        """The estimator follows; the difference stays readable until the next pose."""
+        self.learnt += 1
+        self.poses = 0
+
+    def add(self, shift: Array) -> None:
+        """One more refused pose, so far from what was expected (Welford's running moments)."""
+        if not self.poses:
+            self.shift, self._squares = np.zeros(6), np.zeros(6)
+        self.poses += 1
+        away = shift - self.shift
+        self.shift += away / self.poses
+        self._squares += away * (shift - self.shift)
+
+    @property
+    def distance(self) -> float:
+        """m"""
+        return float(np.linalg.norm(self.shift[:3]))
+
+    @property
+    def lasting(self) -> bool:
+        """Too many in a row to be outliers."""
+        return self.poses >= self._settings.refused_poses
+
+    @property
+    def learnable(self) -> bool:
+        """Lasting, of one opinion, and near enough to be an error of the cables."""
+        if not self.lasting or self.distance > self._settings.relearn_limit:
+            return False
+        return bool((self._squares <= self.poses * self._narrow**2).all())
