@@ -71,9 +71,9 @@ def _run(
 def _spared_by_the_host(
     environment: dict[str, str], out: Path, *arguments: str
 ) -> subprocess.CompletedProcess[str]:
-    """A run; once more, up to three times, if it ended in a fault and the host took ticks from it:
+    """A run; again, up to five times, if it ended in a fault and the host took ticks from it:
     no controller is to blame for a robot that was left alone."""
-    for _ in range(3):
+    for _ in range(5):
         result = _run(environment, "run", *arguments, "--out", str(out))
         if result.returncode != 1:
             break
