@@ -68,10 +68,24 @@ def _run(
     )
 
 
+def _spared_by_the_host(
+    environment: dict[str, str], out: Path, *arguments: str
+) -> subprocess.CompletedProcess[str]:
+    """A run; again, up to five times, if it ended in a fault and the host took ticks from it:
+    no controller is to blame for a robot that was left alone."""
+    for _ in range(5):
+        result = _run(environment, "run", *arguments, "--out", str(out))
+        if result.returncode != 1:
+            break
+        summary = json.loads((out / "summary.json").read_text())
+        assert summary["missed_by_host"] > 0, result.stdout + result.stderr
+    return result
+
+
 def test_a_run_leaves_log_summary_and_picture(tmp_path: Path, environment: dict[str, str]) -> None:
     config, out = _quick_configuration(tmp_path), tmp_path / "out"
-    result = _run(
-        environment, "run", str(config), "--scenario", "hold", "--duration", "1", "--out", str(out)
+    result = _spared_by_the_host(
+        environment, out, str(config), "--scenario", "hold", "--duration", "1"
     )
     assert result.returncode == 0, result.stdout + result.stderr
     assert result.stdout.rstrip().splitlines()[-1].startswith("STANDBY: ")
