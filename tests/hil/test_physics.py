@@ -168,8 +168,8 @@ def test_the_stiffness_gives_way_to_contact() -> None:
 
 
 def test_pressed_near_the_limit_the_stiffness_does_not_chatter() -> None:
-    """It comes down and stays: its ups and downs together are little more than the way down. Without
-    hysteresis they were fifteen times as much."""
+    """It comes down and stays: its ups and downs together are little more than the way down.
+    Without hysteresis they were fifteen times as much."""
     part = active(run("contact", 7.5))
     pressed = part.cycle["stiffness"]["k_eq"][contact_of(part) > 15.0]
     assert np.abs(np.diff(pressed)).sum() < 1.6 * np.ptp(pressed)
