@@ -34,7 +34,7 @@ NEVER = 1 << 62
 _from_bytes = int.from_bytes
 _SHORT = 1
 """Bytes up to which a frame's time is kept, for at most so many frames:"""
-_KEPT = 4096
+_KEPT = 256
 _SECOND_NS = 1_000_000_000
 
 
