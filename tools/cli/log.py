@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from tools.cli.log_info import info
+from tools.cli.log_recover import recover
 from tools.cli.log_replay import replay
 
 
@@ -13,5 +14,5 @@ def log() -> None:
     """Look into recorded runs."""
 
 
-for command in (info, replay):
+for command in (info, recover, replay):
     log.add_command(command)

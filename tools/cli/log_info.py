@@ -19,7 +19,12 @@ from tools.log import open as open_log
 from tools.summary import find_faults
 
 _S = 1e-9
-_CYCLE_TOPICS = ("/tonus/state", "/tonus/timing")
+_CYCLE_FIELDS = {
+    "/tonus/state": ("state", "fault", "fault_where"),
+    "/tonus/timing": ("tick",),
+}
+"""what it takes to tell states and faults"""
+_STATES = frozenset(State)
 _GAP_FACTOR = 1.5
 """a silence longer than this many usual intervals is a gap"""
 _VIRTUAL_BEFORE_NS = 365 * 24 * 3600 * 1_000_000_000
@@ -43,9 +48,13 @@ def info(files: tuple[Path, ...], as_json: bool) -> None:
 def describe(log: Log) -> dict[str, Any]:
     """Everything `tonus log info` tells about a log, ready for JSON."""
     log.load()
+    damage = log.damage
+    if damage is None and not log.is_as_written():
+        damage = "something between the chunks is not as it was written"
     span = log.span_ns
     start = span[0] if span else 0
-    known = all(topic in log and len(log[topic]) for topic in _CYCLE_TOPICS)
+    known = all(log.has(topic, *fields) for topic, fields in _CYCLE_FIELDS.items())
+    known = known and len(log["/tonus/state"]) == len(log["/tonus/timing"])
     return {
         "file": str(log.path),
         "bytes": log.path.stat().st_size,
@@ -68,7 +77,7 @@ def describe(log: Log) -> dict[str, Any]:
         ],
         "topics": [_topic(log, topic) for topic in log.topics],
         "lost": {name: int(count) for name, count in log.recorded.items() if int(count)},
-        "damage": log.damage,
+        "damage": damage,
     }
 
 
@@ -79,7 +88,9 @@ def _states(log: Log) -> list[dict[str, Any]]:
     ends = [*times[entered[1:]].tolist(), int(times[-1])]
     return [
         {
-            "state": State(int(state[index])).name,
+            "state": State(number).name
+            if (number := int(state[index])) in _STATES
+            else str(number),
             "from_s": float((times[index] - times[0]) * _S),
             "duration_s": float((end - times[index]) * _S),
         }

@@ -5,10 +5,10 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import lz4.frame
 import numpy as np
@@ -16,7 +16,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
@@ -32,8 +32,9 @@ _LARGEST_CHUNK = 1 << 28
 _CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 4 + 8
 """bytes of a chunk's record before its content, its compression's name included"""
 _FOOTER = 9 + 8 + 8 + 4
+_DATA_END = 4
 _SEARCH = 1 << 20
-_STEP = 1 << 12
+_STEP = 1 << 16
 _NOTHING_LOST = "every message is there"
 
 
@@ -63,9 +64,16 @@ class Framing:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
+    media_types: dict[str, str] = field(default_factory=dict)
+    """of the attachments"""
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
     library: str = ""
+    profile: str = ""
+    statistics: Statistics | None = None
+    """of the summary, in what is salvaged"""
+    cut: ChunkPlace | None = None
+    """a chunk that the file's end cuts, as far as it goes"""
     damage: str | None = None
     """what is wrong and where; everything before it was read"""
     data_end: int | None = None
@@ -116,6 +124,7 @@ def scan(path: Path, *, salvage: bool = False) -> Framing:
                 at = scanner.find_chunk(at)
                 if at is not None:
                     at = scanner.walk(at)
+            scanner.summary()
             return scanner.framing
     except OSError as error:
         raise ToolError(f"{path}: {(error.strerror or 'unreadable').lower()}") from error
@@ -127,6 +136,8 @@ class _Scanner:
     def __init__(self, file: BinaryIO, size: int) -> None:
         self.framing = Framing()
         self._file, self._size = file, size
+        self._sound = False
+        """the summary's own checksum holds"""
 
     def walk(self, at: int) -> int | None:
         """Take in the records from byte ``at`` on. Returns where a damaged one begins, or None at
@@ -142,6 +153,8 @@ class _Scanner:
             inside = at + _RECORD.size
             if length > self._size - inside:
                 self._damaged(f"the record at byte {at} is cut short")
+                if opcode == Opcode.CHUNK:
+                    self._keep_cut(inside, length)
                 return at + 1
             try:
                 self._take(opcode, at, length)
@@ -168,6 +181,34 @@ class _Scanner:
         elif opcode != Opcode.MESSAGE_INDEX:
             _keep(framing, opcode, file.read(length))
 
+    def _keep_cut(self, inside: int, length: int) -> None:
+        try:
+            whole = _chunk_place(self._file.read(_CHUNK.size + 64), inside, length)
+        except _BROKEN:
+            return
+        if whole.offset < self._size:
+            self.framing.cut = replace(whole, size=self._size - whole.offset)
+
+    def summary(self) -> None:
+        """Schemas, channels and statistics stand there once more."""
+        if self.framing.data_end is None or not self._sound:
+            return
+        at = self.framing.data_end + _RECORD.size + _DATA_END
+        while at < self._size:
+            self._file.seek(at)
+            head = self._file.read(_RECORD.size)
+            if len(head) < _RECORD.size:
+                return
+            opcode, length = _RECORD.unpack(head)
+            if length > self._size - at:
+                return
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+                try:
+                    _keep(self.framing, opcode, self._file.read(length))
+                except _BROKEN:
+                    return
+            at += _RECORD.size + length
+
     def _end(self, at: int) -> None:
         """The summary, from byte ``at`` on: nobody here needs it, but others do."""
         self._file.seek(at)
@@ -177,7 +218,8 @@ class _Scanner:
             self._damaged(f"the summary is cut short at byte {self._size}; {_NOTHING_LOST}")
             return
         (crc,) = struct.unpack_from("<I", summary, len(summary) - len(MCAP0_MAGIC) - 4)
-        if crc and crc != zlib.crc32(summary[: -len(MCAP0_MAGIC) - 4]):
+        self._sound = crc == zlib.crc32(summary[: -len(MCAP0_MAGIC) - 4])
+        if crc and not self._sound:
             self._damaged(f"the summary at byte {at} fails its checksum; {_NOTHING_LOST}")
 
     def find_chunk(self, at: int) -> int | None:
@@ -233,15 +275,19 @@ def data_is_whole(path: Path, framing: Framing) -> bool:
 
 def content(file: Path, place: ChunkPlace) -> bytes | None:
     """The records of a chunk, or None if it does not unpack to what it should."""
-    with file.open("rb") as stream:
-        stream.seek(place.offset)
-        packed = stream.read(place.size)
-    data = unpack(packed, place)
+    data = unpack(read(file, place), place)
     if data is None or len(data) != place.uncompressed_size:
         return None
     if place.crc and zlib.crc32(data) != place.crc:
         return None
     return data
+
+
+def read(file: Path, place: ChunkPlace) -> bytes:
+    """A chunk as it is packed."""
+    with file.open("rb") as stream:
+        stream.seek(place.offset)
+        return stream.read(place.size)
 
 
 def unpack(packed: bytes, place: ChunkPlace) -> bytes | None:
@@ -265,20 +311,29 @@ def unpack(packed: bytes, place: ChunkPlace) -> bytes | None:
 
 
 def _beginning(packed: bytes, place: ChunkPlace) -> bytes:
-    """Unpack a step at a time, up to the damage."""
-    if place.compression == "zstd":
-        unpacker: Any = zstandard.ZstdDecompressor().decompressobj()
-    else:
-        unpacker = lz4.frame.LZ4FrameDecompressor()
+    """Unpack a step at a time, up to the damage and not beyond what the chunk should hold."""
     data = bytearray()
     try:
-        for at in range(0, len(packed), _STEP):
-            data += unpacker.decompress(packed[at : at + _STEP])
+        for part in _steps(packed, place.compression):
+            data += part
             if len(data) > place.uncompressed_size:
                 break
     except (zstandard.ZstdError, RuntimeError, EOFError):
         pass  # the caller sees that it is short
     return bytes(data)
+
+
+def _steps(packed: bytes, compression: str) -> Iterator[bytes]:
+    if compression == "zstd":
+        reader = zstandard.ZstdDecompressor().stream_reader(packed)
+        while part := reader.read(_STEP):
+            yield part
+        return
+    unpacker = lz4.frame.LZ4FrameDecompressor()
+    given = packed
+    while not unpacker.eof and (part := unpacker.decompress(given, _STEP)):
+        given = b""
+        yield part
 
 
 def runs(data: bytes, framing: Framing) -> Iterator[Run]:
@@ -336,7 +391,8 @@ def _chunk_place(head: bytes, at: int, length: int) -> ChunkPlace:
 def _keep(framing: Framing, opcode: int, data: bytes) -> None:
     stream = ReadDataStream(BytesIO(data))
     if opcode == Opcode.HEADER:
-        framing.library = Header.read(stream).library
+        header = Header.read(stream)
+        framing.library, framing.profile = header.library, header.profile
     elif opcode == Opcode.SCHEMA:
         schema = Schema.read(stream)
         framing.schemas[schema.id] = schema
@@ -348,6 +404,9 @@ def _keep(framing: Framing, opcode: int, data: bytes) -> None:
         if zlib.crc32(data[:-4]) != int.from_bytes(data[-4:], "little"):
             raise ValueError(f"attachment {attachment.name} fails its checksum")
         framing.attachments[attachment.name] = attachment.data
+        framing.media_types[attachment.name] = attachment.media_type
+    elif opcode == Opcode.STATISTICS:
+        framing.statistics = Statistics.read(stream)
     elif opcode == Opcode.METADATA:
         metadata = Metadata.read(stream)
         framing.metadata[metadata.name] = metadata.metadata

@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tools.errors import ToolError
-from tools.log.chunks import ChunkPlace, DamageError, Framing, Run, content, runs, scan
+from tools.log.chunks import (
+    ChunkPlace,
+    DamageError,
+    Framing,
+    Run,
+    content,
+    data_is_whole,
+    runs,
+    scan,
+)
 from tools.log.decode import Column, column
 
 EVENTS = "/tonus/events"
@@ -42,6 +51,10 @@ class Log:
         self._damage = self._framing.damage
         self._usable = len(self._framing.chunks)
         self._window: tuple[int, int] | None = None
+        if not self._framing.channels:
+            # Some programs announce topics inside their chunks, and again in the summary.
+            for _ in self._runs(()):
+                pass
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -93,6 +106,17 @@ class Log:
         """All messages of a topic, a structured array (n,) in order of time."""
         self.load([topic])
         return self._columns[topic].messages
+
+    def is_as_written(self) -> bool:
+        """Whether the file's data passes the checksum over all of it, beyond those of its chunks;
+        takes a pass over the file."""
+        return data_is_whole(self.path, self._framing)
+
+    def has(self, topic: str, *fields: str) -> bool:
+        """Whether there are messages of a topic, and such fields in them."""
+        if topic not in self or not len(self[topic]):
+            return False
+        return set(fields) <= set(self[topic].dtype.names or ())
 
     def times(self, topic: str) -> NDArray[np.int64]:
         """log_time in ns (n,) of a topic's messages."""

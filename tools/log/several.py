@@ -45,6 +45,9 @@ class SeveralLogs(Log):
         told = [f"{log.path.name}: {log.damage}" for log in self._logs if log.damage]
         return "; ".join(told) or None
 
+    def is_as_written(self) -> bool:
+        return all(log.is_as_written() for log in self._logs)
+
     def load(self, topics: Sequence[str] | None = None) -> None:
         names = [name for name in self._known(topics) if name not in self._columns]
         for log in self._logs:
