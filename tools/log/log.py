@@ -84,6 +84,11 @@ class Log:
         return None
 
     @property
+    def start_ns(self) -> int:
+        """log_time of the file's first message, of a slice too; 0 without messages."""
+        return min((place.start_ns for place in self._framing.chunks), default=0)
+
+    @property
     def span_ns(self) -> tuple[int, int] | None:
         """First and last log_time, None without messages."""
         chunks = self._places()
@@ -152,11 +157,9 @@ class Log:
 
     def between(self, start_s: float, end_s: float) -> Log:
         """The messages with start_s <= time < end_s, in s since the log's first message."""
-        span = self.span_ns
         part = copy.copy(self)
         part._columns = {}
-        first = span[0] if span else 0
-        part._window = (first + _whole_ns(start_s), first + _whole_ns(end_s))
+        part._window = (self.start_ns + _whole_ns(start_s), self.start_ns + _whole_ns(end_s))
         return part
 
     def join(self, *topics: str) -> NDArray[np.void]:

@@ -35,6 +35,10 @@ class SeveralLogs(Log):
         return {name: str(count) for name, count in total.items()}
 
     @property
+    def start_ns(self) -> int:
+        return min(log.start_ns for log in self._logs)
+
+    @property
     def span_ns(self) -> tuple[int, int] | None:
         spans = [log.span_ns for log in self._logs]
         known = [span for span in spans if span is not None]
@@ -61,15 +65,13 @@ class SeveralLogs(Log):
             yield from log.batches([name for name in names if name in log])
 
     def between(self, start_s: float, end_s: float) -> Log:
-        span = self.span_ns
-        first = span[0] if span else 0
         part = copy.copy(self)
         part._columns = {}
-        part._logs = []
-        for log in self._logs:
-            own = log.span_ns
-            lag = ((own[0] if own else first) - first) * 1e-9
-            part._logs.append(log.between(start_s - lag, end_s - lag))
+        lags = [(log.start_ns - self.start_ns) * 1e-9 for log in self._logs]
+        part._logs = [
+            log.between(start_s - lag, end_s - lag)
+            for log, lag in zip(self._logs, lags, strict=True)
+        ]
         return part
 
     def _joined(self, topic: str) -> Column:
