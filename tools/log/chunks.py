@@ -365,12 +365,15 @@ def _alike(buffer: NDArray[np.uint8], at: int, stride: int) -> int:
     """How many records from ``at`` on have the same opcode, length and channel."""
     most = (len(buffer) - at) // stride
     rows = buffer[at : at + most * stride].reshape(most, stride)
-    head = rows[0, :11]
-    count, step = 1, 64
+    # Bytes 0 to 10, as two words that overlap.
+    first, second = (rows[:, start : start + 8].view("<u8")[:, 0] for start in (0, 3))
+    count, step = 1, 512
     while count < most:
-        same = (rows[count : count + step, :11] == head).all(axis=1)
-        if not same.all():
-            return count + int(same.argmin())
+        same = first[count : count + step] == first[0]
+        same &= second[count : count + step] == second[0]
+        unlike = int(same.argmin())
+        if not same[unlike]:
+            return count + unlike
         count += len(same)
         step *= 4
     return count

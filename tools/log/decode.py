@@ -54,8 +54,81 @@ def column(schema: Schema | None, encoding: str, parts: Sequence[Run]) -> Column
         messages[:] = each
     times = _joined([part.log_time for part in parts])
     sequence = _joined([part.sequence for part in parts])
-    found = Column(messages, times, sequence)
-    return found.chosen(np.argsort(times, kind="stable")) if (np.diff(times) < 0).any() else found
+    return _in_order(Column(messages, times, sequence))
+
+
+def _in_order(found: Column) -> Column:
+    backwards = (found.times[1:] < found.times[:-1]).any()
+    return found.chosen(np.argsort(found.times, kind="stable")) if backwards else found
+
+
+class Collector:
+    """The messages of a topic as they come, chunk after chunk. Those of one size are copied once,
+    to where they stay."""
+
+    def __init__(self, schema: Schema | None, encoding: str, expected: int, room: int) -> None:
+        """``expected``: how many messages there will be, if the file tells; ``room``: bytes that
+        all of the file's chunks hold."""
+        self._schema, self._encoding = schema, encoding
+        self._expected, self._room = expected, room
+        self._dtype: np.dtype[np.void] | None = None
+        self._rows: NDArray[np.void] = np.empty(0, "V1")
+        """bodies, as lumps: numpy copies those faster than rows of bytes"""
+        self._times = np.empty(0, np.int64)
+        self._sequence = np.empty(0, np.int64)
+        self._count = 0
+        self._others: list[Run] = []
+        """of another size, or before it was known that all are alike"""
+
+    def add(self, run: Run) -> None:
+        if self._dtype is None and not self._others:
+            self._dtype = self._fixed(run)
+        if self._dtype is None or run.data.shape[1] - len(_CDR) != self._dtype.itemsize:
+            # A copy lets go of the rest of the chunk.
+            self._others.append(Run(run.channel, run.rows.copy()))
+            return
+        start, end = self._count, self._count + len(run.rows)
+        if end > len(self._times):
+            told = min(self._expected, self._room // run.rows.shape[1])
+            self._grow(max(end, told, 2 * start))
+        self._rows[start:end] = run.data[:, len(_CDR) :].view(self._rows.dtype)[:, 0]
+        self._times[start:end], self._sequence[start:end] = run.log_time, run.sequence
+        self._count = end
+
+    def column(self) -> Column:
+        if self._others or self._dtype is None:
+            return column(self._schema, self._encoding, [*self._as_run(), *self._others])
+        end = self._count
+        rows = self._rows[:end].view(self._dtype)
+        return _in_order(Column(rows, self._times[:end], self._sequence[:end]))
+
+    def _fixed(self, run: Run) -> np.dtype[np.void] | None:
+        sample = column(self._schema, self._encoding, [Run(run.channel, run.rows[:1])])
+        dtype = sample.messages.dtype
+        return None if dtype.hasobject else dtype
+
+    def _grow(self, size: int) -> None:
+        assert self._dtype is not None
+        rows: NDArray[np.void] = np.empty(size, f"V{self._dtype.itemsize}")
+        times, sequence = np.empty(size, np.int64), np.empty(size, np.int64)
+        if self._count:
+            rows[: self._count] = self._rows[: self._count]
+            times[: self._count] = self._times[: self._count]
+            sequence[: self._count] = self._sequence[: self._count]
+        self._rows, self._times, self._sequence = rows, times, sequence
+
+    def _as_run(self) -> list[Run]:
+        """What was taken for fixed, back in its first form."""
+        if not self._count:
+            return []
+        size, head = self._rows.dtype.itemsize, 9 + 22
+        rows = np.zeros((self._count, head + len(_CDR) + size), np.uint8)
+        numbers = self._sequence[: self._count, None].astype("<u4")
+        rows[:, 11:15] = numbers.view("u1")
+        rows[:, 15:23] = self._times[: self._count, None].view("u1")
+        rows[:, head : head + len(_CDR)] = np.frombuffer(_CDR, np.uint8)
+        rows[:, head + len(_CDR) :] = self._rows[: self._count, None].view("u1")
+        return [Run(0, rows)]
 
 
 def joined(columns: Sequence[Column]) -> Column:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.records import Channel
 from numpy.typing import NDArray
 
 from tools.errors import ToolError
@@ -22,7 +23,7 @@ from tools.log.chunks import (
     runs,
     scan,
 )
-from tools.log.decode import Column, column
+from tools.log.decode import Collector, Column, column
 
 EVENTS = "/tonus/events"
 _CONFIG_NAMES = ("config.yaml", "config.json")
@@ -140,13 +141,13 @@ class Log:
         wanted = [name for name in names if name not in self._columns]
         if not wanted:
             return
-        found: dict[str, list[Run]] = {name: [] for name in wanted}
+        found = {name: self._collector(name) for name in wanted}
         for parts in self._runs(wanted):
             for name, some in parts.items():
-                # A copy lets go of the rest of the chunk.
-                found[name] += [Run(run.channel, run.rows.copy()) for run in some]
+                for run in some:
+                    found[name].add(run)
         for name in wanted:
-            self._columns[name] = self._decode(name, found.pop(name))
+            self._columns[name] = self._trimmed(found.pop(name).column())
 
     def batches(self, topics: Sequence[str]) -> Iterator[dict[str, Column]]:
         """The same a chunk at a time, for logs that memory does not hold: what is new of each
@@ -225,9 +226,23 @@ class Log:
             yield parts
 
     def _decode(self, topic: str, parts: list[Run]) -> Column:
-        channel = next(c for c in self._framing.channels.values() if c.topic == topic)
+        channel = self._channel(topic)
         schema = self._framing.schemas.get(channel.schema_id)
-        found = column(schema, channel.message_encoding, parts)
+        return self._trimmed(column(schema, channel.message_encoding, parts))
+
+    def _collector(self, topic: str) -> Collector:
+        channel, statistics = self._channel(topic), self._framing.statistics
+        expected = 0
+        if statistics is not None and self._window is None:
+            expected = statistics.channel_message_counts.get(channel.id, 0)
+        room = sum(place.uncompressed_size for place in self._framing.chunks)
+        schema = self._framing.schemas.get(channel.schema_id)
+        return Collector(schema, channel.message_encoding, expected, room)
+
+    def _channel(self, topic: str) -> Channel:
+        return next(c for c in self._framing.channels.values() if c.topic == topic)
+
+    def _trimmed(self, found: Column) -> Column:
         if self._window is None:
             return found
         first, last = np.searchsorted(found.times, self._window)
