@@ -24,6 +24,7 @@ from runtime.signals import CycleRecord
 VERSION = 1
 _CONSTANT = (BaseModel, FunctionType, clarabel.DefaultSolver)
 """Settings, functions, and a solver that starts from nothing each time."""
+_NUMBER = (int, float, np.generic)
 _PLAIN = (type(None), bool, int, str)
 
 Owner = TypeVar("Owner")
@@ -192,6 +193,8 @@ class _Builder:
             made = CycleRecord()
             made.data[...] = np.frombuffer(entry.data, made.data.dtype)
         elif kind in ("tuple", "list"):
+            if not 0 <= value <= len(self._flat):
+                raise KeyframeError(f"a keyframe that claims {value} items at {path}")
             models = list(model) if isinstance(model, tuple | list) else []
             models += [None] * (value - len(models))
             items = [self.build(f"{path}.{index}", models[index]) for index in range(value)]
@@ -210,7 +213,21 @@ class _Builder:
         prefix = f"{path}."
         names = [key[len(prefix) :] for key in self._flat if key.startswith(prefix)]
         for attribute in dict.fromkeys(key.partition(".")[0] for key in names):
-            part = self.build(prefix + attribute, getattr(model, attribute, None))
+            before = getattr(model, attribute, None)
+            part = self.build(prefix + attribute, before)
+            if not _alike(before, part):
+                raise KeyframeError(f"a keyframe that does not fit at {prefix}{attribute}")
             # Also into a frozen dataclass: it is ours and nobody has seen it yet.
             object.__setattr__(made, attribute, part)
         return made
+
+
+def _alike(before: Any, part: Any) -> bool:
+    """Whether one may stand for the other. Compiled code relies on the arrays' sizes."""
+    if before is None or part is None:
+        return True
+    if isinstance(before, np.ndarray) and isinstance(part, np.ndarray):
+        return before.shape == part.shape and before.dtype == part.dtype
+    if isinstance(before, _NUMBER) and not isinstance(before, Enum):
+        return isinstance(part, _NUMBER)
+    return type(before) is type(part)
