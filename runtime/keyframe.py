@@ -25,7 +25,7 @@ VERSION = 1
 _CONSTANT = (BaseModel, FunctionType, clarabel.DefaultSolver)
 """Settings, functions, and a solver that starts from nothing each time."""
 _NUMBER = (int, float, np.generic)
-_PLAIN = (type(None), bool, int, str)
+_LEAVES = (float, int, str, type(None), np.generic, Enum)
 
 Owner = TypeVar("Owner")
 Flat = dict[str, "Entry"]
@@ -99,18 +99,8 @@ def _flat(owner: object) -> Flat:
 
 
 def _walk(path: str, value: Any, flat: Flat, seen: dict[int, str]) -> None:
-    if isinstance(value, Enum):
-        flat[path] = Entry("enum", [type(value).__name__, value.value])
-        return
-    if isinstance(value, np.generic):
-        flat[path] = Entry("scalar", value.dtype.str, value.tobytes())
-        return
-    if isinstance(value, float):
-        # As text a NaN equals itself, and -0.0 is not 0.0.
-        flat[path] = Entry("float", value.hex())
-        return
-    if isinstance(value, _PLAIN):
-        flat[path] = Entry("plain", value)
+    if isinstance(value, _LEAVES):
+        flat[path] = _leaf(value)
         return
     known = seen.setdefault(id(value), path)
     if known != path:
@@ -119,14 +109,32 @@ def _walk(path: str, value: Any, flat: Flat, seen: dict[int, str]) -> None:
         flat[path] = Entry("array", [value.dtype.str, list(value.shape)], value.tobytes())
     elif isinstance(value, CycleRecord):
         flat[path] = Entry("record", None, value.data.tobytes())
-    elif isinstance(value, tuple | list):
+    elif isinstance(value, (tuple, list, dict)):
         flat[path] = Entry(type(value).__name__, len(value))
-        for index, item in enumerate(value):
+        for index, item in enumerate(_items(value)):
             _walk(f"{path}.{index}", item, flat, seen)
     else:
         flat[path] = Entry("object", type(value).__name__)
         for name, item in _attributes(value):
             _walk(f"{path}.{name}", item, flat, seen)
+
+
+def _leaf(value: Any) -> Entry:
+    if isinstance(value, Enum):
+        return Entry("enum", [type(value).__name__, value.value])
+    if isinstance(value, np.generic):
+        return Entry("scalar", value.dtype.str, value.tobytes())
+    if isinstance(value, float):
+        # As text a NaN equals itself, and -0.0 is not 0.0.
+        return Entry("float", value.hex())
+    return Entry("plain", value)
+
+
+def _items(value: Any) -> list[Any]:
+    """What a container holds, of a dictionary each key before its value."""
+    if isinstance(value, dict):
+        return [each for pair in value.items() for each in pair]
+    return list(value)
 
 
 def _attributes(value: object) -> Iterator[tuple[str, Any]]:
@@ -151,12 +159,12 @@ class _Builder:
         """One example of each kind of object and enumeration: no other kind can be asked for."""
         if isinstance(value, Enum):
             self._models.setdefault(type(value).__name__, type(value))
-        leaf = isinstance(value, (*_PLAIN, float, np.generic, np.ndarray, CycleRecord))
+        leaf = isinstance(value, (*_LEAVES, np.ndarray, CycleRecord))
         if leaf or id(value) in seen:
             return
         seen.add(id(value))
-        if isinstance(value, tuple | list):
-            inner = list(value)
+        if isinstance(value, (tuple, list, dict)):
+            inner = _items(value)
         else:
             self._models.setdefault(type(value).__name__, value)
             inner = [item for _, item in _attributes(value)]
@@ -192,13 +200,17 @@ class _Builder:
         elif kind == "record":
             made = CycleRecord()
             made.data[...] = np.frombuffer(entry.data, made.data.dtype)
-        elif kind in ("tuple", "list"):
+        elif kind in ("tuple", "list", "dict"):
             if not 0 <= value <= len(self._flat):
                 raise KeyframeError(f"a keyframe that claims {value} items at {path}")
-            models = list(model) if isinstance(model, tuple | list) else []
-            models += [None] * (value - len(models))
-            items = [self.build(f"{path}.{index}", models[index]) for index in range(value)]
-            made = tuple(items) if kind == "tuple" else items
+            count = 2 * value if kind == "dict" else value
+            models = _items(model) if isinstance(model, (tuple, list, dict)) else []
+            models += [None] * (count - len(models))
+            items = [self.build(f"{path}.{index}", models[index]) for index in range(count)]
+            if kind == "dict":
+                made = dict(zip(items[::2], items[1::2], strict=True))
+            else:
+                made = tuple(items) if kind == "tuple" else items
         elif kind == "object":
             made = self._object(path, value, model)
         else:
@@ -227,7 +239,7 @@ def _alike(before: Any, part: Any) -> bool:
     if before is None or part is None:
         return True
     if isinstance(before, np.ndarray) and isinstance(part, np.ndarray):
-        return before.shape == part.shape and before.dtype == part.dtype
+        return before.shape == part.shape and bool(before.dtype == part.dtype)
     if isinstance(before, _NUMBER) and not isinstance(before, Enum):
         return isinstance(part, _NUMBER)
     return type(before) is type(part)

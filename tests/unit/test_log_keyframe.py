@@ -104,6 +104,23 @@ def test_other_bytes_are_refused(run: Run, state: bytes) -> None:
         restore(state, run.fresh())
 
 
+def test_dictionaries_and_what_they_share_come_back() -> None:
+    class Kept:
+        def __init__(self) -> None:
+            self.array = np.zeros(2)
+            self.by_state = {State.HOLD: self.array, State.OFF: (1.0, None)}
+
+    Kept.__module__ = "runtime.kept"
+    kept = Kept()
+    keyframe = Keyframe(kept)
+    kept.array[:] = 7.0
+    kept.by_state[State.OFF] = (-0.0, None)
+    back = restore(keyframe.take(), Kept())
+    assert back.by_state[State.HOLD] is back.array
+    assert back.array.tolist() == [7.0, 7.0]
+    assert str(back.by_state[State.OFF]) == "(-0.0, None)"
+
+
 def test_what_cannot_be_kept_is_said_when_the_first_is_asked_for() -> None:
     class Odd:
         def __init__(self) -> None:
