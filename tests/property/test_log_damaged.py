@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tracemalloc
 from pathlib import Path
 
@@ -22,11 +23,12 @@ from tools.cli.log_info import describe
 from tools.errors import ToolError
 from tools.log import open as open_log
 from tools.log.chunks import scan
+from tools.log.export import export
 from tools.log.recover import recover
 from tools.log.replay import replay
 
 QUIET = settings(
-    max_examples=40,
+    max_examples=25,
     derandomize=True,
     deadline=None,
     phases=[Phase.generate],
@@ -45,11 +47,13 @@ def looked_at(data: bytes, folder: Path) -> None:
     path, out = folder / "run.mcap", folder / "out.mcap"
     path.write_bytes(data)
     out.unlink(missing_ok=True)
+    shutil.rmtree(folder / "tables", ignore_errors=True)
     lines: list[str] = []
     for look in (
         lambda: json.dumps(describe(open_log(path))),
         lambda: recover(path, out),
         lambda: replay(open_log(path)),
+        lambda: export(open_log(path), folder / "tables", "csv", ["/tonus/state", "/can/can0"]),
     ):
         try:
             look()

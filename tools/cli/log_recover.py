@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import click
+from rich.console import Console
 
 from tools.log.recover import Salvage
 from tools.log.recover import recover as carry_out
@@ -22,7 +23,10 @@ def recover(file: Path, out: Path | None, *, as_json: bool) -> None:
     """Write what can be trusted in FILE to another file and prove that by reading it; FILE stays as
     it is."""
     out = file.with_name(f"{file.stem}.recovered.mcap") if out is None else out
-    salvage = carry_out(file, out)
+    with Console(stderr=True).status("recovering") as status:
+        salvage = carry_out(
+            file, out, lambda share: status.update(f"recovering, {100.0 * share:.0f} %")
+        )
     if as_json:
         known = None if salvage is None else asdict(salvage)
         click.echo(json.dumps({"file": str(out) if salvage else None, "salvage": known}, indent=2))

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 import numpy as np
+from rich.console import Console
 
 from config import load
 from tools.errors import ToolError
@@ -39,7 +40,14 @@ def replay(
     output bit for bit; or, --with another configuration, tell what that would have commanded."""
     log = open_log(files)
     config = load(other)[0] if other else None
-    found = carry_out(log, other=config, first=first, last=last)
+    with Console(stderr=True).status("replaying") as status:
+        found = carry_out(
+            log,
+            other=config,
+            first=first,
+            last=last,
+            progress=lambda tick: status.update(f"replaying, tick {tick}"),
+        )
     if not found.ticks:
         raise ToolError(f"{files[0]}: no tick to compare there; choose another --from or --to")
     if as_json:
@@ -57,8 +65,7 @@ def _tell(log: Log, found: Replay) -> None:
     if found.keyframes:
         span += f", begun at the keyframe of tick {', '.join(map(str, found.keyframes))}"
     click.echo(span)
-    for first, last in found.unchecked:
-        click.echo(f"not checked: {first} to {last}; records are missing before, and no keyframe")
+    _tell_unchecked(found)
     if log.damage:
         click.echo(f"damaged: {log.damage}; replayed up to there")
     if found.first is None:
@@ -72,6 +79,11 @@ def _tell(log: Log, found: Replay) -> None:
         click.echo(f"  and {len(often) - _SHOWN} more signals")
     for name, (then, now) in _other_versions(log).items():
         click.echo(f"recorded with {name} {then}, replayed with {now}")
+
+
+def _tell_unchecked(found: Replay) -> None:
+    for first, last in found.unchecked:
+        click.echo(f"not replayed: {first} to {last}; records are missing before, and a keyframe")
 
 
 def _worded(first: Difference) -> str:
@@ -101,6 +113,7 @@ def _tell_changes(found: Replay, name: str) -> None:
             f"{change.unit}, apart {change.rms:.5g}, most {change.largest:.5g} "
             f"in tick {change.at_tick}"
         )
+    _tell_unchecked(found)
     click.echo(f"  in the recorded state in {found.same_state} of {found.ticks} ticks")
     click.echo("The inputs are those of the recorded run: they do not answer to these commands.")
 
