@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from enum import IntEnum
 
 import numpy as np
@@ -87,3 +88,10 @@ class ProcessImage:
         self.axes["age"] = NEVER
         self.cells["age"] = NEVER
         self.tracker["quaternion"] = (1.0, 0.0, 0.0, 0.0)
+
+    def checksum(self, start: int) -> int:
+        """CRC-32 of the inputs, continued from ``start``."""
+        crc = start & 0xFFFFFFFF
+        for table in (self.axes, self.cells, self.tracker):
+            crc = zlib.crc32(table.data, crc)
+        return crc

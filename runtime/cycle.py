@@ -257,6 +257,7 @@ class ControlCycle:
         state = record.state
         state.elapsed[...] = sequence.elapsed
         state.scenario_time[...] = self._guide.time
+        state.inputs[...] = image.checksum(tick * len(Operator) + operator)
         state.fault[...] = sequence.fault
         state.fault_where[...] = sequence.where
         state.state[...] = sequence.state

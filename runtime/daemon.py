@@ -20,6 +20,7 @@ from config.schema.scenario import Scenario
 from drivers.fieldbus import BusEvent, Fieldbus, Progress
 from runtime.clock import Stopwatch, now_ns
 from runtime.cycle import ControlCycle
+from runtime.keyframe import Keyframe
 from runtime.operator import Commander
 from runtime.scheduler import Misses, Pacing, Scheduler
 from runtime.sequence import MOVING
@@ -60,6 +61,12 @@ class EventSink(Protocol):
     ) -> None: ...
 
 
+class KeyframeSink(Protocol):
+    """Where the cycle's state goes now and then."""
+
+    def __call__(self, stamp_ns: int, tick: int, state: bytes) -> None: ...
+
+
 @dataclass
 class Outcome:
     """How a run ended."""
@@ -85,12 +92,16 @@ class Daemon:
         ring: Ring,
         events: EventSink,
         stopwatch: Stopwatch,
+        keyframes: KeyframeSink | None = None,
     ) -> None:
         self._config = config
         self._fieldbus, self._tracker, self._commander = fieldbus, tracker, commander
         self._ring, self._events, self._stopwatch = ring, events, stopwatch
         self.cycle = ControlCycle(config.robot, config.control, config.tracker, scenario.reference)
         self._duration = scenario.duration
+        self._keyframes, self._keyframe = keyframes, Keyframe(self.cycle)
+        self._keyframe_ticks = round(config.recording.keyframe_s / config.control.rates.period)
+        self._keyframe_due = 0
         self._due_ns = 0
         self._recovery: asyncio.Task[None] | None = None
         self._state = State.OFF
@@ -185,6 +196,9 @@ class Daemon:
         timing.publish_us[...] = (published - computed) * 1e-3
         timing.processor_us[...] = used * 1e-3
         self._ring.publish(record.data, due_ns)
+        if self._keyframes is not None and tick >= self._keyframe_due:
+            self._keyframe_due = tick + self._keyframe_ticks
+            self._keyframes(due_ns, tick, self._keyframe.take())
         self._report(tick, command)
 
     def _command(self) -> Operator:

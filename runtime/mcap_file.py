@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,6 +57,17 @@ _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
 @dataclass(frozen=True)
+class Index:
+    """Where messages of one channel stand in the content of a chunk."""
+
+    channel: int
+    log_time: NDArray[np.int64]
+    """(n,) ns"""
+    offset: NDArray[np.int64]
+    """(n,) of their records, from the content's start"""
+
+
+@dataclass(frozen=True)
 class Block:
     """Messages of one channel in order of time, all of one size."""
 
@@ -89,7 +100,9 @@ class Block:
 class McapFile:
     """An MCAP file in the making; `finish` makes it whole."""
 
-    def __init__(self, path: Path, compression: str) -> None:
+    def __init__(
+        self, path: Path, compression: str, *, profile: str = "ros2", library: str = "tonus"
+    ) -> None:
         """``compression``: zstd, lz4 or none."""
         self.path = path
         self._name, self._compress = _compressor(compression)
@@ -105,7 +118,7 @@ class McapFile:
         self._first: int | None = None
         self._last = 0
         self._write(MCAP0_MAGIC)
-        self._record(Header(profile="ros2", library="tonus"))
+        self._record(Header(profile=profile, library=library))
 
     def channel(self, topic: str, message: str, definition: str) -> int:
         """Announce a topic of CDR messages with their ROS 2 definition; gives the channel's id."""
@@ -130,6 +143,16 @@ class McapFile:
         self._counts[channel.id] = 0
         self._record(channel)
         return channel.id
+
+    def adopt(self, schemas: Iterable[Schema], channels: Iterable[Channel]) -> None:
+        """Announce what another file announced, under the numbers it has there."""
+        for schema in schemas:
+            self._schemas[f"{schema.name} {schema.id}"] = schema
+            self._record(schema)
+        for channel in channels:
+            self._channels[channel.id] = channel
+            self._counts[channel.id] = 0
+            self._record(channel)
 
     def attach(self, name: str, data: bytes, media_type: str) -> None:
         offset = self._offset
@@ -158,28 +181,39 @@ class McapFile:
         blocks = [block for block in blocks if len(block.log_time)]
         if not blocks:
             return
-        groups = _by_channel(blocks)
+        groups: dict[int, list[Block]] = {}
+        for each in blocks:
+            groups.setdefault(each.channel, []).append(each)
         sizes = [(block.dtype, len(block.log_time)) for block in blocks]
         content = np.empty(sum(dtype.itemsize * count for dtype, count in sizes), np.uint8)
-        indexes: dict[int, bytes] = {}
+        indexes: list[Index] = []
         offset = 0
         for channel, group in groups.items():
-            entries = []
             for block in group:
                 dtype, count = block.dtype, len(block.log_time)
                 block.encode(np.frombuffer(content.data, dtype, count, offset))
-                entry = np.empty(count, _INDEX_ENTRY)
-                entry["log_time"] = block.log_time
-                entry["offset"] = offset + dtype.itemsize * np.arange(count)
-                entries.append(entry)
+                places = offset + dtype.itemsize * np.arange(count)
+                indexes.append(Index(channel, block.log_time, places))
                 offset += dtype.itemsize * count
-            indexes[channel] = _message_index(channel, np.concatenate(entries))
-            self._counts[channel] += sum(len(entry) for entry in entries)
-        start = min(int(block.log_time.min()) for block in blocks)
-        end = max(int(block.log_time.max()) for block in blocks)
+        self.records(content.data, indexes)
+
+    def records(self, content: memoryview, places: Sequence[Index]) -> None:
+        """The same from records that are encoded already; ``places`` names all its messages."""
+        parts: dict[int, list[NDArray[np.void]]] = {}
+        for place in places:
+            entry = np.empty(len(place.log_time), _INDEX_ENTRY)
+            entry["log_time"], entry["offset"] = place.log_time, place.offset
+            parts.setdefault(place.channel, []).append(entry)
+            self._counts[place.channel] += len(entry)
+        indexes = {
+            channel: _message_index(channel, np.concatenate(part))
+            for channel, part in parts.items()
+        }
+        start = min(int(place.log_time.min()) for place in places)
+        end = max(int(place.log_time.max()) for place in places)
         self._first = start if self._first is None else min(self._first, start)
         self._last = max(self._last, end)
-        data = self._compress(content.data)
+        data = self._compress(content)
         chunk_at = self._offset
         head = _CHUNK_HEAD.pack(
             Opcode.CHUNK,
@@ -187,15 +221,15 @@ class McapFile:
             start,
             end,
             content.nbytes,
-            zlib.crc32(content.data),
+            zlib.crc32(content),
             len(self._name),
         )
         length = self._write(head + self._name.encode() + len(data).to_bytes(8, "little"))
         length += self._write(data)
-        places: dict[int, int] = {}
+        offsets: dict[int, int] = {}
         index_at = self._offset
         for channel, index in indexes.items():
-            places[channel] = self._offset
+            offsets[channel] = self._offset
             self._write(index)
         self._file.flush()
         self._chunks.append(
@@ -206,7 +240,7 @@ class McapFile:
                 compressed_size=len(data),
                 message_end_time=end,
                 message_index_length=self._offset - index_at,
-                message_index_offsets=places,
+                message_index_offsets=offsets,
                 message_start_time=start,
                 uncompressed_size=content.nbytes,
             )
@@ -272,13 +306,6 @@ def _bytes_of(record: McapRecord) -> bytes:
 def _end(builder: RecordBuilder) -> bytes:
     data: bytes = builder.end()  # type: ignore[no-untyped-call]  # mcap annotates only in part
     return data
-
-
-def _by_channel(blocks: Sequence[Block]) -> dict[int, list[Block]]:
-    groups: dict[int, list[Block]] = {}
-    for block in blocks:
-        groups.setdefault(block.channel, []).append(block)
-    return groups
 
 
 def _message_index(channel: int, entries: NDArray[np.void]) -> bytes:

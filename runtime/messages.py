@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from runtime.mcap_file import Block, McapFile
 from runtime.ring import Meta, RingError
-from runtime.taps import EVENT, FRAME
+from runtime.taps import EVENT, FRAME, KEYFRAME
 from runtime.topics import from_json, record_dtype
 
 FRAME_DEFINITION = """\
@@ -40,6 +40,13 @@ uint8 level  # 10 debug, 20 info, 30 warning, 40 error, 50 fatal
 string name  # what happened
 string where  # the axis, cell, bus or part it concerns
 string text  # for a person
+"""
+
+KEYFRAME_TOPIC = "/tonus/keyframe"
+KEYFRAME_MESSAGE = "tonus_msgs/msg/Keyframe"
+KEYFRAME_DEFINITION = """\
+uint64 tick  # the state is that after this tick
+uint8[] state  # of the control cycle, see runtime/keyframe.py
 """
 
 _EXTENDED, _REMOTE, _ERROR = 1 << 31, 1 << 30, 1 << 29
@@ -136,6 +143,30 @@ class EventEncoder:
         return blocks
 
 
+class KeyframeEncoder:
+    """States of the cycle: few, and of any length."""
+
+    def __init__(self, file: McapFile) -> None:
+        self._channel = file.channel(KEYFRAME_TOPIC, KEYFRAME_MESSAGE, KEYFRAME_DEFINITION)
+
+    def __call__(
+        self, log_time: NDArray[np.int64], position: NDArray[np.int64], payload: NDArray[np.uint8]
+    ) -> list[Block]:
+        blocks = []
+        for index, row in enumerate(payload.view(KEYFRAME)[:, 0]):
+            size = int(row["size"])
+            body = struct.pack("<QI", int(row["tick"]), size) + row["state"][:size].tobytes()
+            blocks.append(
+                Block(
+                    self._channel,
+                    log_time[index : index + 1],
+                    position[index : index + 1],
+                    np.frombuffer(body, np.uint8)[None, :],
+                )
+            )
+        return blocks
+
+
 def _frame_template(name: str) -> NDArray[np.void]:
     """One can_msgs/msg/Frame body (1,) with what is constant for a bus filled in."""
     frame_id = name.encode() + b"\0"
@@ -169,4 +200,6 @@ def encoder(file: McapFile, events: EventEncoder, meta: Meta) -> Encoder:
         return FrameEncoder(file, meta)
     if kind == "events":
         return events
+    if kind == "keyframes":
+        return KeyframeEncoder(file)
     raise RingError(f"a ring of unknown kind: {json.dumps(meta)[:80]}")

@@ -92,6 +92,7 @@ TOPICS: tuple[Topic, ...] = (
         "the state machine",
         _f8("elapsed", 0, "s", "time in the present state"),
         _f8("scenario_time", 0, "s", "time in ACTIVE as the reference sees it"),
+        Field("inputs", "uint32", 0, "", "CRC-32 of all inputs of the tick, for a replay"),
         Field("fault", "uint16", 0, "", "Fault that led here, 0 for none"),
         Field("fault_where", "int16", 0, "", "axis, cell or bound of the fault, -1 for none"),
         Field("state", "uint8", 0, "", "State"),

@@ -1,4 +1,4 @@
-"""Rings with a payload of their own: raw bus frames, and events for people."""
+"""Rings with a payload of their own: raw bus frames, events for people, and keyframes."""
 
 from __future__ import annotations
 
@@ -34,6 +34,9 @@ EVENT = np.dtype(
         ("text", "S439"),
     ]
 )
+
+KEYFRAME_BYTES = 1 << 17
+KEYFRAME = np.dtype([("tick", "<u8"), ("size", "<u8"), ("state", "u1", (KEYFRAME_BYTES,))])
 
 
 class Level(IntEnum):
@@ -83,6 +86,24 @@ class EventRing(RingWriter):
         record["tick"], record["level"] = tick, level
         record["name"], record["where"] = _cut(name, 32), _cut(where, 32)
         record["text"] = _cut(text, 439)
+        self.publish(record, stamp_ns)
+
+
+class KeyframeRing(RingWriter):
+    """The cycle's whole state, every few seconds."""
+
+    @classmethod
+    def open(cls, path: Path, capacity: int = 8) -> Self:
+        return cls.create(path, KEYFRAME.itemsize, capacity, {"kind": "keyframes"})
+
+    def write(self, stamp_ns: int, tick: int, state: bytes) -> None:
+        """Record the state after ``tick``; one that is too large is left out, and a replay begins
+        at an earlier one."""
+        if len(state) > KEYFRAME_BYTES:
+            return
+        record = np.zeros(1, KEYFRAME)
+        record["tick"], record["size"] = tick, len(state)
+        record["state"][0, : len(state)] = np.frombuffer(state, np.uint8)
         self.publish(record, stamp_ns)
 
 

@@ -38,7 +38,7 @@ from runtime.rehearsal import rehearse
 from runtime.ring import RingWriter
 from runtime.scheduler import TimerPacing, VirtualPacing
 from runtime.signals import CYCLE, SCHEMA_VERSION, TOPICS
-from runtime.taps import EventRing, FrameRing
+from runtime.taps import EventRing, FrameRing, KeyframeRing
 from runtime.topics import to_json
 from sim.lab import Lab
 from tools.cli.live import Live
@@ -108,6 +108,7 @@ class _Stage:
         meta = {"kind": "record", "topics": to_json(TOPICS)}
         self._cycles = RingWriter.create(rings / "cycle.ring", CYCLE.itemsize, ticks, meta)
         self._events = EventRing.open(rings / "events.ring")
+        self._keyframes = KeyframeRing.open(rings / "keyframes.ring")
         self._tap: FrameTap | None = None
         if config.recording.raw_frames and not isinstance(config.fieldbus, DirectBus):
             channels = [channel.name for channel in config.fieldbus.channels]
@@ -251,6 +252,7 @@ class _Stage:
             ring=self._cycles,
             events=self._events.write,
             stopwatch=stopwatch,
+            keyframes=self._keyframes.write,
         )
 
     @contextmanager

@@ -343,3 +343,5 @@ class Recording(Section):
     never of the ring"""
     compression: Literal["zstd", "lz4", "none"]
     raw_frames: bool
+    keyframe_s: Positive = 10.0
+    """a replay may begin at one of these; a log of before there were any says nothing of them"""

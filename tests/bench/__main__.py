@@ -11,6 +11,7 @@ from rich.table import Table
 
 from tests.bench.control import control
 from tests.bench.frames import frames
+from tests.bench.log import log
 from tests.bench.measure import Figure
 from tests.bench.whole import whole
 
@@ -18,7 +19,7 @@ from tests.bench.whole import whole
 def main() -> None:
     figures: list[Figure] = []
     console = Console()
-    for bench in (control, frames, whole):
+    for bench in (control, frames, whole, log):
         console.print(f"measuring {bench.__name__} ...")
         figures += bench()
     table = Table("what", "value", "peer", "peer's value", "ratio", "note")

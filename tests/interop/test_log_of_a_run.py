@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import can
+import cantools.database
 import numpy as np
 import pytest
+from cantools.database.can import Database
+from click.testing import CliRunner
 from hil.runs import configured, virtual
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from runtime.signals import TOPICS
+from tools.cli.export import export as export_command
 from tools.log import Log
+from tools.log.export import export
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +62,25 @@ def test_rosbags_decodes_it_to_the_same_numbers(log: Log, topic: str) -> None:
                         assert np.array_equal(np.asarray(theirs), row[name]), name
             number += 1
     assert number == len(ours)
+
+
+def test_exported_frames_decode_with_the_exported_dbc(log: Log, tmp_path: Path) -> None:
+    made = CliRunner().invoke(
+        export_command, ["dbc", "config/can.yaml", "--out", str(tmp_path / "x.dbc")]
+    )
+    assert made.exit_code == 0, made.output
+    database = cantools.database.load_file(tmp_path / "x.dbc")
+    assert isinstance(database, Database)
+    export(log, tmp_path, "blf")
+    forces, decoded = [], 0
+    with can.LogReader(tmp_path / "run.blf") as reader:
+        for frame in reader:
+            message = database.get_message_by_frame_id(frame.arbitration_id)
+            if frame.dlc == message.length and message.signals:
+                told = message.decode(frame.data)
+                decoded += 1
+                if message.name == "Cell1_TPDO1":
+                    forces.append(told["Force"])
+    assert decoded > 20 * len(log["/tonus/timing"])
+    measured = log["/tonus/force_cells"]["raw"][:, 1]
+    assert np.isin(np.round(forces, 9), np.round(measured, 9)).mean() > 0.99

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.records import Channel
 from numpy.typing import NDArray
 
 from tools.errors import ToolError
-from tools.log.chunks import Framing, Run, content, runs, scan
-from tools.log.schema import body_dtype
+from tools.log.chunks import (
+    ChunkPlace,
+    DamageError,
+    Framing,
+    Run,
+    content,
+    data_is_whole,
+    runs,
+    scan,
+)
+from tools.log.decode import Collector, Column, column
 
 EVENTS = "/tonus/events"
-_CDR_HEADER = 4
 _CONFIG_NAMES = ("config.yaml", "config.json")
+_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -31,34 +42,25 @@ class Event:
     text: str
 
 
-@dataclass(frozen=True)
-class _Column:
-    """All messages of a topic."""
-
-    messages: NDArray[Any]
-    times: NDArray[np.int64]
-    sequence: NDArray[np.int64]
-
-
-def open(path: str | Path) -> Log:  # noqa: A001  # as in wave.open: read as log.open(path)
-    """Open a log. Raises ToolError when the file is not a log at all."""
-    return Log(Path(path))
-
-
 class Log:
     """Topics of one file as structured arrays, decoded when they are first asked for."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._framing: Framing = scan(path)
-        self._columns: dict[str, _Column] = {}
+        self._columns: dict[str, Column] = {}
         self._damage = self._framing.damage
         self._usable = len(self._framing.chunks)
+        self._window: tuple[int, int] | None = None
+        if not self._framing.channels:
+            # Some programs announce topics inside their chunks, and again in the summary.
+            for _ in self._runs(()):
+                pass
 
     @property
     def topics(self) -> tuple[str, ...]:
         """Names of all topics, in the file's order; some may hold no message."""
-        return tuple(channel.topic for channel in self._framing.channels.values())
+        return tuple(dict.fromkeys(c.topic for c in self._framing.channels.values()))
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -79,16 +81,24 @@ class Log:
         """The configuration of the run."""
         for name in _CONFIG_NAMES:
             if name in self.attachments:
-                return self.attachments[name].decode()
+                return self.attachments[name].decode(errors="replace")
         return None
+
+    @property
+    def start_ns(self) -> int:
+        """log_time of the file's first message, of a slice too; 0 without messages."""
+        return min((place.start_ns for place in self._framing.chunks), default=0)
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
         """First and last log_time, None without messages."""
-        chunks = self._framing.chunks[: self._usable]
+        chunks = self._places()
         if not chunks:
             return None
-        return min(c.start_ns for c in chunks), max(c.end_ns for c in chunks)
+        first, last = min(c.start_ns for c in chunks), max(c.end_ns for c in chunks)
+        if self._window is not None:
+            first, last = max(first, self._window[0]), min(last, self._window[1] - 1)
+        return first, last
 
     @property
     def damage(self) -> str | None:
@@ -103,6 +113,17 @@ class Log:
         self.load([topic])
         return self._columns[topic].messages
 
+    def is_as_written(self) -> bool:
+        """Whether the file's data passes the checksum over all of it, beyond those of its chunks;
+        takes a pass over the file."""
+        return data_is_whole(self.path, self._framing)
+
+    def has(self, topic: str, *fields: str) -> bool:
+        """Whether there are messages of a topic, and such fields in them."""
+        if topic not in self or not len(self[topic]):
+            return False
+        return set(fields) <= set(self[topic].dtype.names or ())
+
     def times(self, topic: str) -> NDArray[np.int64]:
         """log_time in ns (n,) of a topic's messages."""
         self.load([topic])
@@ -116,30 +137,52 @@ class Log:
 
     def load(self, topics: Sequence[str] | None = None) -> None:
         """Decode several topics (all, if None) in one pass over the file."""
-        names = self.topics if topics is None else topics
-        for name in names:
-            if name not in self.topics:
-                raise ToolError(f"{self.path}: there is no topic {name}")
-        wanted = {name for name in names if name not in self._columns}
+        names = self._known(topics)
+        wanted = [name for name in names if name not in self._columns]
         if not wanted:
             return
-        found: dict[str, list[Run]] = {name: [] for name in wanted}
-        for index, place in enumerate(self._framing.chunks[: self._usable]):
-            data = content(self.path, place)
-            if data is None:
-                self._usable = index
-                self._damage = f"the chunk at byte {place.offset} is damaged"
-                break
-            for run in runs(data, self._framing):
-                channel = self._framing.channels.get(run.channel)
-                if channel is not None and channel.topic in wanted:
-                    # A copy lets go of the rest of the chunk.
-                    found[channel.topic].append(Run(run.channel, run.rows.copy()))
-        for name, parts in found.items():
-            self._columns[name] = self._decode(name, parts)
+        found = {name: self._collector(name) for name in wanted}
+        for parts in self._runs(wanted):
+            for name, some in parts.items():
+                for run in some:
+                    found[name].add(run)
+        for name in wanted:
+            self._columns[name] = self._trimmed(found.pop(name).column())
+
+    def batches(self, topics: Sequence[str]) -> Iterator[dict[str, Column]]:
+        """The same a chunk at a time, for logs that memory does not hold: what is new of each
+        topic, in order of time within a batch."""
+        names = self._known(topics)
+        for parts in self._runs(names):
+            yield {name: self._decode(name, parts.get(name, [])) for name in names}
+
+    def between(self, start_s: float, end_s: float) -> Log:
+        """The messages with start_s <= time < end_s, in s since the log's first message."""
+        part = copy.copy(self)
+        part._columns = {}
+        part._window = (self.start_ns + _whole_ns(start_s), self.start_ns + _whole_ns(end_s))
+        return part
+
+    def join(self, *topics: str) -> NDArray[np.void]:
+        """One record a tick (n,) with a member for each topic, named by its last part, and the
+        ``tick``: of each topic the latest message that the tick could know. Ticks before every
+        topic has spoken are left out."""
+        self.load(["/tonus/timing", *topics])
+        now = self.times("/tonus/timing")
+        rows = {topic: np.searchsorted(self.times(topic), now, "right") - 1 for topic in topics}
+        ready = np.ones(len(now), bool)
+        for index in rows.values():
+            ready &= index >= 0
+        members: list[Any] = [("tick", "<u8")]
+        members += [(topic.rsplit("/", 1)[1], self[topic].dtype) for topic in topics]
+        result = np.empty(int(ready.sum()), members)
+        result["tick"] = self["/tonus/timing"]["tick"][ready]
+        for topic, index in rows.items():
+            result[topic.rsplit("/", 1)[1]] = self[topic][index[ready]]
+        return result
 
     def events(self) -> list[Event]:
-        if EVENTS not in self:
+        if EVENTS not in self or self[EVENTS].dtype.names is None:
             return []
         rows = self[EVENTS]
         return [
@@ -147,71 +190,68 @@ class Log:
             for time, row in zip(self.times(EVENTS), rows.tolist(), strict=True)
         ]
 
-    def _decode(self, topic: str, parts: list[Run]) -> _Column:
-        channel = next(c for c in self._framing.channels.values() if c.topic == topic)
+    def _known(self, topics: Sequence[str] | None) -> Sequence[str]:
+        if topics is None:
+            return self.topics
+        for name in topics:
+            if name not in self.topics:
+                raise ToolError(f"{self.path}: there is no topic {name}")
+        return topics
+
+    def _places(self) -> list[ChunkPlace]:
+        """Chunks that may hold what is wanted."""
+        places = self._framing.chunks[: self._usable]
+        if self._window is None:
+            return places
+        start, end = self._window
+        return [place for place in places if place.start_ns < end and place.end_ns >= start]
+
+    def _runs(self, topics: Sequence[str]) -> Iterator[dict[str, list[Run]]]:
+        """By topic what each chunk holds, up to the first damaged one."""
+        wanted = set(topics)
+        for place in self._places():
+            data = content(self.path, place)
+            parts: dict[str, list[Run]] = {}
+            try:
+                for run in runs(data, self._framing) if data is not None else ():
+                    channel = self._framing.channels.get(run.channel)
+                    if channel is not None and channel.topic in wanted:
+                        parts.setdefault(channel.topic, []).append(run)
+            except DamageError:
+                data = None
+            if data is None:
+                self._usable = self._framing.chunks.index(place)
+                self._damage = f"the chunk at byte {place.offset} is damaged"
+                return
+            yield parts
+
+    def _decode(self, topic: str, parts: list[Run]) -> Column:
+        channel = self._channel(topic)
         schema = self._framing.schemas.get(channel.schema_id)
-        name = schema.name if schema else ""
-        definition = schema.data.decode(errors="replace") if schema else ""
-        if name == "tonus_msgs/msg/Event":
-            messages: NDArray[Any] = _events(parts)
-        else:
-            messages = _fixed(name, definition, parts)
-        times = _joined([part.log_time for part in parts])
-        sequence = _joined([part.sequence for part in parts])
-        if (np.diff(times) < 0).any():
-            order = np.argsort(times, kind="stable")
-            messages, times, sequence = messages[order], times[order], sequence[order]
-        return _Column(messages, times, sequence)
+        return self._trimmed(column(schema, channel.message_encoding, parts))
+
+    def _collector(self, topic: str) -> Collector:
+        channel, statistics = self._channel(topic), self._framing.statistics
+        expected = 0
+        if statistics is not None and self._window is None:
+            expected = statistics.channel_message_counts.get(channel.id, 0)
+        room = sum(place.uncompressed_size for place in self._framing.chunks)
+        schema = self._framing.schemas.get(channel.schema_id)
+        return Collector(schema, channel.message_encoding, expected, room)
+
+    def _channel(self, topic: str) -> Channel:
+        return next(c for c in self._framing.channels.values() if c.topic == topic)
+
+    def _trimmed(self, found: Column) -> Column:
+        if self._window is None:
+            return found
+        first, last = np.searchsorted(found.times, self._window)
+        return found.chosen(slice(int(first), int(last)))
 
 
-def _fixed(name: str, definition: str, parts: list[Run]) -> NDArray[Any]:
-    """Messages of one size; anything else stays a row of bytes, or an object."""
-    sizes = {part.data.shape[1] - _CDR_HEADER for part in parts}
-    size = sizes.pop() if len(sizes) == 1 else 0
-    dtype = body_dtype(name, definition, size)
-    if dtype is None and not parts:
-        dtype = _empty_dtype(name, definition)
-    if dtype is None:
-        each = [bytes(row) for part in parts for row in part.data]
-        unknown = np.empty(len(each), object)
-        unknown[:] = each
-        return unknown
-    rows = np.empty((sum(len(part.rows) for part in parts), size), np.uint8)
-    at = 0
-    for part in parts:
-        rows[at : at + len(part.rows)] = part.data[:, _CDR_HEADER:]
-        at += len(part.rows)
-    if not len(rows):
-        return np.empty(0, dtype)
-    return rows.view(dtype)[:, 0]
+def _whole_ns(seconds: float) -> int:
+    return int(min(max(seconds, -_LONG), _LONG) * _NS)
 
 
-def _empty_dtype(name: str, definition: str) -> np.dtype[np.void] | None:
-    """Of a topic without messages, whose size is not known: try what its members add up to."""
-    fits = (body_dtype(name, definition, size) for size in range(1, 1 << 12))
-    return next((dtype for dtype in fits if dtype is not None), None)
-
-
-def _events(parts: list[Run]) -> NDArray[Any]:
-    rows = [_event(bytes(row)) for part in parts for row in part.data]
-    kinds = ("<u8", "u1", object, object, object)
-    names = ("tick", "level", "name", "where", "text")
-    return np.array(rows, np.dtype(list(zip(names, kinds, strict=True))))
-
-
-def _event(data: bytes) -> tuple[int, int, str, str, str]:
-    tick = int.from_bytes(data[4:12], "little")
-    texts = _strings(data[_CDR_HEADER:], 9)
-    return tick, data[12], next(texts), next(texts), next(texts)
-
-
-def _strings(body: bytes, at: int) -> Iterator[str]:
-    while True:
-        at += -at % 4
-        size = int.from_bytes(body[at : at + 4], "little")
-        yield body[at + 4 : at + 3 + size].decode(errors="replace")
-        at += 4 + size
-
-
-def _joined(parts: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    return np.concatenate([np.empty(0, np.int64), *parts])
+_LONG = 9e9
+"""s, as far as a log_time in int64 ns reaches"""

@@ -1,0 +1,245 @@
+"""A control cycle's whole memory as bytes, so that a replay may begin in mid-log.
+
+The walk goes over attributes, tuples and lists of our own objects, and notes what differs from a
+cycle just made: configuration is not state and stays out. Objects and arrays that are one and the
+same stay so. The form is a line of JSON and the arrays' bytes; nothing in it is executed.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterator
+from enum import Enum
+from types import FunctionType, SimpleNamespace
+from typing import Any, NamedTuple, TypeVar
+
+import clarabel
+import numpy as np
+from pydantic import BaseModel
+
+from runtime.errors import DaemonError
+from runtime.signals import CycleRecord
+
+VERSION = 1
+_CONSTANT = (BaseModel, FunctionType, clarabel.DefaultSolver)
+"""Settings, functions, and a solver that starts from nothing each time."""
+_NUMBER = (int, float, np.generic)
+_LEAVES = (float, int, str, type(None), np.generic, Enum)
+
+Owner = TypeVar("Owner")
+Flat = dict[str, "Entry"]
+
+
+class KeyframeError(DaemonError):
+    """The bytes are no keyframe, or not one of such a cycle."""
+
+
+class Entry(NamedTuple):
+    """What stands at a path: ``kind`` and what it takes to make it again."""
+
+    kind: str
+    value: Any
+    data: bytes = b""
+
+
+class Keyframe:
+    """Takes keyframes of one ``owner``, handed over before its first tick."""
+
+    def __init__(self, owner: object) -> None:
+        self._owner = owner
+        self._initial = _flat(owner)
+
+    def take(self) -> bytes:
+        """What has changed since the owner was made."""
+        initial, rows, blobs, at = self._initial, {}, [], 0
+        for path, entry in _flat(self._owner).items():
+            if initial.get(path) == entry:
+                continue
+            rows[path] = [entry.kind, entry.value]
+            if entry.data:
+                rows[path] += [at, len(entry.data)]
+                blobs.append(entry.data)
+                at += len(entry.data)
+        head = json.dumps({"version": VERSION, "state": rows}, separators=(",", ":"))
+        return head.encode() + b"\n" + b"".join(blobs)
+
+
+def restore(data: bytes, fresh: Owner) -> Owner:
+    """A cycle in the state that `Keyframe.take` saw, from one just made of the same configuration.
+    ``fresh`` is used up. Raises KeyframeError."""
+    flat = _flat(fresh)
+    flat.update(_parse(data))
+    built: Owner = _Builder(flat, fresh).build("", fresh)
+    return built
+
+
+def _parse(data: bytes) -> Flat:
+    head, newline, blobs = data.partition(b"\n")
+    try:
+        document = json.loads(head)
+        if not newline or document["version"] != VERSION:
+            raise KeyframeError("a keyframe of another version")
+        flat: Flat = {}
+        for path, (kind, value, *place) in document["state"].items():
+            at, size = place or (0, 0)
+            if at + size > len(blobs):
+                raise KeyframeError("a keyframe that is cut short")
+            flat[path] = Entry(str(kind), value, blobs[at : at + size])
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise KeyframeError(f"not a keyframe ({error})") from error
+    return flat
+
+
+def _flat(owner: object) -> Flat:
+    """Every path of an object's state, in the order of its attributes."""
+    flat: Flat = {}
+    _walk("", owner, flat, {})
+    return flat
+
+
+def _walk(path: str, value: Any, flat: Flat, seen: dict[int, str]) -> None:
+    if isinstance(value, _LEAVES):
+        flat[path] = _leaf(value)
+        return
+    known = seen.setdefault(id(value), path)
+    if known != path:
+        flat[path] = Entry("same", known)
+    elif isinstance(value, np.ndarray):
+        flat[path] = Entry("array", [value.dtype.str, list(value.shape)], value.tobytes())
+    elif isinstance(value, CycleRecord):
+        flat[path] = Entry("record", None, value.data.tobytes())
+    elif isinstance(value, (tuple, list, dict)):
+        flat[path] = Entry(type(value).__name__, len(value))
+        for index, item in enumerate(_items(value)):
+            _walk(f"{path}.{index}", item, flat, seen)
+    else:
+        flat[path] = Entry("object", type(value).__name__)
+        for name, item in _attributes(value):
+            _walk(f"{path}.{name}", item, flat, seen)
+
+
+def _leaf(value: Any) -> Entry:
+    if isinstance(value, Enum):
+        return Entry("enum", [type(value).__name__, value.value])
+    if isinstance(value, np.generic):
+        return Entry("scalar", value.dtype.str, value.tobytes())
+    if isinstance(value, float):
+        # As text a NaN equals itself, and -0.0 is not 0.0.
+        return Entry("float", value.hex())
+    return Entry("plain", value)
+
+
+def _items(value: Any) -> list[Any]:
+    """What a container holds, of a dictionary each key before its value."""
+    if isinstance(value, dict):
+        return [each for pair in value.items() for each in pair]
+    return list(value)
+
+
+def _attributes(value: object) -> Iterator[tuple[str, Any]]:
+    ours = type(value).__module__.partition(".")[0] == "runtime"
+    if not (ours or isinstance(value, SimpleNamespace)) or not hasattr(value, "__dict__"):
+        raise TypeError(f"a keyframe cannot hold a {type(value).__qualname__}")
+    for name, item in vars(value).items():
+        if not isinstance(item, _CONSTANT):
+            yield name, item
+
+
+class _Builder:
+    """Makes objects from their flat form; what is not state comes from those of a fresh owner."""
+
+    def __init__(self, flat: Flat, fresh: object) -> None:
+        self._flat = flat
+        self._made: dict[str, Any] = {}
+        self._models: dict[str, Any] = {}
+        self._collect(fresh, set())
+
+    def _collect(self, value: Any, seen: set[int]) -> None:
+        """One example of each kind of object and enumeration: no other kind can be asked for."""
+        if isinstance(value, Enum):
+            self._models.setdefault(type(value).__name__, type(value))
+        leaf = isinstance(value, (*_LEAVES, np.ndarray, CycleRecord))
+        if leaf or id(value) in seen:
+            return
+        seen.add(id(value))
+        if isinstance(value, (tuple, list, dict)):
+            inner = _items(value)
+        else:
+            self._models.setdefault(type(value).__name__, value)
+            inner = [item for _, item in _attributes(value)]
+        for item in inner:
+            self._collect(item, seen)
+
+    def build(self, path: str, model: Any) -> Any:
+        """What stands at ``path``; ``model`` is what stands there in the fresh owner."""
+        entry = self._flat.get(path)
+        if entry is None:
+            raise KeyframeError(f"a keyframe without {path or 'a beginning'}")
+        try:
+            return self._build(path, entry, model)
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise KeyframeError(f"a keyframe that does not fit at {path} ({error})") from error
+
+    def _build(self, path: str, entry: Entry, model: Any) -> Any:
+        kind, value = entry.kind, entry.value
+        if kind == "same":
+            return self._made[value]
+        made: Any
+        if kind == "plain":
+            made = value
+        elif kind == "float":
+            made = float.fromhex(value)
+        elif kind == "enum":
+            made = self._models[value[0]](value[1])
+        elif kind == "scalar":
+            made = np.frombuffer(entry.data, np.dtype(value))[0]
+        elif kind == "array":
+            dtype, shape = value
+            made = np.frombuffer(entry.data, np.dtype(dtype)).reshape(shape).copy()
+        elif kind == "record":
+            made = CycleRecord()
+            made.data[...] = np.frombuffer(entry.data, made.data.dtype)
+        elif kind in ("tuple", "list", "dict"):
+            if not 0 <= value <= len(self._flat):
+                raise KeyframeError(f"a keyframe that claims {value} items at {path}")
+            count = 2 * value if kind == "dict" else value
+            models = _items(model) if isinstance(model, (tuple, list, dict)) else []
+            models += [None] * (count - len(models))
+            items = [self.build(f"{path}.{index}", models[index]) for index in range(count)]
+            if kind == "dict":
+                made = dict(zip(items[::2], items[1::2], strict=True))
+            else:
+                made = tuple(items) if kind == "tuple" else items
+        elif kind == "object":
+            made = self._object(path, value, model)
+        else:
+            raise KeyframeError(f"a keyframe with a {kind}")
+        self._made[path] = made
+        return made
+
+    def _object(self, path: str, name: str, model: Any) -> Any:
+        if type(model).__name__ != name:
+            model = self._models[name]
+        made = self._made[path] = copy.copy(model)
+        prefix = f"{path}."
+        names = [key[len(prefix) :] for key in self._flat if key.startswith(prefix)]
+        for attribute in dict.fromkeys(key.partition(".")[0] for key in names):
+            before = getattr(model, attribute, None)
+            part = self.build(prefix + attribute, before)
+            if not _alike(before, part):
+                raise KeyframeError(f"a keyframe that does not fit at {prefix}{attribute}")
+            # Also into a frozen dataclass: it is ours and nobody has seen it yet.
+            object.__setattr__(made, attribute, part)
+        return made
+
+
+def _alike(before: Any, part: Any) -> bool:
+    """Whether one may stand for the other. Compiled code relies on the arrays' sizes."""
+    if before is None or part is None:
+        return True
+    if isinstance(before, np.ndarray) and isinstance(part, np.ndarray):
+        return before.shape == part.shape and bool(before.dtype == part.dtype)
+    if isinstance(before, _NUMBER) and not isinstance(before, Enum):
+        return isinstance(part, _NUMBER)
+    return type(before) is type(part)

@@ -1,0 +1,202 @@
+"""A log is enough to compute every output of its run again, to the last bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+from hil.runs import configured, virtual
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from replay.altered import altered
+
+from runtime.controllers import CONTROLLERS
+from runtime.states import Operator, State
+from tools.cli.log import log as log_command
+from tools.errors import ToolError
+from tools.log import Log
+from tools.log import open as open_log
+from tools.log.replay import replay
+from tools.run import Order, run
+
+SCENARIOS = sorted(path.stem for path in Path("config/scenarios").glob("*.yaml"))
+EVERY = [
+    (SCENARIOS[k % len(SCENARIOS)], list(CONTROLLERS)[k % len(CONTROLLERS)])
+    for k in range(max(len(SCENARIOS), len(CONTROLLERS)))
+]
+"""each of both at least once"""
+FIRST = 200
+INPUTS = {
+    "/tonus/drives": ("angle", "torque", "age", "statusword", "error_code", "state"),
+    "/tonus/force_cells": ("raw", "age", "status"),
+    "/tonus/tracker": ("position", "quaternion", "delay", "sequence", "fresh"),
+}
+
+
+def recorded(folder: Path, scenario: str, controller: str, bus: str = "direct") -> Log:
+    overrides = {
+        "control.controller": controller,
+        "recording.raw_frames": False,
+        "recording.keyframe_s": 0.8,
+    }
+    config, played = configured(f"config/{bus}.yaml", scenario, duration=0.2, overrides=overrides)
+    return virtual(config, played, folder)[1]
+
+
+@pytest.fixture(scope="module")
+def sine(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    return recorded(tmp_path_factory.mktemp("sine"), "sine_x", "bio", "can")
+
+
+@pytest.fixture(scope="module")
+def beginning(sine: Log, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its first ticks alone, which replay in no time."""
+    out = tmp_path_factory.mktemp("first") / "run.mcap"
+    return altered(sine.path, out, lambda _topic, _rows, sequence: sequence < FIRST)
+
+
+@pytest.mark.parametrize(("scenario", "controller"), EVERY)
+def test_every_output_comes_out_again(tmp_path: Path, scenario: str, controller: str) -> None:
+    log = recorded(tmp_path, scenario, controller)
+    found = replay(log)
+    assert found.first is None, found.first
+    assert found.ticks == len(log["/tonus/timing"])
+
+
+def test_a_replay_may_begin_at_any_keyframe(sine: Log) -> None:
+    ticks = sine["/tonus/keyframe"]["tick"].astype(int)
+    states = set()
+    for tick in ticks:
+        found = replay(sine, first=int(tick) + 1, last=int(tick) + 150)
+        assert found.keyframes == [tick]
+        assert found.first is None, found.first
+        states.add(int(sine["/tonus/state"]["state"][tick]))
+    assert {State.ACTIVE, State.SAFE_STOP, State.PRETENSION} & states
+
+
+def test_the_whole_of_a_run_over_can_comes_out_again(sine: Log) -> None:
+    found = replay(sine)
+    assert found.first is None, found.first
+    assert not found.unchecked
+
+
+def test_missing_records_are_bridged_by_the_next_keyframe_and_told(
+    sine: Log, tmp_path: Path
+) -> None:
+    def lose(_topic: str, _rows: np.ndarray, sequence: np.ndarray) -> np.ndarray:
+        return (sequence < 1000) | (sequence >= 1100)
+
+    found = replay(open_log(altered(sine.path, tmp_path / "gap.mcap", lose)))
+    assert found.first is None, found.first
+    (keyframe,) = found.keyframes
+    ticks = sine["/tonus/timing"]["tick"]
+    assert found.unchecked == [(ticks[1100], keyframe)]
+
+
+@settings(
+    max_examples=12,
+    derandomize=True,
+    deadline=None,
+    phases=[Phase.generate],
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    tick=st.integers(0, FIRST - 1),
+    signal=st.sampled_from([(topic, name) for topic in INPUTS for name in INPUTS[topic]]),
+    where=st.integers(0, 10_000),
+)
+def test_one_bit_of_one_input_is_found_in_its_tick(
+    beginning: Path, tmp_path: Path, tick: int, signal: tuple[str, str], where: int
+) -> None:
+    topic, name = signal
+
+    def flip(at: str, rows: np.ndarray, sequence: np.ndarray) -> np.ndarray:
+        if at == topic:
+            value = rows[name][sequence == tick].copy()
+            bits = value.reshape(-1).view(np.uint8)
+            if len(bits):
+                bits[where // 8 % len(bits)] ^= 1 << where % 8
+            rows[name][sequence == tick] = value
+        return np.ones(len(rows), bool)
+
+    log = open_log(altered(beginning, tmp_path / "bit.mcap", flip))
+    first = replay(log).first
+    assert first is not None
+    assert first.tick == log["/tonus/timing"]["tick"][tick]
+    assert first.field == "inputs"
+
+
+def test_a_command_that_nobody_gave_is_found(beginning: Path, tmp_path: Path) -> None:
+    def command(number: int) -> Path:
+        def give(topic: str, rows: np.ndarray, sequence: np.ndarray) -> np.ndarray:
+            if topic == "/tonus/state":
+                rows["operator"][sequence == 70] = number
+            return np.ones(len(rows), bool)
+
+        return altered(beginning, tmp_path / f"{number}.mcap", give)
+
+    tick = int(open_log(beginning)["/tonus/timing"]["tick"][70])
+    first = replay(open_log(command(Operator.HOLD))).first
+    assert first is not None
+    assert (first.tick, first.field) == (tick, "inputs")
+    with pytest.raises(ToolError, match=f"tick {tick} has operator command 77"):
+        replay(open_log(command(77)))
+
+
+def test_ticks_that_go_back_are_refused(beginning: Path, tmp_path: Path) -> None:
+    def turn_back(topic: str, rows: np.ndarray, sequence: np.ndarray) -> np.ndarray:
+        if topic == "/tonus/timing":
+            rows["tick"][sequence == 70] = 3
+        return np.ones(len(rows), bool)
+
+    with pytest.raises(ToolError, match="tick 3 comes after tick"):
+        replay(open_log(altered(beginning, tmp_path / "back.mcap", turn_back)))
+
+
+def test_one_gain_is_enough_to_differ_and_the_place_is_named(sine: Log, tmp_path: Path) -> None:
+    config = yaml.safe_load(sine.config_text or "")
+    config["control"]["tension_loop"]["proportional"] *= 1.0 + 1e-12
+    changed = altered(
+        sine.path,
+        tmp_path / "gain.mcap",
+        attachments={"config.yaml": yaml.safe_dump(config).encode()},
+    )
+    for begin in (0, 2000):
+        found = replay(open_log(changed), first=begin, last=begin + 900)
+        assert found.first is not None
+        assert found.first.field == "torque_command"
+        assert found.first.recorded != found.first.replayed
+
+
+def test_the_command_tells_the_difference_in_every_digit(sine: Log, tmp_path: Path) -> None:
+    config = yaml.safe_load(sine.config_text or "")
+    config["control"]["stiffness"]["base"] *= 1.0 + 1e-12
+    changed = altered(
+        sine.path, tmp_path / "k.mcap", attachments={"config.yaml": yaml.safe_dump(config).encode()}
+    )
+    told = CliRunner().invoke(log_command, ["replay", str(changed), "--to", "2000"])
+    assert told.exit_code == 1
+    assert "not equal, first in tick" in told.output
+    assert "0x1." in told.output
+
+
+def test_what_another_configuration_would_have_commanded(sine: Log) -> None:
+    told = CliRunner().invoke(
+        log_command, ["replay", str(sine.path), "--with", "config/direct.yaml"]
+    )
+    assert told.exit_code == 0, told.output
+    same = len(sine["/tonus/timing"])
+    assert f"in the recorded state in {same} of {same} ticks" in told.output
+    assert "apart 0, most 0" in told.output, "the same controller on another bus"
+
+
+@pytest.mark.realtime
+def test_a_run_in_real_time_comes_out_again(tmp_path: Path) -> None:
+    config, scenario = configured(duration=1.0, overrides={"recording.keyframe_s": 2.0})
+    result = run(Order(config, scenario, tmp_path, 1, False, lambda _: None, live=False))
+    found = replay(open_log(result.log))
+    assert found.first is None, found.first
+    assert found.ticks == result.outcome.ticks

@@ -1,0 +1,127 @@
+"""A log in the formats of others gives back the same numbers."""
+
+from __future__ import annotations
+
+import csv
+from importlib.util import find_spec
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from synthetic_run import MS, record
+
+from tools.cli.log import log as command
+from tools.errors import ToolError
+from tools.log import Log
+from tools.log import open as open_log
+from tools.log.export import export
+from tools.log.tables import to_arrow
+
+TICKS = 300
+TOPICS = ["/can/can0", "/can/can1"]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    return open_log(record(tmp_path_factory.mktemp("log"), TICKS, chunk_ms=50))
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_csv_gives_every_number_back_exactly(log: Log, tmp_path: Path) -> None:
+    written = export(log, tmp_path, "csv")
+    path = written["/tonus/tension"]
+    assert path == tmp_path / "tonus_tension.csv"
+    rows, tension = rows_of(path), log["/tonus/tension"]
+    assert len(rows) == TICKS
+    for index in range(8):
+        told = [float(row[f"reference_{index} [N]"]) for row in rows]
+        assert told == tension["reference"][:, index].tolist()
+    assert [float(row["time [s]"]) for row in rows] == [k * MS * 1e-9 for k in range(TICKS)]
+
+
+def test_csv_names_forces_and_moments_by_their_own_units(log: Log, tmp_path: Path) -> None:
+    export(log, tmp_path, "csv", ["/tonus/wrench"])
+    titles = list(rows_of(tmp_path / "tonus_wrench.csv")[0])
+    assert "external_2 [N]" in titles
+    assert "external_3 [N m]" in titles
+
+
+def test_csv_holds_what_people_wrote(log: Log, tmp_path: Path) -> None:
+    export(log, tmp_path, "csv", ["/tonus/events"])
+    told = [row["text"] for row in rows_of(tmp_path / "tonus_events.csv")]
+    assert told == [event.text for event in log.events()]
+
+
+@pytest.mark.parametrize("kind", ["asc", "blf"])
+def test_frames_come_back_with_their_times(log: Log, tmp_path: Path, kind: str) -> None:
+    export(log, tmp_path, kind)
+    with can.LogReader(tmp_path / f"run.{kind}") as reader:
+        read = list(reader)
+    kept = []
+    for number, topic in enumerate(TOPICS):
+        kept += [
+            (int(time), number, int(row["id"]), row["data"].tobytes()[: int(row["dlc"])])
+            for time, row in zip(log.times(topic), log[topic], strict=True)
+        ]
+    kept.sort(key=lambda each: each[0])
+    told = [(round(m.timestamp * 1e9), m.channel, m.arbitration_id, bytes(m.data)) for m in read]
+    assert told == kept
+
+
+def test_frames_of_a_run_in_real_time_keep_their_date(tmp_path: Path) -> None:
+    """Both formats say when they begin to a millisecond only."""
+    begin = 1_800_000_000_123_456_789
+    log = open_log(record(tmp_path, 20))
+    for place in log._framing.chunks:
+        object.__setattr__(place, "start_ns", place.start_ns + begin)
+    for topic in TOPICS:
+        times = log.times(topic)
+        times += begin
+    batch = {topic: log._columns[topic] for topic in TOPICS}
+    log.batches = lambda _topics: iter([batch])  # type: ignore[method-assign]
+    export(log, tmp_path, "blf", TOPICS)
+    first = next(iter(can.BLFReader(tmp_path / "run.blf")))
+    assert first.timestamp == pytest.approx(begin * 1e-9, abs=1e-6)
+
+
+def test_a_slice_keeps_the_log_s_time(log: Log, tmp_path: Path) -> None:
+    export(log.between(0.1, 0.12), tmp_path, "csv", ["/tonus/timing"])
+    rows = rows_of(tmp_path / "tonus_timing.csv")
+    assert len(rows) == 20
+    assert float(rows[0]["time [s]"]) == pytest.approx(0.1)
+
+
+def test_parquet_gives_the_numbers_back_or_says_what_it_needs(log: Log, tmp_path: Path) -> None:
+    if find_spec("pyarrow") is None:
+        with pytest.raises(ToolError, match="pip install pyarrow"):
+            export(log, tmp_path, "parquet")
+        return
+    from pyarrow import parquet
+
+    export(log, tmp_path, "parquet", ["/tonus/tension"])
+    table = parquet.read_table(tmp_path / "tonus_tension.parquet")
+    assert table.equals(to_arrow(log, "/tonus/tension"))
+    assert np.array_equal(table["reference_3"].to_numpy(), log["/tonus/tension"]["reference"][:, 3])
+    assert table.schema.field("reference_3").metadata == {b"unit": b"N"}
+
+
+def test_what_exists_is_not_overwritten(log: Log, tmp_path: Path) -> None:
+    export(log, tmp_path, "blf")
+    before = (tmp_path / "run.blf").read_bytes()
+    with pytest.raises(ToolError, match="exists already"):
+        export(log, tmp_path, "blf")
+    assert (tmp_path / "run.blf").read_bytes() == before
+
+
+def test_a_topic_that_is_not_there_is_named(log: Log) -> None:
+    told = CliRunner().invoke(
+        command, ["export", str(log.path), "--format", "csv", "--topics", "/tonus/tensions"]
+    )
+    assert isinstance(told.exception, ToolError)
+    assert "there is no topic /tonus/tensions" in str(told.exception)
