@@ -156,6 +156,17 @@ def test_ticks_that_go_back_are_refused(beginning: Path, tmp_path: Path) -> None
         replay(open_log(altered(beginning, tmp_path / "back.mcap", turn_back)))
 
 
+def test_segments_are_replayed_as_one_run(sine: Log, tmp_path: Path) -> None:
+    parts = [
+        altered(sine.path, tmp_path / "1.mcap", lambda _topic, _rows, number: number < 1500),
+        altered(sine.path, tmp_path / "2.mcap", lambda _topic, _rows, number: number >= 1500),
+    ]
+    found = replay(open_log(parts), last=2500)
+    assert found.first is None, found.first
+    assert not found.unchecked
+    assert not found.keyframes
+
+
 def test_one_gain_is_enough_to_differ_and_the_place_is_named(sine: Log, tmp_path: Path) -> None:
     config = yaml.safe_load(sine.config_text or "")
     config["control"]["tension_loop"]["proportional"] *= 1.0 + 1e-12

@@ -118,7 +118,7 @@ def configuration(log: Log) -> Config:
     """What the log was recorded with. Raises ToolError."""
     text = log.config_text
     if text is None:
-        raise ToolError(f"{log.path}: holds no configuration; name one with --with")
+        raise ToolError(f"{log.path}: holds no configuration, so it cannot be replayed")
     return _validated(log, text, Config, "configuration")
 
 
@@ -225,9 +225,11 @@ class _Replayer:
         """Cycle topics with their rows side by side: they are the members of one record."""
         names = [topic.name for topic in self._topics]
         for batch in self._log.batches(names):
-            sequence = batch[TIMING].sequence
-            if not len(sequence):
+            if not any(len(column.times) for column in batch.values()):
                 continue
+            if len(batch) < len(names):
+                raise ToolError(f"{self._log.path}: not every file has the topics of a tick")
+            sequence = batch[TIMING].sequence
             for column in batch.values():
                 if column.messages.dtype.names is None or not np.array_equal(
                     column.sequence, sequence
