@@ -71,7 +71,7 @@ def test_the_configuration_is_not_part_of_it(run: Run) -> None:
     _, state = run.taken[State.ACTIVE]
     names = json.loads(state.partition(b"\n")[0])["state"]
     assert not [name for name in names if "gains" in name or "config" in name]
-    assert len(state) < KEYFRAME_BYTES / 4
+    assert len(state) < KEYFRAME_BYTES / 2
 
 
 @settings(max_examples=60, derandomize=True, deadline=None)
