@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.scenario import Hold, Path, Reference, Sine
+from config.schema.scenario import Hold, Multisine, Path, Reference, Sine
 
 Array = NDArray[np.float64]
 Sample = tuple[Array, Array, Array]
@@ -84,6 +84,20 @@ class _Sine:
         )
 
 
+class _Multisine:
+    """The sum of its sines."""
+
+    def __init__(self, reference: Multisine) -> None:
+        self._sines = [
+            _Sine(Sine(kind="sine", fade=reference.fade, **component.model_dump()))
+            for component in reference.components
+        ]
+
+    def __call__(self, t: float) -> Sample:
+        position, velocity, acceleration = np.sum([sine(t) for sine in self._sines], axis=0)
+        return position, velocity, acceleration
+
+
 class _Path:
     """Minimum-jerk moves from point to point, with pauses; starts at home."""
 
@@ -111,4 +125,6 @@ def trajectory(reference: Reference) -> Trajectory:
         return _Hold()
     if isinstance(reference, Sine):
         return _Sine(reference)
+    if isinstance(reference, Multisine):
+        return _Multisine(reference)
     return _Path(reference)

@@ -25,6 +25,23 @@ class Sine(Section):
     """s"""
 
 
+class Component(Section):
+    """One sine of several."""
+
+    direction: Direction
+    amplitude: Positive
+    frequency: Positive
+
+
+class Multisine(Section):
+    """Several sines at once; all fade in together."""
+
+    kind: Literal["multisine"]
+    components: Annotated[tuple[Component, ...], Field(min_length=1)]
+    fade: NonNegative
+    """s"""
+
+
 class Waypoint(Section):
     position: Vector3
     """m, relative to home"""
@@ -38,7 +55,7 @@ class Path(Section):
     waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
 
 
-Reference = Annotated[Hold | Sine | Path, Field(discriminator="kind")]
+Reference = Annotated[Hold | Sine | Multisine | Path, Field(discriminator="kind")]
 
 
 class Scenario(Section):
