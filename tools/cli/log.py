@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from runtime.states import State
+from tools.cli.identify import identify
 from tools.log import Log
 from tools.log import open as open_log
 from tools.summary import find_faults
@@ -29,6 +30,9 @@ _VIRTUAL_BEFORE_NS = 365 * 24 * 3600 * 1_000_000_000
 @click.group()
 def log() -> None:
     """Look into recorded runs."""
+
+
+log.add_command(identify)
 
 
 @log.command()

@@ -1,0 +1,112 @@
+"""EA of every cable: how much longer than it was wound a cable is at its tension."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.schema.robot import CABLES
+from runtime.states import State
+from tools.identify.estimate import NORMAL, Estimate, Fit, each_of, fit, mean_of
+from tools.identify.record import BLOCK_S, Record, ways
+
+Array = NDArray[np.float64]
+_STATES = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
+_FIRST_GUESS_N = 1e4
+_NARROWEST_N = 5.0
+"""range of tension, below which its stretch is lost in the tracker's noise"""
+
+
+def identify_cables(records: Sequence[Record], anchor_sigma: float) -> list[Estimate]:
+    """EA, from l = (L0 − r θ)(1 + T/EA) at the tracker's poses: bring-up, from straight to
+    pretension, says most. Empty when no cable's tension changed enough. Each coordinate of an
+    anchor may be wrong by ``anchor_sigma`` (m), standard error."""
+    stretches = [[_Stretch(record, cable) for record in records] for cable in range(CABLES)]
+    fits = [_fit(parts) for parts in stretches]
+    if not any(fits):
+        return []
+    value, half_width = mean_of(fits, 0)
+    askew = sum(
+        _change(found, parts, axis, anchor_sigma) ** 2
+        for found, parts in zip(fits, stretches, strict=True)
+        for axis in range(3)
+        if found is not None
+    )
+    count = sum(found is not None for found in fits)
+    half_width = math.hypot(half_width, NORMAL * math.sqrt(askew) / count)
+    configured = records[0].config.robot.cable.axial_stiffness
+    each = each_of(fits, 0)
+    return [
+        Estimate("axial_stiffness", "cable stiffness EA", "N", value, half_width, configured, each)
+    ]
+
+
+def _change(found: Fit, parts: list[_Stretch], axis: int, anchor_sigma: float) -> float:
+    """What an anchor that is off along an axis does to EA (N)."""
+    moved = _fit([part.with_anchor(axis, anchor_sigma) for part in parts])
+    return 0.0 if moved is None else float(moved.value[0] - found.value[0])
+
+
+class _Stretch:
+    """One cable of one record at the tracker's exposures: arrays (m,)."""
+
+    def __init__(self, record: Record, cable: int) -> None:
+        taut = np.interp(record.exposure, record.time, record.inner(record.during(*_STATES))) == 1.0
+        at = record.exposure[taut]
+        way = ways(record.config, record.seen_position[taut], record.seen_rotation[taut])[:, cable]
+        self.way = way
+        wound = record.config.robot.drum.radius * record.smooth(record.angle[:, cable])
+        self.wound = np.interp(at, record.time, wound)
+        self.rate = np.interp(at, record.time, np.gradient(wound, record.period))
+        self.tension = np.interp(at, record.time, record.smooth(record.tension[:, cable]))
+        self.block = (at / BLOCK_S).astype(np.int64)
+
+    @property
+    def length(self) -> Array:
+        """m, anchor to anchor"""
+        return np.asarray(np.linalg.norm(self.way, axis=1))
+
+    def with_anchor(self, axis: int, offset: float) -> _Stretch:
+        """The same had the frame's anchor been elsewhere."""
+        other = copy(self)
+        other.way = self.way + offset * np.eye(3)[axis]
+        return other
+
+
+def _fit(parts: list[_Stretch]) -> Fit | None:
+    """EA, then how late the encoder is against the tracker (s), then L0 in each record."""
+    parts = [part for part in parts if len(part.way)]
+    if not parts or max(float(np.ptp(part.tension)) for part in parts) < _NARROWEST_N:
+        return None
+
+    lengths = [part.length for part in parts]
+
+    def residuals(p: Array) -> Array:
+        return np.concatenate(
+            [
+                (unstretched - part.wound - p[1] * part.rate) * (1.0 + part.tension / p[0]) - length
+                for part, length, unstretched in zip(parts, lengths, p[2:], strict=True)
+            ]
+        )
+
+    start = np.array(
+        [
+            _FIRST_GUESS_N,
+            0.0,
+            *(
+                float(np.mean(length + part.wound))
+                for part, length in zip(parts, lengths, strict=True)
+            ),
+        ]
+    )
+    scale = np.array([_FIRST_GUESS_N, 1e-3, *(1e-2 for _ in parts)])
+    return fit(residuals, start, _numbered([part.block for part in parts]), scale=scale)
+
+
+def _numbered(blocks: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Blocks of several records, none of them alike."""
+    return np.concatenate([number * 1_000_000 + part for number, part in enumerate(blocks)])

@@ -1,0 +1,116 @@
+"""A value with its interval, and where intervals come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+Array = NDArray[np.float64]
+_CONFIDENCE = 0.95
+NORMAL = 1.96
+"""from a known standard error to the half width of that confidence"""
+_NEGLIGIBLE = 0.02
+"""a difference of this share is no reason to change a configuration"""
+_VAGUE = 0.5
+"""an interval wider than this share of the value says that it was not excited"""
+_SINGULAR = 1e8
+"""condition number beyond which parameters cannot be told apart"""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One identified value. ``half_width`` is of its 95 % interval."""
+
+    name: str
+    text: str
+    unit: str
+    value: float
+    half_width: float
+    configured: float | None = None
+    each: tuple[float, ...] = ()
+    """of the single cables or drums, NaN where one could not be identified"""
+    truth: float | None = None
+
+    @property
+    def verdict(self) -> str:
+        """In the light of the configured value, or of none."""
+        known = self.configured
+        if known is None:
+            return "none found" if self.half_width >= abs(self.value) else ""
+        off = self.value - known
+        if abs(off) > max(self.half_width, _NEGLIGIBLE * abs(known)):
+            return f"differs {100.0 * off / known:+.1f} %" if known else "differs"
+        vague = self.half_width > _VAGUE * max(abs(self.value), abs(known))
+        return "uncertain" if vague else "as configured"
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A least-squares solution."""
+
+    value: Array
+    """(p,)"""
+    half_width: Array
+    """(p,), of the 95 % intervals"""
+    residual: Array
+    """(n,)"""
+    blocks: NDArray[np.int64]
+    """(b,) numbers of the blocks"""
+    influence: Array
+    """(b, p): how far each block's residuals shift the values"""
+    quantile: float
+    """Student's, for the blocks that are left"""
+
+
+def fit(
+    residuals: Callable[[Array], Array],
+    start: Array,
+    blocks: NDArray[np.int64],
+    *,
+    scale: Array | None = None,
+) -> Fit | None:
+    """Least squares whose intervals hold although neighbouring residuals (n,) are alike.
+
+    ``blocks`` (n,) numbers stretches that may be taken as independent; the covariance is the
+    sandwich (J'J)⁻¹ (Σ_b J_b' r_b r_b' J_b) (J'J)⁻¹ over them (Liang and Zeger 1986), so that a
+    residual that lasts, from a model that is not quite right too, counts once a block and not once
+    a sample. Student's t has as many degrees of freedom as blocks remain. None when the data do not
+    determine the parameters.
+    """
+    names, numbers = np.unique(blocks, return_inverse=True)
+    count, size = len(names), len(start)
+    if count <= size + 1:
+        return None
+    found = least_squares(residuals, start, x_scale=1.0 if scale is None else scale)
+    jacobian, rest = np.asarray(found.jac), np.asarray(found.fun)
+    norms = np.linalg.norm(jacobian, axis=0)
+    if not norms.all() or np.linalg.cond(jacobian / norms) > _SINGULAR:
+        return None
+    scores = np.zeros((count, size))
+    np.add.at(scores, numbers, jacobian * rest[:, None])
+    influence = scores @ np.linalg.inv(jacobian.T @ jacobian) * np.sqrt(count / (count - size))
+    quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, count - size))
+    half_width = quantile * np.linalg.norm(influence, axis=0)
+    return Fit(np.asarray(found.x), half_width, rest, names, influence, quantile)
+
+
+def mean_of(fits: Sequence[Fit | None], index: int) -> tuple[float, float]:
+    """Mean of one parameter over several fits, and half the width of its interval. What the fits
+    have in common, as one tracker's noise, shifts them together and is counted so."""
+    known = [found for found in fits if found is not None]
+    names = np.unique(np.concatenate([found.blocks for found in known]))
+    together = np.zeros(len(names))
+    for found in known:
+        together[np.searchsorted(names, found.blocks)] += found.influence[:, index] / len(known)
+    value = float(np.mean([found.value[index] for found in known]))
+    return value, max(found.quantile for found in known) * float(np.linalg.norm(together))
+
+
+def each_of(fits: Sequence[Fit | None], index: int) -> tuple[float, ...]:
+    """One parameter of every fit, NaN where there is none."""
+    return tuple(float(found.value[index]) if found else float("nan") for found in fits)

@@ -1,0 +1,64 @@
+"""What a lab's robot really is, to be put beside what was identified."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.plant import Plant
+from tools.errors import ToolError
+from tools.identify.record import Record
+from tools.identify.response import estimates, response_between
+from tools.summary import TRUTH, truth_at_cycles
+
+Array = NDArray[np.float64]
+
+
+def true_values(records: Sequence[Record], yielding: Sequence[Record]) -> dict[str, float]:
+    """By the estimates' names. The plant's parameters are those that the log's seed draws, and of
+    eight cables or drums the mean; the closed loop is the response between true load and true
+    position. Raises ToolError for a log that is not a lab's, or of robots that differ."""
+    drawn = [_drawn(record) for record in records]
+    if any(values != drawn[0] for values in drawn[1:]):
+        raise ToolError(
+            f"{records[0].path}: the logs' true robots differ, by lab or seed; give --truth logs of one"
+        )
+    values = dict(drawn[0])
+    parts = [
+        (record, _true(record, "load"), _true(record, "position") - record.desired)
+        for record in yielding
+    ]
+    response = response_between("loop", parts) if parts else None
+    if response is not None:
+        values |= {e.name: e.value for e in estimates(response, (None, None, None))}
+    return values
+
+
+def _true(record: Record, field: str) -> Array:
+    """The first three of a field (n, 3), sampled when the drives are: a tick before the cycle."""
+    values = truth_at_cycles(record.log, field)
+    assert values is not None
+    later = record.on_grid(values[:, :3])
+    return np.vstack([later[:1], later[:-1]])
+
+
+def _drawn(record: Record) -> dict[str, float]:
+    """The plant's own parameters."""
+    robot, lab, seed = record.config.robot, record.config.lab, record.log.metadata.get("seed", "")
+    if lab is None or TRUTH not in record.log or not seed.isdigit():
+        raise ToolError(f"{record.path}: not a lab's log, so nobody knows; leave out --truth")
+    plant = Plant(robot, lab, seed=int(seed), phantom=None, load=None).parameters[0]
+    efficiency = 1.0 - float(plant["driving_loss"])
+    return {
+        "platform_mass": float(plant["mass"]),
+        "moved_mass": float(plant["mass"]),
+        "axial_stiffness": float(np.mean(plant["axial_stiffness"])),
+        "drum_inertia": float(plant["drum_inertia"]),
+        "viscous_friction": float(plant["viscous"]),
+        "coulomb_friction": float(np.mean(plant["coulomb"])) / robot.drum.radius,
+        "load_friction": float(np.mean(plant["load_friction"])),
+        "efficiency_driving": efficiency,
+        "efficiency_driven": efficiency,
+    }
