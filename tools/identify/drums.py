@@ -113,18 +113,15 @@ def identify_drums(records: Sequence[Record]) -> tuple[list[Estimate], list[tupl
     if not fitted:
         return [], []
     config = records[0].config
-    robot, plant = config.robot, config.lab.plant if config.lab else None
+    robot, lab = config.robot, config.lab
+    coulomb = lab.plant.coulomb_friction if lab else None
+    load = lab.plant.load_friction if lab else None
     efficiency = robot.gearbox.efficiency
     rows = (
         ("drum_inertia", "drum inertia J", "kg m²", robot.drum.inertia),
         ("viscous_friction", "viscous friction b", "N m s/rad", robot.drum.viscous_friction),
-        (
-            "coulomb_friction",
-            "Coulomb friction F_c",
-            "N",
-            plant.coulomb_friction if plant else None,
-        ),
-        ("load_friction", "load friction μ", "", plant.load_friction if plant else None),
+        ("coulomb_friction", "Coulomb friction F_c", "N", coulomb),
+        ("load_friction", "load friction μ", "", load),
         ("efficiency_driving", "gearbox, driving η", "", efficiency),
         ("efficiency_driven", "gearbox, driven back η'", "", efficiency),
     )

@@ -86,12 +86,12 @@ class Record:
     def during(self, *states: State) -> Mask:
         """Rows (n,) in one of the states, all devices heard and every cable taut."""
         taut = self.smooth(self.tension).min(axis=1) > self.config.control.tension.slack
-        return np.isin(self.state, states) & self.good & taut
+        return np.asarray(np.isin(self.state, states) & self.good & taut)
 
     @cached_property
     def blocks(self) -> NDArray[np.int64]:
         """(n,)"""
-        return ((self.time - self.time[0]) / BLOCK_S).astype(np.int64)
+        return np.asarray((self.time - self.time[0]) / BLOCK_S, dtype=np.int64)
 
     @cached_property
     def position(self) -> Array:

@@ -117,7 +117,7 @@ def weight(records: Sequence[Record], anchor_sigma: float) -> tuple[float, float
         carried.append((record.force[:, 2] / pull)[active])
         blocks.append(number * 1_000_000 + record.blocks[active])
         upright = record.direction[active, :, 2].mean(axis=0)
-        tare += (np.linalg.norm(upright * record.tare_error) / record.config.robot.gravity) ** 2
+        tare += float(((upright * record.tare_error) ** 2).sum()) / record.config.robot.gravity**2
     masses = np.concatenate(carried)
     found = fit(lambda p: p[0] - masses, np.ones(1), np.concatenate(blocks))
     if found is None:

@@ -33,11 +33,11 @@ def show(console: Console, found: Identification, *, truth: bool) -> None:
         table.add_row(estimate.text, *cells, f"[{colour}]{estimate.verdict}[/]")
     console.print(table)
     for response in found.responses:
-        count, share = len(response.lines), 100.0 * response.quality
+        rest = 100.0 * (1.0 - response.quality)
         low, high = response.lines[0].frequency, response.lines[-1].frequency
         console.print(
-            f"{response.kind}: M, C and K explain {share:.2f} % of the force's power at {count} "
-            f"lines, {low:.2f} to {high:.2f} Hz"
+            f"{response.kind}: M, C and K leave {rest:.2g} % of the force's power unexplained, at "
+            f"{len(response.lines)} lines from {low:.2f} to {high:.2f} Hz"
         )
     for note in found.notes:
         console.print(escape(note), style="yellow")

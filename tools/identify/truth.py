@@ -23,7 +23,7 @@ def true_values(records: Sequence[Record], yielding: Sequence[Record]) -> dict[s
     drawn = [_drawn(record) for record in records]
     if any(values != drawn[0] for values in drawn[1:]):
         raise ToolError(
-            f"{records[0].path}: the logs' true robots differ, by lab or seed; give --truth logs of one"
+            f"{records[0].path}: the logs' true robots differ, by lab or seed; --truth needs one"
         )
     values = dict(drawn[0])
     parts = [
