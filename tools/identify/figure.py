@@ -46,7 +46,8 @@ def draw(found: Identification, out: Path) -> None:
 def _response(part: SubFigure, response: Response) -> None:
     part.suptitle(_TITLES[response.kind], fontsize=11, x=0.01, ha="left")
     size, phase = part.subplots(1, 2)
-    lines = [line for line in response.lines if line.half_width < _CLEAR]
+    clear = [line for line in response.lines if line.half_width < _CLEAR]
+    lines = clear or list(response.lines)
     f = np.array([line.frequency for line in lines])
     measured = np.array([line.compliance for line in lines])
     width = np.array([line.half_width for line in lines])

@@ -70,6 +70,8 @@ class Response:
 class _Spectra:
     """Force, displacement and its derivatives (segments, lines, 3) at the excited lines."""
 
+    peaks: Mask
+    """(lines,): those that stand out; between two of them a line is a mixture of both"""
     force: Complex
     force_rate: Complex
     displacement: Complex
@@ -188,7 +190,7 @@ def _spectra(kind: str, record: Record, force: Array, displacement: Array) -> _S
     )
     size = min(round(_SEGMENT_S / record.period), 2 * len(active) // (_FEWEST_SEGMENTS + 1))
     if size < 1.0 / record.period:
-        return _Spectra(*(np.empty((0, 0, 3), complex) for _ in signals))
+        return _Spectra(np.empty(0, bool), *(np.empty((0, 0, 3), complex) for _ in signals))
     starts = range(active[0], active[-1] + 2 - size, size // 2)
     window = hann(size, sym=False)[:, None]
     low, high = _BAND_HZ[kind]
@@ -202,7 +204,9 @@ def _spectra(kind: str, record: Record, force: Array, displacement: Array) -> _S
     all_lines = [transformed(values) for values in signals]
     power = (np.abs(all_lines[0]) ** 2).sum(axis=(0, 2))
     excited = power > _EXCITED * power.max()
-    return _Spectra(*(lines[:, excited] for lines in all_lines))
+    standing = np.pad(power * (np.abs(all_lines[2]) ** 2).sum(axis=(0, 2)), 1)
+    peaks = (standing[1:-1] > standing[:-2]) & (standing[1:-1] > standing[2:])
+    return _Spectra(peaks[excited], *(lines[:, excited] for lines in all_lines))
 
 
 def _fit(parts: list[_Spectra], delay: float) -> Fit | None:
@@ -234,10 +238,10 @@ def _real(values: Complex) -> Array:
 
 
 def _lines(part: _Spectra) -> list[Line]:
-    """X/F at each line from all segments and axes, at the frequency where its power lies; all noise
+    """X/F at each peak from all segments and axes, at the frequency where its power lies; all noise
     is taken as the force's, and the interval from the coherence (Bendat and Piersol)."""
     lines = []
-    for k in range(part.force.shape[1]):
+    for k in np.flatnonzero(part.peaks):
         x, f = part.displacement[:, k].reshape(-1), part.force[:, k].reshape(-1)
         sxx, sff, sxf = float(np.vdot(x, x).real), float(np.vdot(f, f).real), complex(np.vdot(x, f))
         coherence = min(abs(sxf) ** 2 / (sxx * sff), 1.0)

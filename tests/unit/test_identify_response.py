@@ -1,0 +1,99 @@
+"""Frequency response: M, C and K of made-up oscillators, and their intervals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import TransferFunction, lsim
+from scipy.spatial.transform import Rotation
+
+from config import load
+from runtime.states import State
+from tools.identify.record import Record
+from tools.identify.response import Response, response_between
+from tools.log import Log
+
+Array = NDArray[np.float64]
+CONFIG, _ = load("config/direct.yaml")
+MASS, DAMPING, STIFFNESS = 2.35, 139.0, 3210.0
+TIME = np.arange(20_000) * 1e-3
+MANY = (0.2, 0.4, 0.6, 0.8, 1.0, 1.4, 1.8, 2.2)
+
+
+def record(position: Array) -> Record:
+    """ACTIVE throughout, cables taut, the platform at ``position`` (n, 3)."""
+    rows = len(position)
+    even = np.full((rows, 8), 45.0)
+    return Record(
+        path=Path("made-up.mcap"),
+        log=cast(Log, None),
+        config=CONFIG,
+        period=1e-3,
+        time=TIME[:rows],
+        state=np.full(rows, State.ACTIVE, dtype=np.uint8),
+        angle=np.zeros((rows, 8)),
+        torque=np.zeros((rows, 8)),
+        tension=even,
+        desired=np.zeros((rows, 3)),
+        stiffness=np.full(rows, STIFFNESS),
+        good=np.ones(rows, dtype=bool),
+        ticks=np.arange(rows),
+        exposure=TIME[:rows:8],
+        seen_position=position[::8],
+        seen_rotation=Rotation.identity(len(TIME[:rows:8])),
+    )
+
+
+def pushed(frequencies: tuple[float, ...], seed: int) -> Response | None:
+    """The response of an oscillator that sines of 5 N push along a slanting line."""
+    random = np.random.default_rng(seed)
+    phases = random.uniform(0.0, 2.0 * np.pi, len(frequencies))
+    force = 5.0 * np.sum(
+        [np.sin(2.0 * np.pi * f * TIME + p) for f, p in zip(frequencies, phases, strict=True)],
+        axis=0,
+    )
+    system = TransferFunction([1.0], [MASS, DAMPING, STIFFNESS])
+    _, displacement, _ = lsim(system, force, TIME)
+    way = np.array([0.6, 0.0, 0.8])
+    position = np.outer(displacement, way) + 2e-5 * random.standard_normal((len(TIME), 3))
+    told = np.outer(force, way) + 0.5 * random.standard_normal((len(TIME), 3))
+    return response_between("loop", [(record(position), told, position)])
+
+
+def test_mass_damping_and_stiffness_lie_in_their_intervals() -> None:
+    true = np.array([MASS, DAMPING, STIFFNESS])
+    found = [pushed(MANY, seed) for seed in range(20)]
+    responses = [response for response in found if response is not None]
+    assert len(responses) == 20
+    held = [np.abs(r.fit.value - true) <= r.fit.half_width for r in responses]
+    assert (np.mean(held, axis=0) >= 0.8).all()
+    assert np.median([r.fit.half_width[2] for r in responses]) < 0.01 * STIFFNESS
+
+
+def test_the_lines_lie_on_the_oscillator_at_the_frequencies_of_the_push() -> None:
+    response = pushed(MANY, 1)
+    assert response is not None
+    strong = [line for line in response.lines if line.half_width < 0.03]
+    for f in MANY:
+        assert min(abs(line.frequency - f) for line in strong) < 0.02
+    for line in strong:
+        assert min(abs(line.frequency - f) for f in MANY) < 0.02
+        s = 2j * np.pi * line.frequency
+        true = 1.0 / (MASS * s**2 + DAMPING * s + STIFFNESS)
+        assert abs(line.compliance / true - 1.0) < 0.05
+
+
+def test_one_frequency_alone_cannot_tell_mass_from_stiffness() -> None:
+    response = pushed((0.6,), 1)
+    assert response is None or response.fit.half_width[0] > MASS
+
+
+@pytest.mark.parametrize("rows", [100, 2000])
+def test_a_record_that_is_too_short_has_no_response(rows: int) -> None:
+    position = np.zeros((rows, 3))
+    position[:, 0] = 0.01 * np.sin(6.0 * TIME[:rows])
+    assert response_between("platform", [(record(position), position, position)]) is None
