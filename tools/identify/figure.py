@@ -26,6 +26,8 @@ _MM = 1e3
 _CLEAR = 0.15
 """relative half width beyond which a line would only clutter the picture"""
 _POINTS = 400
+_NEAR = 0.2
+"""of the mean tension, for which friction is drawn"""
 _TICKS = (1.0, 2.0, 3.0, 5.0)
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, "#F0E442", "0.5")
 
@@ -83,7 +85,7 @@ def _degrees(values: NDArray[np.complex128]) -> Array:
 
 
 def _friction(part: SubFigure, drums: tuple[tuple[Drum, Fit], ...]) -> None:
-    part.suptitle("Drums: torque that neither tension nor inertia explains", fontsize=11, x=0.01,
+    part.suptitle("Drums: torque that neither tension nor inertia explains, near the mean tension", fontsize=11, x=0.01,
                   ha="left")  # fmt: skip
     panel = part.subplots()
     for number, (drum, found) in enumerate(drums):
@@ -91,11 +93,11 @@ def _friction(part: SubFigure, drums: tuple[tuple[Drum, Fit], ...]) -> None:
         winding = drum.torque * drum.rate > 0.0
         share = np.where(winding, 1.0 / driving, driven)
         lost = (drum.friction - share * inertia * drum.acceleration) / drum.radius
-        every = max(len(lost) // _POINTS, 1)
+        tension, speed = float(drum.tension.mean()), drum.radius * drum.rate
+        near = np.flatnonzero(np.abs(drum.tension - tension) < _NEAR * tension)
+        some = near[:: max(len(near) // _POINTS, 1)]
         colour = _COLOURS[number % len(_COLOURS)]
-        speed = drum.radius * drum.rate
-        panel.plot(speed[::every], lost[::every], ".", color=colour, markersize=2, alpha=0.5)
-        tension = float(drum.tension.mean())
+        panel.plot(speed[some], lost[some], ".", color=colour, markersize=2, alpha=0.5)
         for side, end in ((1.0, float(speed.max())), (-1.0, float(speed.min()))):
             at = np.array([0.0, end])
             held = viscous * at / drum.radius**2 + side * (load * tension + coulomb) + tension

@@ -30,7 +30,7 @@ _SEGMENT_S = 10.0
 """two periods of the slowest excitation, 0.2 Hz"""
 _BAND_HZ = {"platform": (0.1, 1.5), "loop": (0.1, 2.5)}
 """of the paper's tests; above, the loop's delay makes it something else than M, C and K"""
-_EXCITED = 0.01
+_EXCITED = 0.003
 """of the strongest line's power, below which a line is not used"""
 _MOVES_M = 1e-3
 _YIELDS_M = 2e-4
@@ -198,7 +198,9 @@ def _spectra(kind: str, record: Record, force: Array, displacement: Array) -> _S
     band = np.flatnonzero((frequency > low) & (frequency < high))
 
     def transformed(values: Array) -> Complex:
-        pieces = [detrend(values[at : at + size], axis=0) * window for at in starts]
+        pieces = [
+            detrend(values[at : at + size], axis=0, type="constant") * window for at in starts
+        ]
         return np.asarray(np.fft.rfft(pieces, axis=1)[:, band])
 
     all_lines = [transformed(values) for values in signals]
