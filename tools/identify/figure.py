@@ -85,8 +85,8 @@ def _degrees(values: NDArray[np.complex128]) -> Array:
 
 
 def _friction(part: SubFigure, drums: tuple[tuple[Drum, Fit], ...]) -> None:
-    part.suptitle("Drums: torque that neither tension nor inertia explains, near the mean tension", fontsize=11, x=0.01,
-                  ha="left")  # fmt: skip
+    title = "Drums: torque that neither tension nor inertia explains, near the mean tension"
+    part.suptitle(title, fontsize=11, x=0.01, ha="left")
     panel = part.subplots()
     for number, (drum, found) in enumerate(drums):
         inertia, viscous, coulomb, load, driving, driven = found.value

@@ -96,6 +96,12 @@ def _platform(
         return carried[0]
     responses.append(response)
     found += estimates(response, (configured, None, None))
+    inertial, width = response.fit.value[0], response.fit.half_width[0]
+    if abs(carried[0] - inertial) > math.hypot(carried[1], width):
+        notes.append(
+            "the two masses disagree: anchors, pulleys or tare are not as configured, or something "
+            "holds the platform"
+        )
     return float(response.fit.value[0])
 
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import detrend
 from scipy.signal.windows import hann
 from scipy.stats import t as student
 
@@ -198,15 +197,14 @@ def _spectra(kind: str, record: Record, force: Array, displacement: Array) -> _S
     band = np.flatnonzero((frequency > low) & (frequency < high))
 
     def transformed(values: Array) -> Complex:
-        pieces = [
-            detrend(values[at : at + size], axis=0, type="constant") * window for at in starts
-        ]
-        return np.asarray(np.fft.rfft(pieces, axis=1)[:, band])
+        pieces = np.stack([values[at : at + size] for at in starts])
+        pieces -= pieces.mean(axis=1, keepdims=True)
+        return np.asarray(np.fft.rfft(pieces * window, axis=1)[:, band])
 
     all_lines = [transformed(values) for values in signals]
     power = (np.abs(all_lines[0]) ** 2).sum(axis=(0, 2))
     excited = power > _EXCITED * power.max()
-    standing = np.pad(power * (np.abs(all_lines[2]) ** 2).sum(axis=(0, 2)), 1)
+    standing = np.pad((np.abs(all_lines[2]) ** 2).sum(axis=(0, 2)), 1)
     peaks = (standing[1:-1] > standing[:-2]) & (standing[1:-1] > standing[2:])
     return _Spectra(peaks[excited], *(lines[:, excited] for lines in all_lines))
 

@@ -34,10 +34,10 @@ def show(console: Console, found: Identification, *, truth: bool) -> None:
     console.print(table)
     for response in found.responses:
         rest = 100.0 * (1.0 - response.quality)
-        low, high = response.lines[0].frequency, response.lines[-1].frequency
+        peaks = ", ".join(f"{line.frequency:.2f}" for line in response.lines)
         console.print(
-            f"{response.kind}: M, C and K leave {rest:.2g} % of the force's power unexplained, at "
-            f"{len(response.lines)} lines from {low:.2f} to {high:.2f} Hz"
+            f"{response.kind}: M, C and K leave {rest:.2g} % of the force's power unexplained; "
+            f"peaks at {peaks} Hz"
         )
     for note in found.notes:
         console.print(escape(note), style="yellow")
