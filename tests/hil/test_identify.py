@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import redirect_stdout
+from io import StringIO
 from itertools import accumulate, cycle
 from pathlib import Path
 from typing import Any
@@ -71,15 +73,16 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def found(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """identify.json, and beside it its folder."""
     out = tmp_path_factory.mktemp("out")
-    before = sys.argv
-    sys.argv = ["tonus", "log", "identify", *map(str, logs), "--truth", "--out", str(out)]
+    before, printed = sys.argv, StringIO()
+    sys.argv = ["tonus", "log", "identify", *map(str, logs), "--truth", "--json", "--out", str(out)]
     try:
-        with pytest.raises(SystemExit) as ending:
+        with pytest.raises(SystemExit) as ending, redirect_stdout(printed):
             main()
     finally:
         sys.argv = before
     assert not ending.value.code
-    result: dict[str, Any] = json.loads((out / "identify.json").read_text())
+    result: dict[str, Any] = json.loads(printed.getvalue())
+    assert result == json.loads((out / "identify.json").read_text())
     result["out"] = out
     return result
 

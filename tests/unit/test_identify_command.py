@@ -18,6 +18,7 @@ from runtime.signals import CYCLE, TOPICS
 from runtime.states import State
 from runtime.topics import to_json
 from tools.cli.main import main
+from tools.identify.record import read
 
 TICKS = 3000
 CONFIG, _ = load("config/direct.yaml")
@@ -113,3 +114,15 @@ def test_logs_of_two_robots_are_refused(
     line = refused(monkeypatch, capsys, str(one), str(other))
     assert str(other) in line
     assert "another robot" in line
+
+
+def test_missed_ticks_are_bridged_and_not_believed(tmp_path: Path) -> None:
+    rows = standing()
+    rows["drives"]["angle"][:, 0] = 0.01 * np.arange(TICKS)
+    rows["force_cells"]["age"][2000, 3] = 1
+    whole = np.delete(rows, slice(1000, 1010))
+    record = read(recorded(tmp_path / "a", whole))
+    assert len(record.time) == TICKS
+    np.testing.assert_allclose(record.angle[:, 0], 0.01 * np.arange(TICKS), atol=1e-12)
+    np.testing.assert_array_equal(np.flatnonzero(~record.good), [*range(1000, 1010), 2000])
+    np.testing.assert_allclose(np.diff(record.time), 1e-3)
