@@ -69,12 +69,19 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
-@pytest.fixture(scope="module")
-def found(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """identify.json, and beside it its folder."""
-    out = tmp_path_factory.mktemp("out")
+def of(paths: list[Path], out: Path) -> dict[str, Any]:
+    """What the command prints as JSON, and its folder."""
     before, printed = sys.argv, StringIO()
-    sys.argv = ["tonus", "log", "identify", *map(str, logs), "--truth", "--json", "--out", str(out)]
+    sys.argv = [
+        "tonus",
+        "log",
+        "identify",
+        *map(str, paths),
+        "--truth",
+        "--json",
+        "--out",
+        str(out),
+    ]
     try:
         with pytest.raises(SystemExit) as ending, redirect_stdout(printed):
             main()
@@ -83,8 +90,12 @@ def found(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict[st
     assert not ending.value.code
     result: dict[str, Any] = json.loads(printed.getvalue())
     assert result == json.loads((out / "identify.json").read_text())
-    result["out"] = out
-    return result
+    return result | {"out": out}
+
+
+@pytest.fixture(scope="module")
+def found(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return of(logs, tmp_path_factory.mktemp("out"))
 
 
 @pytest.mark.parametrize("name", TOLERANCE)
@@ -139,3 +150,13 @@ def test_the_fragment_is_yaml_for_the_configuration(found: dict[str, Any]) -> No
 def test_the_figure_is_drawn(found: dict[str, Any]) -> None:
     assert (found["out"] / "identify.png").read_bytes().startswith(b"\x89PNG")
     assert {response["kind"] for response in found["responses"]} == {"platform", "loop"}
+
+
+def test_sines_against_the_phantom_give_its_stiffness_and_damping(tmp_path: Path) -> None:
+    config, scenario = configured("config/direct.yaml", "identify_phantom", duration=6.0)
+    _, log = virtual(config, scenario, tmp_path)
+    estimates = {e["name"]: e for e in of([log.path], tmp_path)["estimates"]}
+    for name, share in (("outer_stiffness", 0.01), ("outer_damping", 0.1), ("moved_mass", 0.02)):
+        assert abs(estimates[name]["error"]) <= share * estimates[name]["truth"]
+        assert abs(estimates[name]["error"]) <= estimates[name]["half_width"]
+    assert estimates["outer_stiffness"]["truth"] == pytest.approx(210.0)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from config.schema.robot import CABLES
 from runtime.states import State
-from tools.identify.estimate import NORMAL, Estimate, Fit, each_of, fit, mean_of
+from tools.identify.estimate import NORMAL, Estimate, Fit, each_of, fit, mean_of, numbered
 from tools.identify.record import BLOCK_S, Record, ways
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ def identify_cables(records: Sequence[Record], anchor_sigma: float) -> list[Esti
     """EA, from l = (L0 − r θ)(1 + T/EA) at the tracker's poses: bring-up, from straight to
     pretension, says most. Empty when no cable's tension changed enough. Each coordinate of an
     anchor may be wrong by ``anchor_sigma`` (m), standard error."""
-    stretches = [[_Stretch(record, cable) for record in records] for cable in range(CABLES)]
+    stretches = [[_stretch(record, cable) for record in records] for cable in range(CABLES)]
     fits = [_fit(parts) for parts in stretches]
     if not any(fits):
         return []
@@ -51,19 +51,18 @@ def _change(found: Fit, parts: list[_Stretch], axis: int, anchor_sigma: float) -
     return 0.0 if moved is None else float(moved.value[0] - found.value[0])
 
 
+@dataclass(frozen=True)
 class _Stretch:
-    """One cable of one record at the tracker's exposures: arrays (m,)."""
+    """One cable of one record at the tracker's exposures: arrays (m, ...)."""
 
-    def __init__(self, record: Record, cable: int) -> None:
-        taut = np.interp(record.exposure, record.time, record.inner(record.during(*_STATES))) == 1.0
-        at = record.exposure[taut]
-        way = ways(record.config, record.seen_position[taut], record.seen_rotation[taut])[:, cable]
-        self.way = way
-        wound = record.config.robot.drum.radius * record.smooth(record.angle[:, cable])
-        self.wound = np.interp(at, record.time, wound)
-        self.rate = np.interp(at, record.time, np.gradient(wound, record.period))
-        self.tension = np.interp(at, record.time, record.smooth(record.tension[:, cable]))
-        self.block = (at / BLOCK_S).astype(np.int64)
+    block: NDArray[np.int64]
+    way: Array
+    """m (m, 3), from platform to frame anchor"""
+    wound: Array
+    """m of cable, r θ"""
+    rate: Array
+    """m/s, its derivative"""
+    tension: Array
 
     @property
     def length(self) -> Array:
@@ -72,9 +71,21 @@ class _Stretch:
 
     def with_anchor(self, axis: int, offset: float) -> _Stretch:
         """The same had the frame's anchor been elsewhere."""
-        other = copy(self)
-        other.way = self.way + offset * np.eye(3)[axis]
-        return other
+        return replace(self, way=self.way + offset * np.eye(3)[axis])
+
+
+def _stretch(record: Record, cable: int) -> _Stretch:
+    taut = np.interp(record.exposure, record.time, record.inner(record.during(*_STATES))) == 1.0
+    at = record.exposure[taut]
+    way = ways(record.config, record.seen_position[taut], record.seen_rotation[taut])[:, cable]
+    wound = record.config.robot.drum.radius * record.smooth(record.angle[:, cable])
+    columns = (
+        wound,
+        np.gradient(wound, record.period),
+        record.smooth(record.tension[:, cable]),
+    )
+    seen = (np.interp(at, record.time, column) for column in columns)
+    return _Stretch((at / BLOCK_S).astype(np.int64), way, *seen)
 
 
 def _fit(parts: list[_Stretch]) -> Fit | None:
@@ -82,7 +93,6 @@ def _fit(parts: list[_Stretch]) -> Fit | None:
     parts = [part for part in parts if len(part.way)]
     if not parts or max(float(np.ptp(part.tension)) for part in parts) < _NARROWEST_N:
         return None
-
     lengths = [part.length for part in parts]
 
     def residuals(p: Array) -> Array:
@@ -93,20 +103,7 @@ def _fit(parts: list[_Stretch]) -> Fit | None:
             ]
         )
 
-    start = np.array(
-        [
-            _FIRST_GUESS_N,
-            0.0,
-            *(
-                float(np.mean(length + part.wound))
-                for part, length in zip(parts, lengths, strict=True)
-            ),
-        ]
-    )
+    longest = [float(np.mean(length + p.wound)) for p, length in zip(parts, lengths, strict=True)]
+    start = np.array([_FIRST_GUESS_N, 0.0, *longest])
     scale = np.array([_FIRST_GUESS_N, 1e-3, *(1e-2 for _ in parts)])
-    return fit(residuals, start, _numbered([part.block for part in parts]), scale=scale)
-
-
-def _numbered(blocks: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Blocks of several records, none of them alike."""
-    return np.concatenate([number * 1_000_000 + part for number, part in enumerate(blocks)])
+    return fit(residuals, start, numbered([part.block for part in parts]), scale=scale)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from config.schema.robot import CABLES
 from runtime.states import State
-from tools.identify.estimate import Estimate, Fit, each_of, fit, mean_of
+from tools.identify.estimate import Estimate, Fit, each_of, fit, mean_of, numbered
 from tools.identify.record import UNLIKE_DELAY_TICKS, Record
 
 Array = NDArray[np.float64]
@@ -26,7 +26,6 @@ _SLOWEST = 0.01
 """m/s of cable: below, friction may be anything up to its limit, or Stribeck's"""
 _FEWEST = 500
 """samples in either direction"""
-_NAMES = ("inertia", "viscous", "coulomb", "load", "driving", "driven")
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Drum:
         return self.torque - self.radius * self.tension
 
     def torque_of(self, p: Array) -> Array:
-        """The model's torque for parameters (6,) in the order of `_NAMES`."""
+        """The model's torque for parameters (6,): J, b, F_c, μ, η, η'."""
         inertia, viscous, coulomb, load, driving, driven = p
         moved = inertia * self.acceleration + viscous * self.rate + self.radius * self.tension
         held = self.radius * (load * self.tension + coulomb)
@@ -70,7 +69,7 @@ def gather(records: Sequence[Record], cable: int) -> Drum:
     columns: tuple[list[Array], ...] = ([], [], [], [], [], [])
     blocks: list[NDArray[np.int64]] = []
     radius = records[0].config.robot.drum.radius
-    for number, record in enumerate(records):
+    for record in records:
         rate = record.smooth(np.gradient(record.angle[:, cable], record.period))
         turning = np.abs(rate) * radius > _SLOWEST
         chosen = record.inner(record.during(*_STATES) & turning)
@@ -86,13 +85,13 @@ def gather(records: Sequence[Record], cable: int) -> Drum:
         )
         for column, value in zip(columns, values, strict=True):
             column.append(value[chosen])
-        blocks.append(number * 1_000_000 + record.blocks[chosen])
+        blocks.append(record.blocks[chosen])
     joined = [np.concatenate(column) for column in columns]
-    return Drum(radius, np.concatenate(blocks), *joined)
+    return Drum(radius, numbered(blocks), *joined)
 
 
 def fit_drum(drum: Drum) -> Fit | None:
-    """The parameters in the order of `_NAMES`; None when it turned too little either way."""
+    """J, b, F_c, μ, η, η'; None when it turned too little either way."""
     forth = int(np.count_nonzero(drum.torque * drum.rate > 0.0))
     if min(forth, len(drum.rate) - forth) < _FEWEST:
         return None
@@ -127,8 +126,8 @@ def identify_drums(records: Sequence[Record]) -> tuple[list[Estimate], list[tupl
     )
     delay = UNLIKE_DELAY_TICKS * records[0].period
     skewed = [
-        [fit_drum(drum.corrected(encoder=delay)) for drum in drums],
-        [fit_drum(drum.corrected(cell=delay)) for drum in drums],
+        [fit_drum(drum.corrected(encoder=delay)) or found for drum, found in fitted],
+        [fit_drum(drum.corrected(cell=delay)) or found for drum, found in fitted],
     ]
     estimates = []
     for index, (name, text, unit, configured) in enumerate(rows):

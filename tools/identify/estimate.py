@@ -18,6 +18,7 @@ _NEGLIGIBLE = 0.02
 """a difference of this share is no reason to change a configuration"""
 _VAGUE = 0.5
 """an interval wider than this share of the value says that it was not excited"""
+_FAR = 1_000_000
 _SINGULAR = 1e8
 """condition number beyond which parameters cannot be told apart"""
 
@@ -97,6 +98,11 @@ def fit(
     quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, count - size))
     half_width = quantile * np.linalg.norm(influence, axis=0)
     return Fit(np.asarray(found.x), half_width, rest, names, influence, quantile)
+
+
+def numbered(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """The block numbers of several records in one row, none of them alike."""
+    return np.concatenate([number * _FAR + part for number, part in enumerate(parts)])
 
 
 def mean_of(fits: Sequence[Fit | None], index: int) -> tuple[float, float]:

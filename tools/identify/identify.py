@@ -69,7 +69,7 @@ def identify(
     found += cables + estimated
     _loop(yielding, mass, found, responses, notes)
     if truth:
-        known = true_values(records, yielding)
+        known = true_values(records, moving, yielding)
         found = [replace(estimate, truth=known.get(estimate.name)) for estimate in found]
     return Identification(tuple(paths), tuple(found), tuple(responses), tuple(drums), tuple(notes))
 
@@ -92,7 +92,7 @@ def _platform(
     )
     response = platform_response(moving)
     if response is None:
-        notes.append("M, C and K: one frequency alone cannot tell them apart; add logs of others")
+        notes.append("M, C and K: too short a log, or of one frequency, cannot tell them apart")
         return carried[0]
     responses.append(response)
     found += estimates(response, (configured, None, None))

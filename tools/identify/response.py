@@ -20,7 +20,7 @@ from scipy.signal.windows import hann
 from scipy.stats import t as student
 
 from runtime.states import State
-from tools.identify.estimate import Estimate, Fit, fit
+from tools.identify.estimate import Estimate, Fit, fit, numbered
 from tools.identify.record import UNLIKE_DELAY_TICKS, Mask, Record, ways
 
 Array = NDArray[np.float64]
@@ -111,16 +111,16 @@ def weight(records: Sequence[Record], anchor_sigma: float) -> tuple[float, float
     records whose reference moves. What the cells' tare and the configured anchors, each coordinate
     by ``anchor_sigma`` (m), may be wrong by counts."""
     carried, blocks, tare = [], [], 0.0
-    for number, record in enumerate(records):
+    for record in records:
         active = record.during(State.ACTIVE)
         lift = np.gradient(np.gradient(record.position[:, 2], record.period), record.period)
         pull = record.config.robot.gravity + record.smooth(lift)
         carried.append((record.force[:, 2] / pull)[active])
-        blocks.append(number * 1_000_000 + record.blocks[active])
+        blocks.append(record.blocks[active])
         upright = record.direction[active, :, 2].mean(axis=0)
         tare += float(((upright * record.tare_error) ** 2).sum()) / record.config.robot.gravity**2
     masses = np.concatenate(carried)
-    found = fit(lambda p: p[0] - masses, np.ones(1), np.concatenate(blocks))
+    found = fit(lambda p: p[0] - masses, np.ones(1), numbered(blocks))
     if found is None:
         return float("nan"), float("inf")
     first = records[0]
@@ -219,16 +219,16 @@ def _fit(parts: list[_Spectra], delay: float) -> Fit | None:
         for name in ("acceleration", "velocity", "displacement")
     ]
     force = np.concatenate([_real(part.force + delay * part.force_rate) for part in parts])
-    blocks = np.concatenate([_line_numbers(part, number) for number, part in enumerate(parts)])
+    blocks = numbered([_line_numbers(part) for part in parts])
     matrix = np.stack(columns, axis=1)
     scale = np.linalg.norm(force) / np.linalg.norm(matrix, axis=0)
     return fit(lambda p: matrix @ p - force, np.zeros(3), blocks, scale=scale)
 
 
-def _line_numbers(part: _Spectra, record: int) -> NDArray[np.int64]:
-    """Which line each value in the order of `_real` belongs to, no two records' alike."""
+def _line_numbers(part: _Spectra) -> NDArray[np.int64]:
+    """Which line each value in the order of `_real` belongs to."""
     _, lines, _ = np.indices(part.force.shape)
-    return np.tile(1_000_000 * record + lines.reshape(-1), 2)
+    return np.tile(lines.reshape(-1), 2)
 
 
 def _real(values: Complex) -> Array:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
+from config.schema.scenario import Scenario
 from sim.plant import Plant
 from tools.errors import ToolError
 from tools.identify.record import Record
@@ -16,16 +18,24 @@ from tools.summary import TRUTH, truth_at_cycles
 Array = NDArray[np.float64]
 
 
-def true_values(records: Sequence[Record], yielding: Sequence[Record]) -> dict[str, float]:
+def true_values(
+    records: Sequence[Record], moving: Sequence[Record], yielding: Sequence[Record]
+) -> dict[str, float]:
     """By the estimates' names. The plant's parameters are those that the log's seed draws, and of
-    eight cables or drums the mean; the closed loop is the response between true load and true
-    position. Raises ToolError for a log that is not a lab's, or of robots that differ."""
+    eight cables or drums the mean; what holds the platform from outside is the phantom along its
+    normal; the closed loop is the response between true load and true position.
+
+    Raises ToolError for a log that is not a lab's, or of robots that differ.
+    """
     drawn = [_drawn(record) for record in records]
     if any(values != drawn[0] for values in drawn[1:]):
         raise ToolError(
             f"{records[0].path}: the logs' true robots differ, by lab or seed; --truth needs one"
         )
     values = dict(drawn[0])
+    outside = [_outside(record) for record in moving]
+    if outside and all(held == outside[0] for held in outside):
+        values |= outside[0]
     parts = [
         (record, _true(record, "load"), _true(record, "position") - record.desired)
         for record in yielding
@@ -34,6 +44,19 @@ def true_values(records: Sequence[Record], yielding: Sequence[Record]) -> dict[s
     if response is not None:
         values |= {e.name: e.value for e in estimates(response, (None, None, None))}
     return values
+
+
+def _outside(record: Record) -> dict[str, float]:
+    """Empty for a phantom that is not a spring and a damper."""
+    text = record.log.attachments.get("scenario.yaml", b"")
+    scenario = Scenario.model_validate(yaml.safe_load(text)) if text else None
+    lab = record.config.lab
+    phantom = (scenario.lab.phantom if scenario else None) or (lab.phantom if lab else None)
+    if phantom is None:
+        return {"outer_damping": 0.0, "outer_stiffness": 0.0}
+    if phantom.model == "kelvin_voigt":
+        return {"outer_damping": phantom.damping, "outer_stiffness": phantom.stiffness}
+    return {}
 
 
 def _true(record: Record, field: str) -> Array:
