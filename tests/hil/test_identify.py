@@ -153,7 +153,7 @@ def test_the_figure_is_drawn(found: dict[str, Any]) -> None:
 
 
 def test_sines_against_the_phantom_give_its_stiffness_and_damping(tmp_path: Path) -> None:
-    config, scenario = configured("config/direct.yaml", "identify_phantom", duration=6.0)
+    config, scenario = configured("config/direct.yaml", "identify_phantom", duration=8.0)
     _, log = virtual(config, scenario, tmp_path)
     estimates = {e["name"]: e for e in of([log.path], tmp_path)["estimates"]}
     for name, share in (("outer_stiffness", 0.01), ("outer_damping", 0.1), ("moved_mass", 0.02)):
