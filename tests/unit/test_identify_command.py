@@ -90,6 +90,15 @@ def test_a_damaged_log_is_refused(
     assert "damaged" in refused(monkeypatch, capsys, str(path))
 
 
+def test_a_log_that_never_became_active_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    rows = standing()
+    rows["state"]["state"] = State.STANDBY
+    path = recorded(tmp_path / "a", rows)
+    assert "in no tick of ACTIVE" in refused(monkeypatch, capsys, str(path))
+
+
 @pytest.mark.parametrize(
     ("config", "words"), [("", "carries no configuration"), ("name: other\n", "not this version's")]
 )

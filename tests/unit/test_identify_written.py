@@ -30,6 +30,7 @@ EA = Estimate(
     truth=3410.0,
 )
 VAGUE = Estimate("coulomb_friction", "Coulomb friction F_c", "N", 1.0, 3.0, 1.5)
+UNKNOWN = Estimate("load_friction", "load friction μ", "", 0.03, 0.001)
 BY_WEIGHT = Estimate("platform_mass", "by weight", "kg", 2.30, 0.05, 2.35)
 BY_INERTIA = Estimate("moved_mass", "by inertia", "kg", 2.3412, 0.004, 2.35)
 FORTH = Estimate("efficiency_driving", "driving", "", 0.78, 0.002, 0.8)
@@ -45,7 +46,7 @@ FIT = Fit(
 RESPONSE = Response("loop", (Line(0.5, 3e-4 - 3e-5j, 0.5),), FIT, 0.99)
 FOUND = Identification(
     (Path("a.mcap"),),
-    (EA, VAGUE, BY_WEIGHT, BY_INERTIA, FORTH, BACK),
+    (EA, VAGUE, UNKNOWN, BY_WEIGHT, BY_INERTIA, FORTH, BACK),
     (RESPONSE,),
     (),
     ("closed loop: nothing",),

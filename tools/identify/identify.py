@@ -45,6 +45,12 @@ def identify(
     Raises ToolError when a log cannot be used or nothing moves in any.
     """
     records = [read(path) for path in paths]
+    for record in records:
+        if not record.during(State.ACTIVE).any():
+            raise ToolError(
+                f"{record.path}: in no tick of ACTIVE were all devices heard and all cables taut; "
+                "name a log of a run that went well"
+            )
     for record in records[1:]:
         if record.config.robot != records[0].config.robot:
             raise ToolError(

@@ -34,9 +34,11 @@ def to_json(found: Identification) -> dict[str, Any]:
 
 
 def to_yaml(found: Identification) -> str:
-    """The configuration's keys with what was identified well enough; between the two masses the
+    """The configuration's own keys with what was identified well enough; between the two masses the
     surer one, between the two efficiencies their mean."""
-    known = {e.name: e for e in found.estimates if e.verdict != "uncertain"}
+    known = {
+        e.name: e for e in found.estimates if e.configured is not None and e.verdict != "uncertain"
+    }
     chosen = {key: known[name] for name, key in _KEYS.items() if name in known}
     masses = [known[name] for name in _MASSES if name in known]
     if masses:
