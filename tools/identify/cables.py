@@ -47,6 +47,8 @@ def identify_cables(records: Sequence[Record], anchor_sigma: float) -> list[Esti
 
 def _change(found: Fit, parts: list[_Stretch], axis: int, anchor_sigma: float) -> float:
     """What an anchor that is off along an axis does to EA (N)."""
+    if anchor_sigma == 0.0:
+        return 0.0
     moved = _fit([part.with_anchor(axis, anchor_sigma) for part in parts])
     return 0.0 if moved is None else float(moved.value[0] - found.value[0])
 
