@@ -19,8 +19,9 @@ _NEGLIGIBLE = 0.02
 _VAGUE = 0.5
 """an interval wider than this share of the value says that it was not excited"""
 _FAR = 1_000_000
-_SINGULAR = 1e8
-"""condition number beyond which parameters cannot be told apart"""
+_FEWEST_BLOCKS = 3
+_SINGULAR = 1e12
+"""condition number of the normal equations beyond which parameters cannot be told apart"""
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,9 @@ class Fit:
     blocks: NDArray[np.int64]
     """(b,) numbers of the blocks"""
     influence: Array
-    """(b, p): how far each block's residuals shift the values"""
+    """(b, p): how far each block shifts the values"""
     quantile: float
-    """Student's, for the blocks that are left"""
+    """Student's, for as many blocks"""
 
 
 def fit(
@@ -77,25 +78,34 @@ def fit(
 ) -> Fit | None:
     """Least squares whose intervals hold although neighbouring residuals (n,) are alike.
 
-    ``blocks`` (n,) numbers stretches that may be taken as independent; the covariance is the
-    sandwich (J'J)⁻¹ (Σ_b J_b' r_b r_b' J_b) (J'J)⁻¹ over them (Liang and Zeger 1986), so that a
-    residual that lasts, from a model that is not quite right too, counts once a block and not once
-    a sample. Student's t has as many degrees of freedom as blocks remain. None when the data do not
-    determine the parameters.
+    ``blocks`` (n,) numbers stretches that may be taken as independent. The covariance is the
+    jackknife over them: each is left out once, to first order, so that a residual that lasts, from
+    a model that is not quite right too, counts once a block and not once a sample (CR3 of Bell and
+    McCaffrey 2002). Student's t has a degree of freedom for each block but one. None when the data
+    without any one block do not determine the parameters.
     """
     names, numbers = np.unique(blocks, return_inverse=True)
     count, size = len(names), len(start)
-    if count <= size + 1:
+    if count < _FEWEST_BLOCKS:
         return None
     found = least_squares(residuals, start, x_scale=1.0 if scale is None else scale)
     jacobian, rest = np.asarray(found.jac), np.asarray(found.fun)
     norms = np.linalg.norm(jacobian, axis=0)
-    if not norms.all() or np.linalg.cond(jacobian / norms) > _SINGULAR:
+    if not norms.all():
         return None
-    scores = np.zeros((count, size))
-    np.add.at(scores, numbers, jacobian * rest[:, None])
-    influence = scores @ np.linalg.inv(jacobian.T @ jacobian) * np.sqrt(count / (count - size))
-    quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, count - size))
+    jacobian = jacobian / norms
+    whole = jacobian.T @ jacobian
+    scores, without = np.empty((count, size)), np.empty((count, size, size))
+    for block in range(count):
+        chosen = numbers == block
+        part = jacobian[chosen]
+        scores[block] = rest[chosen] @ part
+        without[block] = whole - part.T @ part
+    if np.linalg.cond(without).max() > _SINGULAR:
+        return None
+    influence = np.linalg.solve(without, scores[:, :, None])[:, :, 0] / norms
+    influence *= np.sqrt((count - 1) / count)
+    quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, count - 1))
     half_width = quantile * np.linalg.norm(influence, axis=0)
     return Fit(np.asarray(found.x), half_width, rest, names, influence, quantile)
 

@@ -211,7 +211,7 @@ def _spectra(kind: str, record: Record, force: Array, displacement: Array) -> _S
 
 def _fit(parts: list[_Spectra], delay: float) -> Fit | None:
     """M, C, K by least squares on F = M A + C V + K X at all lines, with the force ``delay`` (s)
-    earlier than it was told. A line, over all its segments and axes, is a block."""
+    earlier than it was told. A peak, over all its segments and axes, is a block."""
     if not parts:
         return None
     columns = [
@@ -219,16 +219,18 @@ def _fit(parts: list[_Spectra], delay: float) -> Fit | None:
         for name in ("acceleration", "velocity", "displacement")
     ]
     force = np.concatenate([_real(part.force + delay * part.force_rate) for part in parts])
-    blocks = numbered([_line_numbers(part) for part in parts])
+    blocks = numbered([_peak_numbers(part) for part in parts])
     matrix = np.stack(columns, axis=1)
     scale = np.linalg.norm(force) / np.linalg.norm(matrix, axis=0)
     return fit(lambda p: matrix @ p - force, np.zeros(3), blocks, scale=scale)
 
 
-def _line_numbers(part: _Spectra) -> NDArray[np.int64]:
-    """Which line each value in the order of `_real` belongs to."""
-    _, lines, _ = np.indices(part.force.shape)
-    return np.tile(lines.reshape(-1), 2)
+def _peak_numbers(part: _Spectra) -> NDArray[np.int64]:
+    """Which peak each value in the order of `_real` belongs to: a window spreads one over three."""
+    standing = np.flatnonzero(part.peaks)
+    every = np.arange(len(part.peaks))
+    nearest = np.abs(every[:, None] - standing).argmin(axis=1) if len(standing) else 0 * every
+    return np.tile(np.broadcast_to(nearest[:, None], part.force.shape).reshape(-1), 2)
 
 
 def _real(values: Complex) -> Array:
