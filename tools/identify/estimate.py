@@ -96,8 +96,8 @@ def fit(
     jacobian = jacobian / norms
     whole = jacobian.T @ jacobian
     scores, without = np.empty((count, size)), np.empty((count, size, size))
-    for block in range(count):
-        chosen = numbers == block
+    ends = np.cumsum(np.bincount(numbers))[:-1]
+    for block, chosen in enumerate(np.split(np.argsort(numbers, kind="stable"), ends)):
         part = jacobian[chosen]
         scores[block] = rest[chosen] @ part
         without[block] = whole - part.T @ part

@@ -69,6 +69,8 @@ class Response:
 class _Spectra:
     """Force, displacement and its derivatives (segments, lines, 3) at the excited lines."""
 
+    number: NDArray[np.int64]
+    """(lines,) in the transform"""
     peaks: Mask
     """(lines,): those that stand out; between two of them a line is a mixture of both"""
     force: Complex
@@ -189,7 +191,8 @@ def _spectra(kind: str, record: Record, force: Array, displacement: Array) -> _S
     )
     size = min(round(_SEGMENT_S / record.period), 2 * len(active) // (_FEWEST_SEGMENTS + 1))
     if size < 1.0 / record.period:
-        return _Spectra(np.empty(0, bool), *(np.empty((0, 0, 3), complex) for _ in signals))
+        none = np.empty(0, np.int64)
+        return _Spectra(none, none > 0, *(np.empty((0, 0, 3), complex) for _ in signals))
     starts = range(active[0], active[-1] + 2 - size, size // 2)
     window = hann(size, sym=False)[:, None]
     low, high = _BAND_HZ[kind]
@@ -206,12 +209,12 @@ def _spectra(kind: str, record: Record, force: Array, displacement: Array) -> _S
     excited = power > _EXCITED * power.max()
     standing = np.pad((np.abs(all_lines[2]) ** 2).sum(axis=(0, 2)), 1)
     peaks = (standing[1:-1] > standing[:-2]) & (standing[1:-1] > standing[2:])
-    return _Spectra(peaks[excited], *(lines[:, excited] for lines in all_lines))
+    return _Spectra(band[excited], peaks[excited], *(lines[:, excited] for lines in all_lines))
 
 
 def _fit(parts: list[_Spectra], delay: float) -> Fit | None:
     """M, C, K by least squares on F = M A + C V + K X at all lines, with the force ``delay`` (s)
-    earlier than it was told. A peak, over all its segments and axes, is a block."""
+    earlier than it was told. Two lines, over all segments and axes, are a block."""
     if not parts:
         return None
     columns = [
@@ -219,18 +222,17 @@ def _fit(parts: list[_Spectra], delay: float) -> Fit | None:
         for name in ("acceleration", "velocity", "displacement")
     ]
     force = np.concatenate([_real(part.force + delay * part.force_rate) for part in parts])
-    blocks = numbered([_peak_numbers(part) for part in parts])
+    blocks = numbered([_pair_numbers(part) for part in parts])
     matrix = np.stack(columns, axis=1)
     scale = np.linalg.norm(force) / np.linalg.norm(matrix, axis=0)
     return fit(lambda p: matrix @ p - force, np.zeros(3), blocks, scale=scale)
 
 
-def _peak_numbers(part: _Spectra) -> NDArray[np.int64]:
-    """Which peak each value in the order of `_real` belongs to: a window spreads one over three."""
-    standing = np.flatnonzero(part.peaks)
-    every = np.arange(len(part.peaks))
-    nearest = np.abs(every[:, None] - standing).argmin(axis=1) if len(standing) else 0 * every
-    return np.tile(np.broadcast_to(nearest[:, None], part.force.shape).reshape(-1), 2)
+def _pair_numbers(part: _Spectra) -> NDArray[np.int64]:
+    """Which pair of neighbouring lines each value in the order of `_real` belongs to, since the
+    window spreads a sine over as many."""
+    pairs = np.broadcast_to(part.number[:, None] // 2, part.force.shape)
+    return np.tile(pairs.reshape(-1), 2)
 
 
 def _real(values: Complex) -> Array:
