@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.scenario import Hold, Path, Press, Reference, Sine
+from config.schema.scenario import Hold, Multisine, Path, Press, Reference, Sine
 
 Array = NDArray[np.float64]
 Sample = tuple[Array, Array, Array]
@@ -88,6 +88,20 @@ class _Sine(Trajectory):
         )
 
 
+class _Multisine(Trajectory):
+    """The sum of its sines."""
+
+    def __init__(self, reference: Multisine) -> None:
+        self._sines = [
+            _Sine(Sine(kind="sine", fade=reference.fade, **component.model_dump()))
+            for component in reference.components
+        ]
+
+    def __call__(self, t: float) -> Sample:
+        position, velocity, acceleration = np.sum([sine(t) for sine in self._sines], axis=0)
+        return position, velocity, acceleration
+
+
 class _Path(Trajectory):
     """Minimum-jerk moves from point to point, with pauses; starts at home."""
 
@@ -149,4 +163,6 @@ def trajectory(reference: Reference) -> Trajectory:
         return _Sine(reference)
     if isinstance(reference, Press):
         return _Press(reference)
+    if isinstance(reference, Multisine):
+        return _Multisine(reference)
     return _Path(reference)

@@ -25,6 +25,23 @@ class Sine(Section):
     """s"""
 
 
+class Component(Section):
+    """One sine of several."""
+
+    direction: Direction
+    amplitude: Positive
+    frequency: Positive
+
+
+class Multisine(Section):
+    """Several sines at once; all fade in together."""
+
+    kind: Literal["multisine"]
+    components: Annotated[tuple[Component, ...], Field(min_length=1)]
+    fade: NonNegative
+    """s"""
+
+
 class Waypoint(Section):
     position: Vector3
     """m, relative to home"""
@@ -66,7 +83,7 @@ class Press(Section):
         return self
 
 
-Reference = Annotated[Hold | Sine | Path | Press, Field(discriminator="kind")]
+Reference = Annotated[Hold | Sine | Multisine | Path | Press, Field(discriminator="kind")]
 
 
 class Scenario(Section):

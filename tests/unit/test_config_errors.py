@@ -323,7 +323,7 @@ SCENARIOS = [
     ("name: s\ndescription: d\nduration: 0\nreference: {kind: hold}\n", 3, "duration", "greater"),
     (
         "name: s\ndescription: d\nduration: 1\nreference: {kind: sin}\n",
-        4, "reference.kind", "choose one of 'hold', 'sine', 'path'",
+        4, "reference.kind", "choose one of 'hold', 'sine', 'multisine', 'path'",
     ),
     (
         "name: s\ndescription: d\nduration: 1\nreference: {kind: path, waypoints: []}\n",

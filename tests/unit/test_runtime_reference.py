@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from config.schema.scenario import Hold, Path, Reference, Sine, Waypoint
+from config.schema.scenario import Component, Hold, Multisine, Path, Reference, Sine, Waypoint
 from runtime.reference import Move, minimum_jerk, trajectory
 
 SINE = Sine(kind="sine", direction=(0.0, 3.0, 4.0), amplitude=0.03, frequency=0.5, fade=2.0)
@@ -16,7 +16,20 @@ PATH = Path(
         Waypoint(position=(0.2, 0.1, 0.0), duration=4.0, pause=3.0),
     ),
 )
-REFERENCES: dict[str, Hold | Sine | Path] = {"hold": Hold(kind="hold"), "sine": SINE, "path": PATH}
+MULTISINE = Multisine(
+    kind="multisine",
+    components=(
+        Component(direction=(0.0, 3.0, 4.0), amplitude=0.03, frequency=0.5),
+        Component(direction=(1.0, 0.0, 0.0), amplitude=0.01, frequency=0.8),
+    ),
+    fade=2.0,
+)
+REFERENCES: dict[str, Hold | Sine | Multisine | Path] = {
+    "hold": Hold(kind="hold"),
+    "sine": SINE,
+    "multisine": MULTISINE,
+    "path": PATH,
+}
 
 
 @pytest.mark.parametrize("name", REFERENCES)
@@ -43,6 +56,14 @@ def test_the_sine_has_its_amplitude_frequency_and_direction() -> None:
     np.testing.assert_allclose(follow(5.5)[0], -crest, rtol=1e-12)
     np.testing.assert_allclose(follow(6.5)[0], crest, rtol=1e-12)
     assert np.linalg.norm(follow(0.5)[0]) < 0.2 * 0.03
+
+
+def test_the_multisine_is_the_sum_of_its_sines() -> None:
+    follow, one = trajectory(MULTISINE), trajectory(SINE)
+    for t in (0.7, 3.1):
+        rest = follow(t)[0] - one(t)[0]
+        np.testing.assert_allclose(rest[1:], 0.0, atol=1e-15)
+    assert rest[0] == pytest.approx(0.01 * np.sin(2.0 * np.pi * 0.8 * 3.1))
 
 
 def test_a_sine_without_fade_starts_in_full() -> None:

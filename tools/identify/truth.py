@@ -1,0 +1,89 @@
+"""What a lab's robot really is, to be put beside what was identified."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from config.schema.scenario import Scenario
+from sim.plant import Plant
+from tools.errors import ToolError
+from tools.identify.record import Record
+from tools.identify.response import estimates, response_between
+from tools.summary import TRUTH, truth_at_cycles
+
+Array = NDArray[np.float64]
+
+
+def true_values(
+    records: Sequence[Record], moving: Sequence[Record], yielding: Sequence[Record]
+) -> dict[str, float]:
+    """By the estimates' names. The plant's parameters are those that the log's seed draws, and of
+    eight cables or drums the mean; what holds the platform from outside is the phantom along its
+    normal; the closed loop is the response between true load and true position.
+
+    Raises ToolError for a log that is not a lab's, or of robots that differ.
+    """
+    drawn = [_drawn(record) for record in records]
+    if any(values != drawn[0] for values in drawn[1:]):
+        raise ToolError(
+            f"{records[0].path}: the logs' true robots differ, by lab or seed; --truth needs one"
+        )
+    values = dict(drawn[0])
+    outside = [_outside(record) for record in moving]
+    if outside and all(held == outside[0] for held in outside):
+        values |= outside[0]
+    parts = [
+        (record, _true(record, "load"), _true(record, "position") - record.desired)
+        for record in yielding
+    ]
+    response = response_between("loop", parts) if parts else None
+    if response is not None:
+        values |= {e.name: e.value for e in estimates(response, (None, None, None))}
+    return values
+
+
+def _outside(record: Record) -> dict[str, float]:
+    """Empty for a phantom that is not a spring and a damper."""
+    text = record.log.attachments.get("scenario.yaml", b"")
+    scenario = Scenario.model_validate(yaml.safe_load(text)) if text else None
+    lab = record.config.lab
+    phantom = (scenario.lab.phantom if scenario else None) or (lab.phantom if lab else None)
+    if phantom is None:
+        return {"outer_damping": 0.0, "outer_stiffness": 0.0}
+    if phantom.model == "kelvin_voigt":
+        return {"outer_damping": phantom.damping, "outer_stiffness": phantom.stiffness}
+    return {}
+
+
+def _true(record: Record, field: str) -> Array:
+    """The first three of a field (n, 3), sampled when the drives are: a tick before the cycle."""
+    values = truth_at_cycles(record.log, field)
+    assert values is not None
+    later = record.on_grid(values[:, :3])
+    return np.vstack([later[:1], later[:-1]])
+
+
+def _drawn(record: Record) -> dict[str, float]:
+    """The plant's own parameters."""
+    robot, lab, seed = record.config.robot, record.config.lab, record.log.metadata.get("seed", "")
+    if lab is None or TRUTH not in record.log or not seed.isdigit():
+        raise ToolError(f"{record.path}: not a lab's log, so nobody knows; leave out --truth")
+    plant = Plant(robot, lab, seed=int(seed), phantom=None, load=None).parameters[0]
+    efficiency = 1.0 - float(plant["driving_loss"])
+    # A stiffening cable's EA is that of small changes about the pretension.
+    stiffness = plant["axial_stiffness"] + plant["stiffening"] * record.config.control.tension.pre
+    return {
+        "platform_mass": float(plant["mass"]),
+        "moved_mass": float(plant["mass"]),
+        "axial_stiffness": float(np.mean(stiffness)),
+        "drum_inertia": float(plant["drum_inertia"]),
+        "viscous_friction": float(plant["viscous"]),
+        "coulomb_friction": float(np.mean(plant["coulomb"])) / robot.drum.radius,
+        "load_friction": float(np.mean(plant["load_friction"])),
+        "efficiency_driving": efficiency,
+        "efficiency_driven": efficiency,
+    }
