@@ -34,7 +34,7 @@ TOLERANCE = {
     "moved_mass": 0.01,
     "axial_stiffness": 0.01,
     "drum_inertia": 0.01,
-    "viscous_friction": 0.03,
+    "viscous_friction": 0.04,
     "coulomb_friction": 0.15,
     "load_friction": 0.15,
     "efficiency_driving": 0.01,
@@ -55,7 +55,7 @@ def swept() -> dict[str, Any]:
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """The same robot moved by sines, and pushed."""
     paths = []
-    for name, duration, script in (("motion", 7.0, None), ("load", 4.5, swept())):
+    for name, duration, script in (("motion", 13.0, None), ("load", 4.5, swept())):
         config, scenario = configured(
             "config/direct.yaml",
             f"identify_{name}",
