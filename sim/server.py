@@ -146,18 +146,21 @@ class _Server:
             self._stalled.remove(client)
 
     def _receive(self, client: _Client) -> None:
-        """Take what a client has sent, as far as its queue has room."""
+        """Take what a client has sent, as far as its queue has room. A frame that tells when it was
+        sent enters its queue then, unless the lab is past that: how late it is read must not show
+        on the bus. The lab is left there, since another channel's frame may be of the same time."""
         lab, port = self._lab, client.port
         try:
-            lab.advance(self._clock())
+            if port.room <= 0:
+                lab.advance(self._clock())
             while port.room > 0:
                 packet = client.connection.recv(PACKET_BYTES)
-                # Again: it may have been sent since, and nothing is on a bus before it is sent.
-                lab.advance(self._clock())
+                now_ns = self._clock()
                 if not packet:
                     self._leave(client)
                     break
-                for _, identifier, dlc, _, data in decode(packet):
+                for sent_ns, identifier, dlc, _, data in decode(packet):
+                    lab.advance(min(sent_ns or now_ns, now_ns))
                     if identifier == ECHO:
                         port.echo = data[:1] == b"\1"
                     elif sound(identifier, dlc):
@@ -186,6 +189,10 @@ class _Server:
         """Bring the lab to the present and hand out what came of it."""
         lab = self._lab
         now_ns = self._clock()
+        # What was sent before this instant first, or the lab would be past it.
+        for client in tuple(self._clients):
+            if client not in self._stalled:
+                self._receive(client)
         lab.advance(now_ns)
         for client in tuple(self._clients):
             if client.port.received:

@@ -64,6 +64,8 @@ class Channel:
 
     def sync(self, tick: int) -> None:
         now = self._clock()
+        # Devices answer a SYNC from the instant it is on the wire: a bus in software is told it.
+        self._sync.timestamp = now * 1e-9
         if not self._transmit(self._sync):
             self._unsent += 1
             return

@@ -244,9 +244,14 @@ class SocketBus(TonusBus):
             self._socket.send(packet.FRAME.pack(0, packet.ECHO, 1, 0, b"\1"))
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Raises `can.CanOperationError` if the lab has not taken the frames before this one."""
+        """A timestamp in ``msg``, s on the lab's clock, is when it enters its queue: how late the
+        lab reads it then does not matter.
+
+        Raises `can.CanOperationError` if the lab has not taken the frames before this one.
+        """
         identifier = _checked(msg)
-        data = packet.FRAME.pack(0, identifier, msg.dlc, 0, bytes(msg.data))
+        sent_ns = round(max(msg.timestamp, 0.0) * 1e9)
+        data = packet.FRAME.pack(sent_ns, identifier, msg.dlc, 0, bytes(msg.data))
         try:
             self._socket.send(data)
         except BlockingIOError as error:

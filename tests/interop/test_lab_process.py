@@ -8,6 +8,7 @@ import select
 import signal
 import subprocess
 import sys
+import time  # noqa: TID251 - another process keeps this lab's time
 from pathlib import Path
 
 import can
@@ -15,6 +16,7 @@ import pytest
 from running_lab import COMMAND, environment, start
 
 from sim.can.plugin import TonusBus
+from sim.can.timing import frame_bits
 
 pytestmark = pytest.mark.realtime
 
@@ -81,6 +83,22 @@ def test_who_reads_by_file_descriptor_misses_nothing(lab: Path) -> None:
     assert sorted(m.arbitration_id for m in notifier_seen) == [0x705, 0x706, 0x715, 0x716]
     stamps = [m.timestamp for m in notifier_seen]
     assert stamps == sorted(stamps)
+
+
+def test_a_frame_is_on_the_wire_from_the_time_it_was_sent(lab: Path) -> None:
+    """However late the lab's process reads it, unless the lab had moved on already."""
+    bus, listener = TonusBus("can2"), TonusBus("can2")
+    length, delays = frame_bits(0x555, 0, b"") * 1e-6, []
+    for _ in range(20):
+        sent = time.monotonic()
+        bus.send(can.Message(arbitration_id=0x555, is_extended_id=False, timestamp=sent))
+        heard = listener.recv(5)
+        assert heard is not None
+        delays.append(heard.timestamp - sent)
+    assert min(delays) > 0.0
+    assert sum(delay == pytest.approx(length, abs=1e-6) for delay in delays) > 10
+    bus.shutdown()
+    listener.shutdown()
 
 
 def test_a_second_lab_does_not_take_the_sockets(lab: Path) -> None:
