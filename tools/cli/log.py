@@ -9,6 +9,7 @@ from tools.cli.log_identify import identify
 from tools.cli.log_info import info
 from tools.cli.log_recover import recover
 from tools.cli.log_replay import replay
+from tools.cli.log_report import report
 
 
 @click.group()
@@ -16,5 +17,5 @@ def log() -> None:
     """Look into recorded runs."""
 
 
-for command in (export, identify, info, recover, replay):
+for command in (export, identify, info, recover, replay, report):
     log.add_command(command)

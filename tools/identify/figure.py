@@ -15,7 +15,7 @@ from tools.identify.drums import Drum
 from tools.identify.estimate import Fit
 from tools.identify.identify import Identification
 from tools.identify.response import Response
-from tools.report.overview import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from tools.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 Array = NDArray[np.float64]
 _TITLES = {

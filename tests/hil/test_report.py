@@ -1,0 +1,122 @@
+"""`tonus log report` on runs in the lab: one page, whole in itself, and first how it ended."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runs import configured, virtual
+
+from tools.errors import ToolError
+from tools.log import open as open_log
+from tools.report.page import report
+from tools.report.slim import RUN, SlimLog
+from tools.report.thin import thin
+
+SECTIONS = ["time", "envelope", "spectra", "timing", "events", "settings"]
+
+
+class Page(HTMLParser):
+    """What a browser would need and show."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.sections: list[str] = []
+        self.fetched: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        if tag == "h2":
+            self.sections.append(given["id"] or "")
+        self.fetched += [value or "" for name, value in attrs if name == "src"]
+        self.fetched += [given.get("href") or ""] if tag == "link" else []
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.words)
+
+
+@pytest.fixture(scope="module")
+def quiet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config, scenario = configured("config/direct.yaml", "sine_x", duration=3.0)
+    return virtual(config, scenario, tmp_path_factory.mktemp("quiet"))[1].path
+
+
+def page_of(log: Path, out: Path) -> tuple[Page, list[float]]:
+    shares: list[float] = []
+    report(log, out, shares.append)
+    return Page(out.read_text(encoding="utf-8")), shares
+
+
+def test_a_page_is_whole_in_itself_and_begins_with_the_verdict(quiet: Path, tmp_path: Path) -> None:
+    page, shares = page_of(quiet, tmp_path / "report.html")
+    assert page.sections == SECTIONS
+    assert page.fetched
+    assert all(source.startswith("data:image/") for source in page.fetched)
+    assert "Completed without a fault; ended in STANDBY" in page.text
+    assert page.text.index("Completed") < page.text.index("tracking error, RMS")
+    assert "OUTSIDE" not in page.text
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
+
+
+def test_a_fault_is_named_first_and_shown_from_near(tmp_path: Path) -> None:
+    fault = {"kind": "unplug", "channel": "can1", "node": 3, "at": 1.0}
+    config, scenario = configured("config/can.yaml", script={"faults": [fault]})
+    log = virtual(config, scenario, tmp_path)[1]
+    page, _ = page_of(log.path, tmp_path / "report.html")
+    assert len(page.sections) == len(SECTIONS) + 1
+    assert "drive_lost" in page.text.partition("tracking error")[0]
+    assert "can1/3" in page.text
+
+
+def test_a_damaged_log_is_shown_up_to_the_damage_and_says_so(quiet: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(quiet.read_bytes()[: quiet.stat().st_size // 2])
+    page, _ = page_of(cut, tmp_path / "report.html")
+    assert "The log is damaged" in page.text
+    assert "time" in page.sections
+
+
+def test_what_is_no_log_of_a_run_ends_in_one_line(tmp_path: Path) -> None:
+    other = tmp_path / "other.mcap"
+    other.write_bytes(b"not a log at all")
+    with pytest.raises(ToolError) as refused:
+        report(other, tmp_path / "report.html", lambda _: None)
+    assert "\n" not in str(refused.value)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_a_log_read_in_part_holds_what_the_whole_one_holds(quiet: Path) -> None:
+    whole, part = open_log(quiet), SlimLog(quiet, RUN)
+    for topic, names in RUN.items():
+        for name in names:
+            np.testing.assert_array_equal(part[topic][name], whole[topic][name])
+    assert part.events() == whole.events()
+
+
+def test_thinned_curves_keep_every_peak() -> None:
+    time = np.linspace(0.0, 10.0, 100_000)
+    values = np.sin(time)
+    values[54_321], values[70_001] = 9.0, -9.0
+    t, y = thin(time, values, 500)
+    assert len(t) <= 1000
+    assert (y.max(), y.min()) == (9.0, -9.0)
+    assert (np.diff(t) >= 0.0).all()
+
+
+def test_no_script_and_no_address_is_in_the_page(quiet: Path, tmp_path: Path) -> None:
+    out = tmp_path / "report.html"
+    report(quiet, out, lambda _: None)
+    text = out.read_text(encoding="utf-8")
+    assert "<script" not in text
+    visible = re.sub(r"data:image/[^\"]*", "", text)
+    assert not re.search(r"https?://", visible)

@@ -1,0 +1,32 @@
+"""`tonus log report`: a log as one page to look at."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from tools.report.page import report as write
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The page; report.html beside FILE if not given.",
+)
+def report(file: Path, out: Path | None) -> None:
+    """Write FILE as one HTML page: verdict, plots, events, settings. It opens offline."""
+    page = file.with_name("report.html") if out is None else out
+    with click.progressbar(length=1000, label=str(file), file=sys.stderr) as bar:
+
+        def show(share: float) -> None:
+            bar.update(round(1000 * share) - bar.pos)
+
+        verdict = write(file, page, show)
+    click.echo(f"{verdict.headline}")
+    for remark in verdict.remarks:
+        click.echo(f"  {remark}")
+    click.echo(f"{page}: {page.stat().st_size / 1e6:.1f} MB")

@@ -1,0 +1,191 @@
+"""The pictures of the report beside those over time: Figure 1, spectra, timing."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from numpy.typing import NDArray
+from scipy import signal
+
+from config.schema.root import Config
+from runtime.signals import Grade
+from runtime.states import State
+from tools.report import panels, style
+from tools.report.story import Story
+from tools.summary import tensions, truth_at_cycles
+
+_RUNNING = (State.HOLD, State.ACTIVE)
+_DOTS = 3000
+"""points of the cloud in Figure 1"""
+_SEGMENT_S = 2.0
+"""length of the stretches whose spectra are averaged"""
+_BINS = 120
+
+
+def over_time(
+    story: Story,
+    drawn: tuple[panels.Panel, ...],
+    between: tuple[float, float] | None = None,
+    *,
+    height: float = 2.3,
+) -> Figure:
+    """Panels on one time axis; ``between`` two times in s every tick is drawn, if they are near."""
+    figure = Figure(figsize=(11.0, height * len(drawn) + 0.8), layout="constrained")
+    axes = list(figure.subplots(len(drawn), 1, sharex=True, squeeze=False)[:, 0])
+    if between is not None:
+        axes[0].set_xlim(*between)
+    for axis, draw in zip(axes, drawn, strict=True):
+        draw(axis, story)
+    panels.dress(axes, story, names=between is None)
+    if between is not None:
+        axes[0].set_xlim(*between)
+    return figure
+
+
+def envelope(story: Story) -> Figure | None:
+    """Figure 1: tension, stiffness and contact force of the armed robot, in the box of its limits.
+
+    Highest tension of the eight; None if it never ran.
+    """
+    running = np.flatnonzero(story.in_state(State.PRETENSION, *_RUNNING, State.SAFE_STOP))
+    if not len(running):
+        return None
+    chosen = running[:: max(1, len(running) // _DOTS)]
+    highest = tensions(story.log)[chosen].max(axis=1)
+    k_eq = story.log["/tonus/stiffness"]["k_eq"][chosen] * 1e-3
+    true = truth_at_cycles(story.log, "contact_force")
+    contact = (story.log["/tonus/wrench"]["contact"] if true is None else true)[chosen]
+    grades = story.log["/tonus/envelope"]["grade"][chosen]
+    figure = Figure(figsize=(8.6, 6.6))
+    panel = figure.add_subplot(projection="3d", computed_zorder=False)
+    figure.subplots_adjust(left=0.0, right=0.80, bottom=0.05, top=0.98)
+    handles = []
+    if story.config is not None:
+        _box(panel, story.config)
+        handles.append(Line2D([], [], color="0.35", linewidth=0.9, label="bounds of the envelope"))
+    for grade, colour in style.GRADES.items():
+        of = grades == grade
+        if of.any():
+            panel.scatter(
+                highest[of],
+                k_eq[of],
+                contact[of],
+                s=4 if grade is Grade.GREEN else 12,
+                marker="o" if grade is Grade.GREEN else "^" if grade is Grade.AMBER else "s",
+                color=colour,
+                depthshade=False,
+                rasterized=True,
+                label=f"{grade.name.lower()}, {100.0 * of.mean():.3g} %",
+            )
+    panel.set_xlabel("highest cable tension / N", labelpad=8)
+    panel.set_ylabel("stiffness K_eq / kN/m", labelpad=8)
+    panel.set_zlabel("contact force / N", labelpad=6)
+    panel.view_init(elev=20, azim=-58)
+    handles = [*panel.get_legend_handles_labels()[0], *handles]
+    panel.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 0.9), frameon=False)
+    return figure
+
+
+def spectra(story: Story) -> Figure | None:
+    """Amplitude densities in ACTIVE (Welch's method); None if it lasted less than a stretch."""
+    active = _longest(story.in_state(State.ACTIVE))
+    segment = round(_SEGMENT_S / story.period)
+    if active.stop - active.start < segment:
+        return None
+    against, position = panels.position_error(story)
+    tension = tensions(story.log) - story.log["/tonus/tension"]["reference"]
+    wrench = story.log["/tonus/wrench"]["external"][:, :3]
+    source = "true" if story.has_truth else "measured"
+    rows = (
+        (position[active] * 1e3, f"position error, {against}", "mm/√Hz", "xyz", style.AXES),
+        (tension[active], f"tension error, {source}", "N/√Hz", None, None),
+        (wrench[active], "load, estimated", "N/√Hz", "xyz", style.AXES),
+    )
+    figure = Figure(figsize=(11.0, 8.2), layout="constrained")
+    axes = figure.subplots(len(rows), 1, sharex=True)
+    for axis, (values, title, unit, names, colours) in zip(axes, rows, strict=True):
+        hertz, density = signal.welch(values, 1.0 / story.period, nperseg=segment, axis=0)
+        for column in range(values.shape[1]):
+            colour, line = (colours[column], "-") if colours else style.cable(column)
+            label = names[column] if names else f"cable {column + 1}"
+            axis.loglog(
+                hertz[1:],
+                np.sqrt(density[1:, column]),
+                color=colour,
+                linestyle=line,
+                linewidth=0.9,
+                label=label,
+            )
+        axis.set_ylabel(f"{title}\n/ {unit}")
+        axis.grid(color="0.88", linewidth=0.6)
+        axis.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02), fontsize=8, frameon=False)
+    axes[-1].set_xlabel("frequency / Hz")
+    return figure
+
+
+def timing(story: Story) -> Figure | None:
+    """Histograms of wake-up and cycle, on axes that show the rare; None in virtual time."""
+    rows = story.log["/tonus/timing"]
+    cycle = rows["collect_us"] + rows["compute_us"] + rows["publish_us"]
+    largest = float(max(rows["wakeup_us"].max(), cycle.max()))
+    if largest <= 0.0:
+        return None
+    figure = Figure(figsize=(11.0, 3.4), layout="constrained")
+    panel = figure.subplots()
+    edges = np.geomspace(1.0, max(10.0, 1.2 * largest), _BINS)
+    for values, label, colour in (
+        (rows["wakeup_us"], "wake-up", style.BLUE),
+        (cycle, "cycle", style.ORANGE),
+    ):
+        p50, p999 = np.percentile(values, (50.0, 99.9))
+        text = f"{label}: p50 {p50:.0f}, p99.9 {p999:.0f}, max {values.max():.0f} µs"
+        panel.hist(
+            np.maximum(values, 1.0),
+            edges.tolist(),
+            histtype="step",
+            color=colour,
+            linewidth=1.3,
+            label=text,
+        )
+    period = story.period * 1e6
+    panel.axvline(period, color="0.25", linestyle=style.DASHES, label=f"period {period:.0f} µs")
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.set_xlabel("µs")
+    panel.set_ylabel("ticks")
+    panel.grid(color="0.88", linewidth=0.6)
+    panel.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02), fontsize=8, frameon=False)
+    return figure
+
+
+def _box(panel: Poly3DCollection, config: Config) -> None:
+    """The safe region: T_min to T_max, K_min to K_max, contact up to its limit."""
+    bounds, law = config.control.tension, config.control.stiffness
+    ends = np.array(
+        [
+            [bounds.min, bounds.max],
+            [law.minimum * 1e-3, law.maximum * 1e-3],
+            [0.0, config.control.envelope.contact_limit],
+        ]
+    )
+    faces = []
+    for axis in range(3):
+        for end in ends[axis]:
+            u, v = (ends[other] for other in range(3) if other != axis)
+            corners = [(u[i], v[j]) for i, j in ((0, 0), (0, 1), (1, 1), (1, 0))]
+            faces.append([np.insert(np.array(corner), axis, end) for corner in corners])
+    panel.add_collection3d(
+        Poly3DCollection(faces, facecolor=(0, 0, 0, 0.02), edgecolor="0.35", linewidth=0.9)
+    )
+
+
+def _longest(mask: NDArray[np.bool_]) -> slice:
+    """The longest stretch of ``mask`` (n,)."""
+    steps = np.diff(mask.astype(np.int8), prepend=0, append=0)
+    starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+    if not len(starts):
+        return slice(0, 0)
+    best = int((ends - starts).argmax())
+    return slice(int(starts[best]), int(ends[best]))

@@ -1,0 +1,144 @@
+"""What a run came to: how it ended, and its key figures held against the limits it ran under."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from runtime.states import State
+from tools.report.story import Story
+from tools.summary import Summary, summarise
+
+_ENDED_WELL = (State.OFF, State.STANDBY)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One key figure; ``ok`` is None where there is no limit to hold it against."""
+
+    name: str
+    value: float | None
+    unit: str
+    limit: str = ""
+    ok: bool | None = None
+    against: str = ""
+    """what it was computed from"""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The head of a report."""
+
+    headline: str
+    good: bool
+    remarks: tuple[str, ...]
+    figures: tuple[Figure, ...]
+    summary: Summary
+
+
+def judge(story: Story) -> Verdict:
+    """A run is good that ended in STANDBY or OFF without a fault and whose log is whole."""
+    log = story.log
+    summary = summarise(log)
+    figures = tuple(_figures(story, summary))
+    remarks = []
+    if log.damage:
+        remarks.append(f"The log is damaged: {log.damage}. All below is of what could be read.")
+    remarks += [
+        f"{name}: {count} records were lost before they were recorded."
+        for name, count in log.recorded.items()
+        if int(count)
+    ]
+    if story.note:
+        remarks.append(f"Without limits: {story.note}.")
+    if not story.has_truth:
+        remarks.append("No truth in this log: accuracy is that of the robot's own sensors.")
+    over = [figure.name for figure in figures if figure.ok is False]
+    if over:
+        remarks.append(f"Outside its limit: {', '.join(over)}.")
+    ended = State[summary["state"]]
+    good = not summary["faults"] and ended in _ENDED_WELL and not log.damage
+    return Verdict(_headline(story, summary, ended), good, tuple(remarks), figures, summary)
+
+
+def _headline(story: Story, summary: Summary, ended: State) -> str:
+    if summary["faults"]:
+        first = summary["faults"][0]
+        where = f" at {first['where']}" if first["where"] else ""
+        at = f"{story.at(first['tick']):.3f} s"
+        return f"Fault {first['name']}{where} after {at}; ended in {ended.name}"
+    if story.log.damage:
+        return f"No fault up to the damage; last seen in {ended.name}"
+    if ended in _ENDED_WELL:
+        return f"Completed without a fault; ended in {ended.name}"
+    return f"No fault; the log ends in {ended.name}"
+
+
+def _figures(story: Story, summary: Summary) -> list[Figure]:
+    source = "truth" if story.has_truth else "measured"
+    tension, k_eq = summary["tension_n"], summary["k_eq_n_per_m"]
+    found = [
+        Figure("tracking error, RMS", _mm(summary["tracking_rmse_m"]), "mm", against="truth"),
+        Figure("tension error, RMS", summary["tension_rmse_n"], "N", against="truth"),
+    ]
+    low, high = _ends(tension)
+    k_low, k_high = _ends(k_eq)
+    peak = summary["contact_peak_n"]
+    speed = float(np.sqrt((story.log["/tonus/pose"]["velocity"] ** 2).sum(axis=1)).max())
+    if story.config is None:
+        return [
+            *found,
+            Figure("tension, lowest", low, "N", against=source),
+            Figure("tension, highest", high, "N", against=source),
+            Figure("K_eq, lowest", k_low, "N/m", against="commanded"),
+            Figure("K_eq, highest", k_high, "N/m", against="commanded"),
+            Figure("contact force, highest", peak, "N", against=source),
+            Figure("speed, highest", speed, "m/s", against="estimate"),
+            *_timing(story, summary),
+        ]
+    control = story.config.control
+    bounds, law, envelope = control.tension, control.stiffness, control.envelope
+    return [
+        *found,
+        _least("tension, lowest", low, "N", bounds.min, source),
+        _most("tension, highest", high, "N", bounds.max, source),
+        _least("K_eq, lowest", k_low, "N/m", law.minimum, "commanded"),
+        _most("K_eq, highest", k_high, "N/m", law.maximum, "commanded"),
+        _most("contact force, highest", peak, "N", envelope.contact_limit, source),
+        _most("speed, highest", speed, "m/s", envelope.speed_limit, "estimate"),
+        *_timing(story, summary),
+    ]
+
+
+def _timing(story: Story, summary: Summary) -> list[Figure]:
+    missed = Figure(
+        "ticks missed, our own", summary["missed_ticks"], "", "0", summary["missed_ticks"] == 0
+    )
+    found = [missed, Figure("ticks missed, by the host", summary["missed_by_host"], "")]
+    if story.log.metadata.get("time") == "virtual":
+        return found
+    period = story.period * 1e6
+    return [
+        *found,
+        Figure("wake-up, p99.9", summary["wakeup_us"]["p99_9"], "µs"),
+        _most("cycle, p99.9", summary["cycle_us"]["p99_9"], "µs", period, "wall clock"),
+    ]
+
+
+def _least(name: str, value: float | None, unit: str, bound: float, against: str) -> Figure:
+    ok = None if value is None else value >= bound
+    return Figure(name, value, unit, f"at least {bound:g}", ok, against)
+
+
+def _most(name: str, value: float | None, unit: str, bound: float, against: str) -> Figure:
+    ok = None if value is None else value <= bound * (1.0 + 1e-12)
+    return Figure(name, value, unit, f"at most {bound:g}", ok, against)
+
+
+def _ends(span: dict[str, float] | None) -> tuple[float | None, float | None]:
+    return (None, None) if span is None else (span["min"], span["max"])
+
+
+def _mm(metres: float | None) -> float | None:
+    return None if metres is None else metres * 1e3
