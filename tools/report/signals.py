@@ -23,6 +23,7 @@ numpy array of them all.
     tonus log info FILE...     what, when, how long, states, faults, topics, rates, gaps, damage
     tonus log report FILE      one HTML page: verdict, plots, the paper's Figure 1, events; offline
     tonus log replay FILE...   the recorded inputs once more, every output compared bit for bit
+    tonus log identify FILE... the robot's parameters from its own records (identification.md)
     tonus log recover FILE     a damaged file written anew; the source stays as it is
     tonus log export FILE... --format csv|parquet|asc|blf
 
