@@ -13,12 +13,12 @@ from mcap.records import Channel
 from numpy.typing import NDArray
 
 from tools.errors import ToolError
+from tools.log.ahead import contents
 from tools.log.chunks import (
     ChunkPlace,
     DamageError,
     Framing,
     Run,
-    content,
     data_is_whole,
     runs,
     scan,
@@ -209,8 +209,8 @@ class Log:
     def _runs(self, topics: Sequence[str]) -> Iterator[dict[str, list[Run]]]:
         """By topic what each chunk holds, up to the first damaged one."""
         wanted = set(topics)
-        for place in self._places():
-            data = content(self.path, place)
+        for place, data in contents(self.path, self._places()):
+            sound = data is not None
             parts: dict[str, list[Run]] = {}
             try:
                 for run in runs(data, self._framing) if data is not None else ():
@@ -218,8 +218,8 @@ class Log:
                     if channel is not None and channel.topic in wanted:
                         parts.setdefault(channel.topic, []).append(run)
             except DamageError:
-                data = None
-            if data is None:
+                sound = False
+            if not sound:
                 self._usable = self._framing.chunks.index(place)
                 self._damage = f"the chunk at byte {place.offset} is damaged"
                 return
