@@ -12,6 +12,7 @@ from pydantic_core import ErrorDetails
 
 from config.document import Document, Key, dotted, is_file, read
 from config.errors import ConfigError
+from config.schema.budget import Budget
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 
@@ -60,19 +61,30 @@ def load_scenario(name: str, overrides: Overrides | None = None) -> Scenario:
     return _scenario(name, f"scenario {name}", 0, "", overrides)
 
 
+def load_budget(name: str) -> Budget:
+    """A timing budget by the name of a file in config/budgets, or by a path to one."""
+    return _validate(_named("budget", name, f"budget {name}", 0, ""), Budget)
+
+
+def _named(kind: str, name: str, file: str, line: int, key: str) -> Document:
+    """One of the files in config/<kind>s, or any by its path; ``file``, ``line`` and ``key`` are
+    where the name stands."""
+    path, shown = Path(name), name
+    folder = HERE / f"{kind}s"
+    if path.suffix not in (".yaml", ".yml"):
+        path = folder / f"{name}.yaml"
+        shown = f"config/{folder.name}/{path.name}"
+    if not is_file(path):
+        known = sorted(ours.stem for ours in folder.glob("*.yaml"))
+        problem = f"there is no {kind} {reprlib.repr(name)}"
+        raise ConfigError(file, line, key, problem, _choose(path.stem, known))
+    return read(path, shown)
+
+
 def _scenario(
     name: str, file: str, line: int, key: str, overrides: Overrides | None = None
 ) -> Scenario:
-    """``file``, ``line`` and ``key`` are where the name stands."""
-    path, shown = Path(name), name
-    if path.suffix not in (".yaml", ".yml"):
-        path = HERE / "scenarios" / f"{name}.yaml"
-        shown = f"config/scenarios/{path.name}"
-    if not is_file(path):
-        known = sorted(ours.stem for ours in (HERE / "scenarios").glob("*.yaml"))
-        problem = f"there is no scenario {reprlib.repr(name)}"
-        raise ConfigError(file, line, key, problem, _choose(path.stem, known))
-    document = read(path, shown)
+    document = _named("scenario", name, file, line, key)
     for dotted_key, value in (overrides or {}).items():
         _override(document, dotted_key, value)
     return _validate(document, Scenario)

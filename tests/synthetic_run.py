@@ -104,17 +104,24 @@ class Rings:
 
 
 def record(
-    folder: Path, count: int = 1200, *, seed: int = 1, drain_every: int = 50, **options: object
+    folder: Path,
+    count: int = 1200,
+    *,
+    seed: int = 1,
+    drain_every: int = 50,
+    rows: np.ndarray | None = None,
+    metadata: dict[str, str] | None = None,
+    **options: object,
 ) -> Path:
-    """Record ``count`` ticks into ``folder``/run.mcap."""
+    """Record ``count`` ticks, or these ``rows``, into ``folder``/run.mcap."""
     rings = Rings(folder / "rings")
-    rows = cycles(count, seed)
+    rows = cycles(count, seed) if rows is None else rows
     true = truth(rows)
     recorder = Recorder(
         folder / "rings",
         folder / "run.mcap",
         recording(**options),  # type: ignore[arg-type]
-        {"seed": str(seed), "scenario": "synthetic"},
+        {"seed": str(seed), "scenario": "synthetic", **(metadata or {})},
         {"config.yaml": b"name: synthetic\n"},
         0,
     )

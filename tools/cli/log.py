@@ -7,9 +7,11 @@ import click
 from tools.cli.log_export import export
 from tools.cli.log_identify import identify
 from tools.cli.log_info import info
+from tools.cli.log_layout import layout
 from tools.cli.log_recover import recover
 from tools.cli.log_replay import replay
 from tools.cli.log_report import report
+from tools.cli.log_timing import timing
 
 
 @click.group()
@@ -17,5 +19,5 @@ def log() -> None:
     """Look into recorded runs."""
 
 
-for command in (export, identify, info, recover, replay, report):
+for command in (export, identify, info, layout, recover, replay, report, timing):
     log.add_command(command)

@@ -24,8 +24,10 @@ numpy array of them all.
     tonus log report FILE      one HTML page: verdict, plots, the paper's Figure 1, events; offline
     tonus log replay FILE...   the recorded inputs once more, every output compared bit for bit
     tonus log identify FILE... the robot's parameters from its own records (identification.md)
+    tonus log timing FILE...   budgets in YAML, each line passes or fails (config/budgets)
     tonus log recover FILE     a damaged file written anew; the source stays as it is
     tonus log export FILE... --format csv|parquet|asc|blf
+    tonus log layout foxglove|plotjuggler   plots arranged for a viewer
 
 Several FILEs are segments of one run, read as one: `open(["run.mcap", "run.2.mcap"])`. There are
 also `log.between(1.5, 2.0)` (s since the start), `log.join("/tonus/pose", "/tonus/truth")` (one

@@ -1,0 +1,35 @@
+"""`tonus log layout`: plots arranged for a viewer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tools.errors import ToolError
+from tools.log.layout import VIEWERS
+
+
+@click.command()
+@click.argument("viewer", type=click.Choice(list(VIEWERS)))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The file; if not given, one of the usual name in this folder. - prints it.",
+)
+def layout(viewer: str, out: Path | None) -> None:
+    """Write a layout that shows a run's log in VIEWER at once: motion, cables, safety, timing.
+
+    Foxglove and Lichtblick: "Import from file" in the layouts menu. PlotJuggler: "Load Layout",
+    after the log.
+    """
+    name, make = VIEWERS[viewer]
+    if out is not None and str(out) == "-":
+        click.echo(make(), nl=False)
+        return
+    file = Path(name) if out is None else out
+    try:
+        file.write_text(make(), encoding="utf-8")
+    except OSError as error:
+        raise ToolError(f"{file}: {error.strerror}; choose another with --out") from error
+    click.echo(str(file))
