@@ -106,7 +106,8 @@ class McapFile:
         """``compression``: zstd, lz4 or none."""
         self.path = path
         self._name, self._compress = _compressor(compression)
-        self._file = path.open("wb")
+        # Not buffered, so that nothing of a chunk that failed can be written later.
+        self._file = path.open("wb", buffering=0)
         self._offset = 0
         self._crc = 0
         self._schemas: dict[str, Schema] = {}
@@ -204,15 +205,12 @@ class McapFile:
             entry = np.empty(len(place.log_time), _INDEX_ENTRY)
             entry["log_time"], entry["offset"] = place.log_time, place.offset
             parts.setdefault(place.channel, []).append(entry)
-            self._counts[place.channel] += len(entry)
         indexes = {
             channel: _message_index(channel, np.concatenate(part))
             for channel, part in parts.items()
         }
         start = min(int(place.log_time.min()) for place in places)
         end = max(int(place.log_time.max()) for place in places)
-        self._first = start if self._first is None else min(self._first, start)
-        self._last = max(self._last, end)
         data = self._compress(content)
         chunk_at = self._offset
         head = _CHUNK_HEAD.pack(
@@ -224,14 +222,19 @@ class McapFile:
             zlib.crc32(content),
             len(self._name),
         )
-        length = self._write(head + self._name.encode() + len(data).to_bytes(8, "little"))
-        length += self._write(data)
+        head += self._name.encode() + len(data).to_bytes(8, "little")
+        length = len(head) + len(data)
         offsets: dict[int, int] = {}
-        index_at = self._offset
+        index_at = at = self._offset + length
         for channel, index in indexes.items():
-            offsets[channel] = self._offset
-            self._write(index)
-        self._file.flush()
+            offsets[channel] = at
+            at += len(index)
+        self._write(b"".join([head, data, *indexes.values()]))
+        # Only now, so that a chunk that could not be written is not in the summary either.
+        for place in places:
+            self._counts[place.channel] += len(place.log_time)
+        self._first = start if self._first is None else min(self._first, start)
+        self._last = max(self._last, end)
         self._chunks.append(
             ChunkIndex(
                 chunk_length=length,
@@ -245,6 +248,23 @@ class McapFile:
                 uncompressed_size=content.nbytes,
             )
         )
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._offset
+
+    def abandon(self) -> None:
+        """After a write that failed: cut the file back to where it was whole and finish it there,
+        without its summary if there is no room for one either."""
+        whole = self._offset
+        self._file.truncate(whole)
+        self._file.seek(whole)
+        try:
+            self.finish()
+        except OSError:
+            self._file.truncate(whole)
+            self._file.close()
 
     def finish(self) -> None:
         """Write the summary and close the file."""
@@ -284,14 +304,16 @@ class McapFile:
         # The CRC covers the footer up to itself, so it is made with a zero in its place first.
         footer = _bytes_of(Footer(start, offsets_at, 0))
         crc = zlib.crc32(footer[:-4], zlib.crc32(content))
-        self._file.write(content + footer[:-4] + crc.to_bytes(4, "little") + MCAP0_MAGIC)
+        self._write(content + footer[:-4] + crc.to_bytes(4, "little") + MCAP0_MAGIC)
         self._file.close()
 
     def _record(self, record: McapRecord) -> int:
         return self._write(_bytes_of(record))
 
     def _write(self, data: bytes) -> int:
-        self._file.write(data)
+        left = memoryview(data)
+        while left:
+            left = left[self._file.write(left) :]
         self._crc = zlib.crc32(data, self._crc)
         self._offset += len(data)
         return len(data)

@@ -1,13 +1,20 @@
-"""From rings to an MCAP file: copies what is new, closes a chunk when its stretch of run time is
+"""From rings to MCAP files: copies what is new, closes a chunk when its stretch of run time is
 over, and only then moves the readers' cursors.
 
 Which chunk a record goes to follows from its stamp alone, and a chunk stays open for one more
-chunk's time for what arrives late; so the file's bytes do not depend on when or how often `drain`
+chunk's time for what arrives late; so the files' bytes do not depend on when or how often `drain`
 is called.
+
+A file that has grown large or long is followed by another. Where the disk has no room the recorder
+stops, the last file stays whole, and recording goes on in another one when there is room again:
+what the rings still hold by then is not lost.
 """
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,22 +22,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.schema.control import Recording
-from runtime.mcap_file import Block, McapFile
-from runtime.messages import Encoder, EventEncoder, RecordEncoder, encoder
+from runtime.mcap_file import Block
+from runtime.messages import Encoder
 from runtime.ring import RingReader
+from runtime.segment import CYCLE_RING, Segment, cycle_dtype, next_name
 from runtime.taps import EVENT, Level
-
-CYCLE_RING = "cycle.ring"
-"""the ring whose records `watch` is shown"""
+from runtime.viewer import Scene
 
 Watch = Callable[[np.void, int], None]
 """Receives the newest cycle record and its stamp in ns."""
 
-_MEDIA_TYPES = {
-    ".yaml": "application/yaml",
-    ".json": "application/json",
-    ".txt": "text/plain",
-}
+_MEGABYTE = 1_000_000
+_ROOM = 16 * _MEGABYTE
+"""bytes beyond the configured ones that must be free before a stopped recording goes on"""
 
 
 class _Source:
@@ -74,7 +78,7 @@ class _Source:
 
 
 class Recorder:
-    """Records every ring of a directory, also those that appear later, into one file."""
+    """Records every ring of a directory, also those that appear later."""
 
     def __init__(
         self,
@@ -85,34 +89,52 @@ class Recorder:
         attachments: dict[str, bytes],
         utc_offset_ns: int,
         watch: Watch | None = None,
+        scene: Scene | None = None,
     ) -> None:
-        """``out`` is written anew, unless an earlier recorder of the same rings wrote it: then the
-        next free name beside it. ``metadata`` becomes the record "tonus"."""
-        self._ring_dir = ring_dir
+        """``out`` is written anew, unless an earlier recorder of the same rings wrote it: then, as
+        for every further file, the next free name beside it. ``metadata`` becomes the record
+        "tonus"; with a ``scene`` viewers get their messages."""
+        self._ring_dir, self._out = ring_dir, out
+        self._recording = recording
         self._chunk_ns = recording.chunk_ms * 1_000_000
-        self._raw_frames = recording.raw_frames
         self._utc_offset_ns = utc_offset_ns
         self._watch = watch
+        self._metadata, self._attachments, self._scene = metadata, attachments, scene
         self._sources: dict[str, _Source] = {}
         self._left_out: set[str] = set()
         self._notes: list[tuple[int, NDArray[np.void]]] = []
         self._next_chunk = 0
+        self._began: int | None = None
+        """number of the file's first chunk"""
+        self._lost: dict[str, int] = {}
+        """by readers that were closed"""
+        self._told: dict[str, int] = {}
+        """of the lost, what earlier files tell of"""
+        self.stopped = ""
+        """why nothing is being recorded, in words; empty while something is"""
+        self.files: list[Path] = []
+        """every file that this recorder began, in order"""
         readers = self._discover()
-        if any(reader.cursor for _, reader in readers):
-            out = _free_name(out)
-        self.path = out
-        self._file = McapFile(out, recording.compression)
-        self._file.metadata("tonus", metadata)
-        for name in sorted(attachments):
-            media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-            self._file.attach(name, attachments[name], media_type)
-        self._events = EventEncoder(self._file)
+        again = any(reader.cursor for _, reader in readers)
+        self._segment = self._next_segment(next_name(out) if again else out)
         self._add(readers)
+        if again:
+            self._look()
+            text = f"what is not in an earlier file is in {self.path.name}"
+            self.event(Level.WARNING, "recorder_restarted", "recorder", text)
+
+    @property
+    def path(self) -> Path:
+        """The file being written, or the last one."""
+        return self.files[-1]
 
     @property
     def lost(self) -> dict[str, int]:
         """Records that a ring overwrote before they were read, by the ring's name."""
-        return {name: source.reader.lost for name, source in self._sources.items()}
+        lost = dict(self._lost)
+        for name, source in self._sources.items():
+            lost[name] = lost.get(name, 0) + source.reader.lost
+        return lost
 
     def event(self, level: Level, name: str, where: str = "", text: str = "") -> None:
         """Note something about the recording itself, stamped with the latest record's time."""
@@ -124,31 +146,126 @@ class Recorder:
     def drain(self) -> int:
         """Note all that is new and write the chunks that are complete; gives how many records
         were new."""
+        if self.stopped and not self._resume():
+            return 0
+        try:
+            return self._drain()
+        except OSError as error:
+            self._stop(error)
+            return 0
+
+    def finish(self) -> None:
+        """Record what is left and make the file whole. The rings' files stay."""
+        if self.stopped and not self._resume():
+            return
+        try:
+            self._drain()
+            earliest = self._earliest()
+            while earliest is not None:
+                self._write_chunk(max(earliest // self._chunk_ns, self._next_chunk) + 1)
+                earliest = self._earliest()
+            for name, count in self.lost.items():
+                if count:
+                    text = f"{count} records were overwritten"
+                    self.event(Level.ERROR, "records_lost", name, text)
+            self._close_segment()
+        except OSError as error:
+            self._stop(error)
+            return
+        for source in self._sources.values():
+            source.reader.close()
+
+    def _drain(self) -> int:
         self._add(self._discover())
+        new = self._look()
+        self._write_complete()
+        return new
+
+    def _look(self) -> int:
+        """Take note of what is new in every ring; gives how many records."""
         new = 0
         for name, source in self._sources.items():
             count = source.look()
             new += count
             if count and self._watch is not None and name == CYCLE_RING:
                 self._show(source, self._watch)
-        self._write_complete()
         return new
 
-    def finish(self) -> None:
-        """Record what is left and make the file whole. The rings' files stay."""
-        self.drain()
-        earliest = self._earliest()
-        while earliest is not None:
-            self._write_chunk(max(earliest // self._chunk_ns, self._next_chunk) + 1)
-            earliest = self._earliest()
-        for name, count in self.lost.items():
-            if count:
-                self.event(Level.ERROR, "records_lost", name, f"{count} records were overwritten")
-        self._file.chunk(self._noted())
-        self._file.metadata("tonus.recorded", {name: str(n) for name, n in self.lost.items()})
-        self._file.finish()
+    def _next_segment(self, path: Path) -> Segment:
+        self.files.append(path)
+        metadata = {**self._metadata, "file": path.name}
+        return Segment(path, self._recording, metadata, self._attachments, self._scene)
+
+    def _close_segment(self) -> None:
+        """Raises OSError."""
+        segment = self._segment
+        segment.file.chunk(self._noted())
+        lost = self.lost
+        here = {name: str(count - self._told.get(name, 0)) for name, count in lost.items()}
+        segment.file.metadata("tonus.recorded", here)
+        segment.file.finish()
+        self._told = lost
+
+    def _rotate(self) -> None:
+        """Go on in another file. Raises OSError."""
+        self._close_segment()
+        self._segment = self._next_segment(next_name(self._out, self.files))
+        self._began = None
+        for name, source in self._sources.items():
+            source.encode = self._segment.encoder(name, source.reader.meta)
+        keep = self._recording.keep_files
+        for old in self.files[:-keep] if keep else ():
+            if old.exists():
+                old.unlink()
+                text = f"deleted: {keep} files are kept (recording.keep_files)"
+                self.event(Level.WARNING, "log_deleted", old.name, text)
+
+    @property
+    def _is_full(self) -> bool:
+        size, length = self._recording.rotate_mb * _MEGABYTE, self._recording.rotate_s * 1e9
+        chunks = 0 if self._began is None else self._next_chunk - self._began
+        return bool(
+            (size and self._segment.file.size >= size)
+            or (length and chunks * self._chunk_ns >= length)
+        )
+
+    def _stop(self, error: OSError) -> None:
+        """Close the file where it is whole; the rings keep what comes, as long as they can."""
+        self.stopped = f"{self.path.parent}: {(error.strerror or 'cannot be written').lower()}"
+        text = f"{self.stopped}; control goes on, make room and recording goes on too"
+        self.event(Level.ERROR, "recording_stopped", "recorder", text)
+        self._segment.file.abandon()
+        self._lost = self.lost
         for source in self._sources.values():
             source.reader.close()
+        self._sources = {}
+
+    def _resume(self) -> bool:
+        """Begin another file, where the disk has room for one."""
+        room = self._free_bytes()
+        if room < _ROOM + self._recording.keep_free_mb * _MEGABYTE:
+            return False
+        try:
+            self._segment = self._next_segment(next_name(self._out, self.files))
+        except OSError:
+            self.files.pop()
+            return False
+        readers = self._discover()
+        missing = sum(
+            max(0, reader.published - reader.capacity - reader.cursor)
+            for name, reader in readers
+            if name == CYCLE_RING
+        )
+        self.stopped = ""
+        self._add(readers)
+        self._look()
+        self._began = None
+        text = f"in {self.path.name}; {missing} cycles are missing"
+        self.event(Level.WARNING, "recording_resumed", "recorder", text)
+        return True
+
+    def _free_bytes(self) -> int:
+        return shutil.disk_usage(self._out.parent).free
 
     def _discover(self) -> list[tuple[str, RingReader]]:
         names = sorted(path.name for path in self._ring_dir.glob("*.ring"))
@@ -160,18 +277,18 @@ class Recorder:
 
     def _add(self, readers: list[tuple[str, RingReader]]) -> None:
         for name, reader in readers:
-            if reader.meta.get("kind") == "frames" and not self._raw_frames:
+            if reader.meta.get("kind") == "frames" and not self._recording.raw_frames:
                 reader.close()
                 self._left_out.add(name)
             else:
-                encode = encoder(self._file, self._events, reader.meta)
+                encode = self._segment.encoder(name, reader.meta)
                 self._sources[name] = _Source(reader, encode)
 
     def _show(self, source: _Source, watch: Watch) -> None:
         newest = source.reader.newest()
-        if newest is not None and isinstance(source.encode, RecordEncoder):
+        if newest is not None:
             stamp, payload = newest
-            watch(np.frombuffer(payload, source.encode.dtype)[0], stamp)
+            watch(np.frombuffer(payload, cycle_dtype(source.reader.meta))[0], stamp)
 
     def _latest(self) -> int | None:
         stamps = [source.latest for source in self._sources.values()]
@@ -192,13 +309,19 @@ class Recorder:
             earliest = self._earliest()
 
     def _write_chunk(self, end: int) -> None:
-        """Write what is stamped before the start of chunk number ``end``."""
+        """Write what is stamped before the start of chunk number ``end``. Raises OSError."""
+        if self._free_bytes() < self._recording.keep_free_mb * _MEGABYTE:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if self._is_full:
+            self._rotate()
+        if self._began is None:
+            self._began = end - 1
         self._next_chunk = end
         before_ns = end * self._chunk_ns
         blocks: list[Block] = []
         for name in sorted(self._sources):
             blocks += self._sources[name].take(before_ns, self._utc_offset_ns)
-        self._file.chunk(blocks)
+        self._segment.file.chunk(blocks)
         for source in self._sources.values():
             source.reader.commit()
 
@@ -207,14 +330,6 @@ class Recorder:
         for index, (stamp, record) in enumerate(self._notes):
             body = record.view(np.uint8).reshape(1, EVENT.itemsize)
             time = np.array([stamp + self._utc_offset_ns])
-            blocks += self._events(time, np.array([index]), body)
+            blocks += self._segment.events(time, np.array([index]), body)
+        self._notes = []
         return blocks
-
-
-def _free_name(path: Path) -> Path:
-    """``run.mcap`` or, where that is taken, ``run.2.mcap`` and so on."""
-    number, free = 1, path
-    while free.exists():
-        number += 1
-        free = path.with_name(f"{path.stem}.{number}{path.suffix}")
-    return free

@@ -13,6 +13,7 @@ from runtime.signals import CYCLE, TOPICS
 from runtime.states import Fault, State
 from runtime.taps import EventRing, FrameRing, Level
 from runtime.topics import Field, Topic, to_json
+from runtime.viewer import Scene
 from sim.truth import TRUTH, TRUTH_FIELDS
 
 MS = 1_000_000
@@ -32,10 +33,9 @@ PHASES = (
 )
 
 
-def recording(compression: str = "zstd", chunk_ms: int = 250) -> Recording:
-    return Recording.model_validate(
-        {"ring_s": 8.0, "chunk_ms": chunk_ms, "compression": compression, "raw_frames": True}
-    )
+def recording(**options: object) -> Recording:
+    given = {"ring_s": 8.0, "chunk_ms": 250, "compression": "zstd", "raw_frames": True}
+    return Recording.model_validate({**given, **options})
 
 
 def truth_topic() -> Topic:
@@ -111,6 +111,7 @@ def record(
     drain_every: int = 50,
     rows: np.ndarray | None = None,
     metadata: dict[str, str] | None = None,
+    scene: Scene | None = None,
     **options: object,
 ) -> Path:
     """Record ``count`` ticks, or these ``rows``, into ``folder``/run.mcap."""
@@ -120,10 +121,11 @@ def record(
     recorder = Recorder(
         folder / "rings",
         folder / "run.mcap",
-        recording(**options),  # type: ignore[arg-type]
+        recording(**options),
         {"seed": str(seed), "scenario": "synthetic", **(metadata or {})},
         {"config.yaml": b"name: synthetic\n"},
         0,
+        scene=scene,
     )
     for k in range(count):
         rings.tick(k, rows, true)

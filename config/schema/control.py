@@ -345,3 +345,13 @@ class Recording(Section):
     raw_frames: bool
     keyframe_s: Positive = 10.0
     """a replay may begin at one of these; a log of before there were any says nothing of them"""
+    viewer_hz: NonNegative = 0.0
+    """messages a second of the robot's picture for viewers; 0: none"""
+    rotate_mb: NonNegative = 0.0
+    """a file that has grown this large is followed by another; 0: never"""
+    rotate_s: NonNegative = 0.0
+    """a file that has recorded this much run time is followed by another; 0: never"""
+    keep_free_mb: NonNegative = 0.0
+    """recording stops, and control goes on, when the disk has less room than this"""
+    keep_files: Annotated[int, Field(ge=0)] = 0
+    """files of a run that rotation keeps, the oldest others are deleted; 0: all"""

@@ -11,19 +11,18 @@ from pathlib import Path
 
 from tools.errors import ToolError
 from tools.log.log import Log
-from tools.log.several import SeveralLogs
+from tools.log.several import SeveralLogs, segments
 
 __all__ = ["Log", "open"]
 
 
 def open(path: str | Path | Sequence[str | Path]) -> Log:  # noqa: A001  # as in wave.open
-    """Open a log, or the segments of one run as if they were one.
+    """Open a log, or the segments of one run as if they were one: those named, or with the first
+    one those that its recorder went on to (``run.2.mcap`` and so on).
 
     Raises ToolError when a file is not a log at all.
     """
-    if isinstance(path, str | Path):
-        return Log(Path(path))
-    paths = [Path(each) for each in path]
+    paths = segments(Path(path)) if isinstance(path, str | Path) else [Path(each) for each in path]
     if not paths:
         raise ToolError("no log is named")
     return Log(paths[0]) if len(paths) == 1 else SeveralLogs(paths)

@@ -7,8 +7,28 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tools.errors import ToolError
+from tools.log.chunks import scan
 from tools.log.decode import Column, joined
 from tools.log.log import Log
+
+
+def segments(first: Path) -> list[Path]:
+    """A file and those its recorder went on to, in order."""
+    found = [first]
+    run = None
+    while (path := first.with_name(f"{first.stem}.{len(found) + 1}{first.suffix}")).is_file():
+        if run is None:
+            run = _run(first)
+        if _run(path) != run:
+            break
+        found.append(path)
+    return found
+
+
+def _run(path: Path) -> dict[str, str]:
+    """What the files of one run have in common, and no other."""
+    metadata = scan(path).metadata.get("tonus", {})
+    return {key: value for key, value in metadata.items() if key != "file"}
 
 
 class SeveralLogs(Log):
