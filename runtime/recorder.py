@@ -321,6 +321,7 @@ class Recorder:
         blocks: list[Block] = []
         for name in sorted(self._sources):
             blocks += self._sources[name].take(before_ns, self._utc_offset_ns)
+        blocks += self._noted()
         self._segment.file.chunk(blocks)
         for source in self._sources.values():
             source.reader.commit()

@@ -65,7 +65,7 @@ class _Shown:
         cycles = np.ascontiguousarray(payload).view(self._dtype)[:, 0]
         return [
             *self._plain(log_time, position, payload),
-            *self._viewer(log_time, position, cycles),
+            *self._viewer(log_time, cycles),
         ]
 
 

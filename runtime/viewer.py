@@ -82,16 +82,15 @@ class ViewerEncoder:
             "/viewer/markers": _markers(self._frame, self._anchors),
         }
 
-    def __call__(
-        self, log_time: NDArray[np.int64], position: NDArray[np.int64], cycles: NDArray[np.void]
-    ) -> list[Block]:
-        """From UTC in ns (n,), ring positions (n,) and cycle records (n,)."""
+    def __call__(self, log_time: NDArray[np.int64], cycles: NDArray[np.void]) -> list[Block]:
+        """From UTC in ns (n,) and cycle records (n,)."""
         pose = cycles["pose"]
         known = (pose["quaternion"] != 0.0).any(axis=1)
         chosen = np.flatnonzero(known & (cycles["timing"]["tick"] % self._scene.ticks == 0))
         if not len(chosen):
             return []
         stamps, some = log_time[chosen], cycles[chosen]
+        number = (some["timing"]["tick"] // self._scene.ticks).astype(np.int64)
         bodies = {topic: np.repeat(body, len(chosen)) for topic, body in self._bodies.items()}
         pose = some["pose"]
         # The platform's quaternion stands w first in our records and last in ROS.
@@ -108,13 +107,11 @@ class ViewerEncoder:
         for name in ("angle", "rate", "torque"):
             winches[name] = drives[name]
         self._draw(bodies["/viewer/markers"], some)
-        stamped = dict.fromkeys(bodies, ("header.stamp",))
-        stamped["/viewer/markers"] = tuple(f"{name}.header.stamp" for name in _MARKED)
         for topic, body in bodies.items():
-            for name in stamped[topic]:
-                set_stamp(body, name, stamps)
+            for header in _HEADERS[topic]:
+                set_stamp(body, f"{header}.stamp", stamps)
         return [
-            Block(channel, stamps, position[chosen], rows(bodies[topic]))
+            Block(channel, stamps, number, rows(bodies[topic]))
             for topic, channel in self._channels.items()
         ]
 
@@ -136,8 +133,12 @@ class ViewerEncoder:
 
 
 _MARKED = ("frame", "platform", "cables")
-_HEADERS: dict[str, tuple[str, ...]] = {
-    "/viewer/markers": tuple(f"{name}.header" for name in _MARKED)
+_HEADERS = {
+    "/tf": ("header",),
+    "/viewer/pose": ("header",),
+    "/viewer/desired": ("header",),
+    "/viewer/winches": ("header",),
+    "/viewer/markers": tuple(f"{name}.header" for name in _MARKED),
 }
 _EDGES = [(0, 1), (1, 2), (2, 3), (3, 0)]
 _BOX = _EDGES + [(a + 4, b + 4) for a, b in _EDGES] + [(i, i + 4) for i in range(4)]

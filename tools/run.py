@@ -14,7 +14,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from importlib.metadata import version
+from importlib.metadata import distributions, version
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ from runtime.scheduler import TimerPacing, VirtualPacing
 from runtime.signals import CYCLE, SCHEMA_VERSION, TOPICS
 from runtime.taps import EventRing, FrameRing, KeyframeRing
 from runtime.topics import to_json
+from runtime.viewer import Scene
 from sim.lab import Lab
 from tools.cli.live import Live
 from tools.errors import ToolError
@@ -78,6 +79,8 @@ class Result:
     """s of wall time from the first tick to the last"""
     steal_percent: float | None = None
     grants: list[Grant] = field(default_factory=list)
+    unrecorded: str = ""
+    """why the recording ended before the run, in words"""
 
     def realtime_factor(self, period: float) -> float:
         """Run time over wall time."""
@@ -88,7 +91,8 @@ def run(order: Order) -> Result:
     """Run to the end. Raises `DriverError` when a bus cannot be brought up."""
     log = order.out / "run.mcap"
     _make(order.out, "choose another with --out")
-    log.unlink(missing_ok=True)
+    for old in (log, *order.out.glob("run.[0-9]*.mcap")):
+        old.unlink(missing_ok=True)
     if not rehearse(order.config, order.scenario):
         raise ToolError("the control cycle does not reach ACTIVE even with an obedient robot")
     with _ring_directory() as rings, ExitStack() as cleanup:
@@ -129,6 +133,7 @@ class _Stage:
             self._attachments(),
             0,
             live.update if live else None,
+            Scene.of(order.config),
         )
 
         async def main() -> Outcome:
@@ -152,7 +157,7 @@ class _Stage:
             recorder.finish()
             if live:
                 live.close()
-        return Result(outcome, self._log, seconds)
+        return Result(outcome, self._log, seconds, unrecorded=recorder.stopped)
 
     def real(self) -> Result:
         order = self._order
@@ -185,7 +190,7 @@ class _Stage:
                 lab.stop()
         stolen, total = (now - then for now, then in zip(stolen_jiffies(), before, strict=True))
         steal = 100.0 * stolen / total if total else 0.0
-        return Result(outcome, self._log, seconds, steal, self._grants)
+        return Result(outcome, self._log, seconds, steal, self._grants, recorder.stopped)
 
     def _begin(self) -> None:
         self._began = clock.wall_seconds()
@@ -224,6 +229,7 @@ class _Stage:
             clock.utc_offset_ns(),
             priority=order.config.realtime.recorder_priority,
             live_duration_s=order.scenario.duration if order.live else None,
+            scene=Scene.of(order.config),
         )
         self._cleanup.callback(recorder.stop)
         return recorder
@@ -286,6 +292,7 @@ class _Stage:
         order = self._order
         return {
             "config.yaml": _yaml(order.config.model_dump(mode="json")),
+            "environment.txt": _environment(),
             "scenario.yaml": _yaml(order.scenario.model_dump(mode="json")),
         }
 
@@ -339,6 +346,12 @@ def _host() -> dict[str, str]:
         "host.machine": platform.machine(),
         "host.processors": str(os.cpu_count()),
     }
+
+
+def _environment() -> bytes:
+    """Every installed distribution with its version, as pip takes them."""
+    found = {each.metadata["Name"].lower(): each.version for each in distributions()}
+    return "".join(f"{name}=={found[name]}\n" for name in sorted(found)).encode()
 
 
 def _yaml(data: Any) -> bytes:

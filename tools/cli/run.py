@@ -16,6 +16,7 @@ from tools.check import check
 from tools.errors import ToolError
 from tools.log import Log
 from tools.log import open as open_log
+from tools.log.several import segments
 from tools.report.overview import overview
 from tools.run import Order, Result
 from tools.run import run as carry_out
@@ -65,7 +66,7 @@ def run(
     if as_json:
         click.echo(json.dumps(summary, indent=2))
     else:
-        _tell(summary, result, [result.log, out / "summary.json", picture])
+        _tell(summary, result, [*segments(result.log), out / "summary.json", picture])
     raise click.exceptions.Exit(0 if result.outcome.fault is Fault.NONE else 1)
 
 
@@ -91,6 +92,7 @@ def _summary(order: Order, result: Result) -> Summary:
     )
     own, host = missed_in(log, State.ACTIVE)
     summary["active_missed_ticks"], summary["active_missed_by_host"] = own, host
+    summary["unrecorded"] = result.unrecorded
     summary["refused"] = [str(grant) for grant in result.grants if not grant.granted]
     path = order.out / "summary.json"
     path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
@@ -135,6 +137,8 @@ def _tell(summary: Summary, result: Result, files: list[Path]) -> None:
         rows.append(("tensions", span("tension_n", "N")))
     if summary["contact_peak_n"] is not None:
         rows.append(("contact peak", f"{summary['contact_peak_n']:.1f} N"))
+    if result.unrecorded:
+        rows.append(("not recorded", f"the end of the run: {result.unrecorded}"))
     click.echo()
     for name, value in rows:
         click.echo(f"  {name:<15} {value}")

@@ -26,7 +26,7 @@ def segments(first: Path) -> list[Path]:
 
 
 def _run(path: Path) -> dict[str, str]:
-    """What the files of one run have in common, and no other."""
+    """What the files of one run have in common, and no other. Raises ToolError."""
     metadata = scan(path).metadata.get("tonus", {})
     return {key: value for key, value in metadata.items() if key != "file"}
 

@@ -1,0 +1,74 @@
+"""A recorder killed in mid-run is started again, and nothing that was published is missing."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tools.log import open as open_log
+
+pytestmark = pytest.mark.realtime
+
+KILLS_S = (2.0, 5.0)
+"""after the first look at the process"""
+
+
+def recorders(ring_dir_of: int) -> list[int]:
+    """Process ids of the recorders, not their keepers, of the run with this process id."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+            except OSError:
+                continue
+            ours = any(re.search(rb"run-%d(/|$)" % ring_dir_of, word) for word in words)
+            if ours and words[1:3] == [b"-m", b"tools.recorder_process"]:
+                found.append(int(entry.name))
+    return found
+
+
+def test_nothing_is_missing(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tools.cli", "run", "config/can.yaml", "--duration", "4"]
+    environment = {**os.environ, "TONUS_RUNTIME_DIR": str(tmp_path / "run")}
+    with subprocess.Popen(
+        [*command, "--out", str(tmp_path)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        killed: list[int] = []
+
+        def kill() -> None:
+            for pid in recorders(process.pid):
+                os.kill(pid, signal.SIGKILL)
+                killed.append(pid)
+
+        timers = []
+        assert process.stdout is not None
+        said = []
+        for line in process.stdout:
+            said.append(line)
+            if not timers and "SCHED_FIFO" in line:
+                timers = [threading.Timer(delay, kill) for delay in KILLS_S]
+                for timer in timers:
+                    timer.start()
+    assert len(killed) == len(KILLS_S), "".join(said)
+    log = open_log(tmp_path / "run.mcap")
+    ticks = log["/tonus/timing"]["tick"]
+    assert sum(int(count) for count in log.recorded.values()) == 0
+    missed = log["/tonus/timing"]["missed_own"][-1] + log["/tonus/timing"]["missed_host"][-1]
+    assert int(ticks[-1]) + 1 == len(ticks) + int(missed)
+    assert np.array_equal(np.unique(ticks), ticks), "each once"
+    names = [event.name for event in log.events()]
+    assert names.count("recorder_restarted") == len(KILLS_S)
+    assert (tmp_path / "run.3.mcap").exists()
