@@ -15,10 +15,10 @@ _HEAD = """# The log
 
 One MCAP file a run. Every topic below is a ROS 2 message in CDR, once a cycle, its definition
 inside the file; besides them `/tonus/events` (what a person wants to know), and `/can/<channel>`
-with every raw frame as `can_msgs/msg/Frame`. The configuration and the scenario are attached;
-metadata `tonus` holds versions, seed and, in real time, host facts. `log_time` is UTC in real time
-and starts at 0 in virtual time. In Python, `tools.log.open("run.mcap")["/tonus/tension"]` is a
-numpy array of them all.
+with every raw frame as `can_msgs/msg/Frame`. Configuration, scenario and installed packages are
+attached; metadata `tonus` holds versions, seed and, in real time, host facts. `log_time` is UTC in
+real time and starts at 0 in virtual time. In Python,
+`tools.log.open("run.mcap")["/tonus/tension"]` is a numpy array of them all.
 
     tonus log info FILE...     what, when, how long, states, faults, topics, rates, gaps, damage
     tonus log report FILE      one HTML page: verdict, plots, the paper's Figure 1, events; offline
@@ -29,8 +29,20 @@ numpy array of them all.
     tonus log export FILE... --format csv|parquet|asc|blf
     tonus log layout foxglove|plotjuggler   plots arranged for a viewer
 
-Several FILEs are segments of one run, read as one: `open(["run.mcap", "run.2.mcap"])`. There are
-also `log.between(1.5, 2.0)` (s since the start), `log.join("/tonus/pose", "/tonus/truth")` (one
+A run may lie in several files: after `recording.rotate_mb` or `rotate_s` the recorder goes on in
+`run.2.mcap` and so on, as it does when it died and was started again (`recorder_restarted`). Each
+is complete in itself; opening `run.mcap` reads them all as one, and so do several FILEs. When the
+disk has no room (`keep_free_mb`) control goes on and recording does not (`recording_stopped`, and
+`unrecorded` in summary.json); it resumes in another file when there is room, with what the ring
+still holds (`ring_s`). Files are never deleted, unless `keep_files` says how many are to stay.
+
+Thirty times a second (`recording.viewer_hz`) the robot is also there as viewers know it: `/tf`
+(`base` to `platform`), `/viewer/pose` and `/viewer/desired` (PoseStamped), `/viewer/winches`
+(JointState), `/viewer/markers` (MarkerArray: frame, platform, and cables from blue at T_min over
+grey at pretension to orange at T_max, black when slack); 0.3 GB an hour before compression.
+
+In Python there are also
+`log.between(1.5, 2.0)` (s since the start), `log.join("/tonus/pose", "/tonus/truth")` (one
 record a tick), `log.batches(topics)` (a chunk at a time) and `tools.log.tables` (Arrow, pandas). A
 damaged file is read up to the damage, which `log.damage` names.
 
