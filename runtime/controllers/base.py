@@ -117,5 +117,6 @@ class Controller(ABC):
 
 
 def norm(vector: Array) -> float:
-    """Euclidean, of a short vector."""
-    return math.sqrt(float(vector @ vector))
+    """Euclidean, of a vector (3,)."""
+    x, y, z = vector.tolist()
+    return math.sqrt(x * x + y * y + z * z)
