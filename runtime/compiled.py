@@ -96,6 +96,14 @@ def rotation_between(start: Array, end: Array) -> Array:
 
 
 @njit(cache=True)
+def levelling(
+    quaternion: Array, angular_velocity: Array, level: Array, stiffness: float, damping: float
+) -> Array:
+    """Moment (3,) of a rotational spring towards the orientation ``level``, and a damper."""
+    return stiffness * rotation_between(quaternion, level) - damping * angular_velocity
+
+
+@njit(cache=True)
 def forward(
     measured: Array,
     usable: NDArray[np.bool_],

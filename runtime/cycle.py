@@ -29,6 +29,7 @@ from runtime.estimator import Estimate, PoseEstimator
 from runtime.guide import Guide
 from runtime.kinematics import Kinematics
 from runtime.passivity import Limiter
+from runtime.recording import write_measured, write_motion
 from runtime.referencing import Referencing
 from runtime.sensing import Sensing
 from runtime.sequence import Sequence
@@ -340,26 +341,15 @@ class ControlCycle:
         state.fault_where[...] = sequence.where
         state.state[...] = sequence.state
         state.operator[...] = operator
-        drives, axes = record.drives, image.axes
-        drives.angle[:] = axes["angle"]
-        drives.torque[:] = axes["torque"]
-        drives.rate[:] = sensing.rate
-        drives.age[:] = axes["age"]
-        drives.statusword[:] = axes["statusword"]
-        drives.error_code[:] = axes["error_code"]
-        drives.state[:] = axes["state"]
-        cells = record.force_cells
-        cells.raw[:] = image.cells["force"]
-        cells.tare[:] = sensing.tare
-        cells.filtered[:] = sensing.filter.value
-        cells.age[:] = image.cells["age"]
-        cells.status[:] = image.cells["status"]
-        tracker, seen = record.tracker, image.tracker
-        tracker.position[:] = seen["position"]
-        tracker.quaternion[:] = seen["quaternion"]
-        tracker.delay[...] = seen["delay"]
-        tracker.sequence[...] = seen["sequence"]
-        tracker.fresh[...] = seen["fresh"]
+        write_measured(
+            record.data,
+            image.axes,
+            image.cells,
+            image.tracker,
+            sensing.rate,
+            sensing.tare,
+            sensing.filter.value,
+        )
 
     def _write_results(self, image: ProcessImage, estimate: Estimate | None) -> None:
         record, sensing = self.record, self._sensing
@@ -382,18 +372,21 @@ class ControlCycle:
         tracker.disagreement[...] = estimator.disagreement.distance
         tracker.refused[...] = estimator.disagreement.poses
         tracker.learnt[...] = estimator.disagreement.learnt
-        pose.position[:] = estimate.position
-        pose.quaternion[:] = estimate.quaternion
-        pose.velocity[:] = estimate.velocity
-        pose.angular_velocity[:] = estimate.angular_velocity
-        position, velocity, acceleration = self._guide.desired
-        pose.desired_position[:] = position
-        pose.desired_velocity[:] = velocity
-        pose.desired_acceleration[:] = acceleration
-        pose.cable_position[:] = estimator.cable_position
-        pose.bias[:] = estimator.bias
+        write_motion(
+            record.data,
+            (
+                estimate.position,
+                estimate.quaternion,
+                estimate.velocity,
+                estimate.angular_velocity,
+                estimate.external,
+            ),
+            self._guide.desired,
+            estimator.cable_position,
+            estimator.bias,
+            estimator.offsets,
+        )
         pose.residual[...] = estimator.residual
-        pose.length_offset[:] = estimator.offsets
         pose.compliance[...] = estimator.compliance
         pose.sigma[...] = estimator.sigma
         pose.inconsistency[...] = estimator.inconsistency
@@ -404,7 +397,6 @@ class ControlCycle:
         wrench = record.wrench
         wrench.commanded[:] = self._wrench
         wrench.delivered[:] = self._delivered
-        wrench.external[:] = estimate.external
         wrench.deficit[...] = distribution.deficit
         wrench.contact[...] = sensing.contact
         margins, envelope = record.envelope, self._envelope
