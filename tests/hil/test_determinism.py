@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 from hil.runs import configured, virtual
 
 SECONDS = "1.0"
@@ -21,7 +22,10 @@ def _digest(path: Path) -> str:
 
 
 def _start(out: Path, runtime: Path, seed: int = 3) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "tools.cli", "run", "config/can.yaml", "--virtual", "--json"]
+    config, _ = configured()
+    path = out / "quick.yaml"
+    path.write_text(yaml.safe_dump(config.model_dump(mode="json")))
+    command = [sys.executable, "-m", "tools.cli", "run", str(path), "--virtual", "--json"]
     arguments = ["--duration", SECONDS, "--seed", str(seed), "--out", str(out)]
     environment = {**os.environ, "TONUS_RUNTIME_DIR": str(runtime)}
     return subprocess.Popen([*command, *arguments], env=environment, stdout=subprocess.DEVNULL)

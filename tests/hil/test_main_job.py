@@ -88,7 +88,7 @@ def test_the_tension_error_in_hold_is_within_half_a_per_cent(
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_a_sine_is_followed_to_a_millimetre(axis: str, tmp_path: Path) -> None:
     """30 mm at 0.5 Hz (paper: 2.6 mm)."""
-    config, scenario = configured("config/direct.yaml", f"sine_{axis}", duration=8.0)
+    config, scenario = configured("config/direct.yaml", f"sine_{axis}", duration=5.0)
     result, log = virtual(config, scenario, tmp_path)
     assert result.outcome.fault is Fault.NONE, result.outcome.reason
     summary = summarise(log)
