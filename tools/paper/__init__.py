@@ -1,1 +1,1 @@
-"""The paper's protocol: its trials, what they came to, and its tables beside ours."""
+"""The paper's protocol: its tests as cases, every trial of a campaign, and what they come to."""
