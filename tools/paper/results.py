@@ -15,6 +15,22 @@ Loader = Callable[[str], Traces | None]
 """The curves of a trial by its key; None where none were kept."""
 
 
+SAFETY = frozenset(
+    {
+        "contact_peak",
+        "slack_ticks",
+        "violation_ticks",
+        "violation_longest",
+        "tension_max",
+        "tension_min",
+        "k_eq_min",
+        "k_eq_max",
+        "tension_rmse",
+    }
+)
+"""Indicators that count even if a fault ended the trial."""
+
+
 def _no_traces(key: str) -> Traces | None:  # noqa: ARG001
     return None
 
@@ -39,7 +55,9 @@ class Row:
     state: str = ""
     """the robot's last state"""
     reason: str = ""
-    """why it stopped; empty for a trial that ran to its end"""
+    """why, in words"""
+    fault: str = ""
+    """its name; empty for a trial that ran to its end"""
 
     @property
     def drawn(self) -> bool:
@@ -48,7 +66,14 @@ class Row:
     @property
     def completed(self) -> bool:
         """Whether it ran to its end and could be measured."""
-        return not self.reason and bool(self.indicators)
+        return not self.fault and bool(self.indicators)
+
+    def get(self, indicator: str) -> float | None:
+        """None where it does not exist. Of a trial that a fault cut short only what tells of safety
+        counts: the rest would be the accuracy of the time before it went wrong."""
+        if self.fault and indicator not in SAFETY:
+            return None
+        return self.indicators.get(indicator)
 
     def as_json(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
@@ -100,7 +125,6 @@ class Results:
         return list(dict.fromkeys(getattr(row, of) for row in self.rows))
 
     def values(self, indicator: str) -> Array:
-        """(n,) of the completed rows that have it."""
-        return np.array(
-            [row.indicators[indicator] for row in self.rows if indicator in row.indicators]
-        )
+        """(n,) of the rows that have it, `Row.get`."""
+        found = [row.get(indicator) for row in self.rows]
+        return np.array([value for value in found if value is not None], dtype=np.float64)
