@@ -275,6 +275,13 @@ def _move(trial: Trial, window: Mask) -> Indicators:  # noqa: ARG001
     return found
 
 
+def _settled(time: Array, error: Array, band: float, origin: float) -> float | None:
+    """`settling_time`, but None too where it came inside only while the final value was taken:
+    then there is none."""
+    took = formula.settling_time(time, error, band, origin)
+    return None if took is None or origin + took > float(time[-1]) - FINAL_S else took
+
+
 def _load(trial: Trial, window: Mask) -> Indicators:  # noqa: ARG001
     """Ramp and step: from the true onset of the load until it goes."""
     load = formula.norms(trial.truth["load"][:, :3])
@@ -304,9 +311,7 @@ def _load(trial: Trial, window: Mask) -> Indicators:  # noqa: ARG001
             time[stretch], trial.truth["velocity"][stretch], LOW_HZ, HIGH_HZ
         ),
     }
-    took = formula.settling_time(
-        time[origin:end], error[origin:end] - final, BAND * peak, float(time[origin])
-    )
+    took = _settled(time[origin:end], error[origin:end] - final, BAND * peak, float(time[origin]))
     if took is not None:
         found["load_settling"] = took
     found.update(_forces_under_load(trial, onset, stretch))
