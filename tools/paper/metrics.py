@@ -253,7 +253,7 @@ def _move(trial: Trial, window: Mask) -> Indicators:  # noqa: ARG001
         inside = (time >= begin) & (time < end)
         if waypoint.pause > FINAL_S and step > 0.0 and time[-1] >= end - FINAL_S and inside.any():
             final = position[inside & (time >= end - FINAL_S)].mean(axis=0)
-            took = formula.settling_time(time[inside], position[inside] - final, BAND * step, begin)
+            took = _settled(time[inside], position[inside] - final, BAND * step, begin)
             travel = (position[inside] - start) @ (target - start) / step
             reached = float((final - start) @ (target - start)) / step
             beyond.append(100.0 * max(float(travel.max()) - reached, 0.0) / step)
