@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from paper_setup import BASE, CONFIG, TENSION, sine, steps, still
 
+from config import load
+from config.schema.lab import LabScript
 from runtime.kinematics import Kinematics
 from tools.paper import indicators as formula
 from tools.paper.case import Kind
 from tools.paper.forces import cable_wrench
 from tools.paper.metrics import measure, traces
+
+CONFIGS = Path(__file__).parents[2] / "config"
 
 
 def test_a_perfect_trial_has_no_error_and_breaks_nothing() -> None:
@@ -166,7 +172,26 @@ def test_slack_and_violations_are_counted_in_ticks() -> None:
     assert found["violation_ticks"] == 6
     assert found["violation_longest"] == 3
     assert found["tension_low_ticks"] == 103
+    assert "contact_peak" not in found
+
+
+def test_a_contact_has_a_peak_where_there_is_something_to_touch() -> None:
+    trial = still(Kind.CONTACT)
+    script = LabScript(
+        phantom=load(str(CONFIGS / "direct.yaml"), scenario="contact")[1].lab.phantom
+    )
+    trial.run = replace(
+        trial.run,
+        case=replace(
+            trial.run.case,
+            scenario=trial.run.case.scenario.model_copy(update={"lab": script}),
+        ),
+    )
+    trial.truth["contact_force"][1500] = 26.0
+    trial.truth["velocity"][1400:1600, 0] = 0.1
+    found = measure(trial)
     assert found["contact_peak"] == 26.0
+    assert found["contact_speed"] == pytest.approx(0.1)
 
 
 def test_a_press_is_judged_by_the_true_force_on_the_body() -> None:

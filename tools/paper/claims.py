@@ -182,7 +182,8 @@ def _dynamics(results: Results) -> Iterator[Claim]:
         limit(overshoot, 2.9),
         _Text("Of the same steps; a minimum-jerk reference is a fair and a mild one."),
     )
-    phase = _of(results, "phase_lag_deg", Kind.SINE)
+    sines = usual(results).select(kind=Kind.SINE, controller=BIO)
+    phase = Spread.of(np.abs(sines.values("phase_lag_deg")))
     yield _claim(
         ("phase", "Phase deviation", "4.5° (Table 2)"),
         4.5,
@@ -241,10 +242,10 @@ def _stiffness(results: Results) -> Iterator[Claim]:
     ours = Spread.of(slopes.values("slope"))
     yield _claim(
         ("slope", "Static slope of force against way", "420 N/m (section 4)"),
-        420.0,
+        printed.SLOPE,
         "N/m",
         ours,
-        match(ours, 420.0).at_most(
+        match(ours, printed.SLOPE).at_most(
             Verdict.CONSISTENT, "geometry and pretension, which make half of it, are ours"
         ),
         _Text(
@@ -329,7 +330,7 @@ def _safety(results: Results) -> Iterator[Claim]:
             "contact_peak"
         )
     )
-    judged = limit(peak, 25.0)
+    judged = limit(peak, printed.CONTACT_LIMIT)
     if unlimited is None or unlimited.low <= _OPEN_PEAK:
         judged = judged.at_most(
             Verdict.CONSISTENT,
@@ -338,7 +339,7 @@ def _safety(results: Results) -> Iterator[Claim]:
     without = "" if unlimited is None else f"With the envelope off: {number(unlimited.high)} N."
     yield _claim(
         ("contact", "Largest contact force", "below 25 N (abstract)"),
-        25.0,
+        printed.CONTACT_LIMIT,
         "N",
         peak,
         judged,
@@ -463,7 +464,7 @@ def _against_pid(
         said += f" {name} is {number(others[name], 2)} % better than {REFERENCE} with every seed."
     elif bio is not None and found.best() == REFERENCE:
         said += f" {REFERENCE} is the best of all here."
-    label = what or indicator.label.lower()
+    label = what or indicator.label
     return _claim(
         (
             f"better_{indicator.key}",

@@ -118,6 +118,8 @@ def _safety(trial: Trial) -> Indicators:
     box = np.array([robot.workspace.x, robot.workspace.y, robot.workspace.z])
     outside = ((truth["position"] < box[:, 0]) | (truth["position"] > box[:, 1])).any(axis=1)
     law = control.stiffness
+    lab = trial.config.lab
+    touchable = trial.run.case.scenario.lab.phantom or (lab and lab.phantom)
     stray = (k_eq < law.minimum * _WHOLE) | (k_eq > law.maximum / _WHOLE)
     violated = (
         slack
@@ -127,14 +129,15 @@ def _safety(trial: Trial) -> Indicators:
         | outside
         | stray
     )
+    touched = {"contact_peak": truth["contact_force"].max()} if touchable else {}
     return {
+        **touched,
         "slack_ticks": slack.sum(),
         "violation_ticks": violated.sum(),
         "violation_longest": formula.longest_run(violated),
         "tension_low_ticks": (tension < control.tension.min).any(axis=1).sum(),
         "tension_min": tension.min(),
         "tension_max": tension.max(),
-        "contact_peak": truth["contact_force"].max(),
         "k_eq_outside_ticks": stray.sum(),
         "k_eq_min": k_eq.min(),
         "k_eq_max": k_eq.max(),

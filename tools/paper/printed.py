@@ -62,6 +62,11 @@ TABLE3: tuple[tuple[Indicator, float, float, float], ...] = (
 )
 """Indicator, PID, bio-inspired, improvement in % as printed. E_keq is in N/m there."""
 
+SLOPE = 420.0
+"""N/m, section 4"""
+CONTACT_LIMIT = 25.0
+"""N, abstract"""
+
 OURS: tuple[Indicator, ...] = (
     Indicator(
         "Tracking error, RMS", "RMSE_x", "mm", "position_rmse", frozenset({Kind.SINE}), False, 1e3

@@ -62,7 +62,7 @@ Cell = str | float | int | Spread | None
 
 @dataclass(frozen=True)
 class Column:
-    """``digits``: significant digits of its numbers."""
+    """``digits``: significant digits of its numbers; 0: as they are."""
 
     name: str
     unit: str = ""
@@ -156,7 +156,8 @@ class Table:
 
 
 def text(cell: Cell, digits: int = 3) -> str:
-    """As a person reads it: the deviation to the place of the mean's last digit."""
+    """As a person reads it: mean and deviation to the same place, a digit more than asked where the
+    deviation would else vanish."""
     if cell is None:
         return "–"
     if isinstance(cell, str):
@@ -165,12 +166,17 @@ def text(cell: Cell, digits: int = 3) -> str:
         if cell.sd is None:
             return number(cell.mean, digits)
         places = _places(cell.mean or cell.sd, digits)
+        if cell.sd > 0.0:
+            finer = min(_places(cell.sd, 1), _places(cell.mean, digits + 1))
+            places = max(places, finer) if cell.mean else places
         return f"{_plain(cell.mean, places)} ± {_plain(cell.sd, places)}"
     return str(cell) if isinstance(cell, int) else number(cell, digits)
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Significant digits, without an exponent."""
+    """Significant digits, without an exponent; 0 digits: as the number is."""
+    if digits == 0:
+        return f"{value:g}"
     return _plain(value, _places(value, digits))
 
 

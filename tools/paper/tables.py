@@ -144,7 +144,7 @@ def _stage(
             cells.append(spread.times(scale) if spread else None)
         table.rows.append(cells)
     if broken:
-        table.notes.append(f"{broken} trials ended in a fault; of these only what tells of safety")
+        table.notes.append(f"ended in a fault: {broken}; of these only what tells of safety")
     return table
 
 
@@ -157,8 +157,8 @@ def table2(results: Results, match: list[Match], controller: str = BIO) -> tuple
             Column("parameter"),
             Column("symbol"),
             Column("unit"),
-            Column("paper, simulated"),
-            Column("paper, experiment"),
+            Column("paper, simulated", digits=0),
+            Column("paper, experiment", digits=0),
             Column("model"),
             Column("lab"),
             Column("model - lab", "% of lab", 2),
@@ -262,8 +262,8 @@ def table3(results: Results) -> tuple[Table, Json]:
         (
             Column("indicator"),
             Column("unit"),
-            Column("paper, PID"),
-            Column("paper, bio"),
+            Column("paper, PID", digits=0),
+            Column("paper, bio", digits=0),
             *(Column(name) for name in names),
         ),
     )
@@ -288,7 +288,7 @@ def table3(results: Results) -> tuple[Table, Json]:
     table.notes.append("bold: best. ±: standard deviation over the seeds' means")
     failed = sum(not row.completed for row in usual(results).select())
     if failed:
-        table.notes.append(f"{failed} trials in the lab ended in a fault and are not in the means")
+        table.notes.append(f"ended in a fault and not in the means: {failed}")
     if below:
         worst = max(below, key=lambda symbol: below[symbol])
         table.notes.append(
@@ -347,7 +347,11 @@ def improvements(results: Results) -> Table:
     table = Table(
         "improvement",
         "Improvement on the tuned PID, %: positive is better (paired by seed)",
-        (Column("indicator"), Column("paper, bio"), *(Column(name, "", 2) for name in names)),
+        (
+            Column("indicator"),
+            Column("paper, bio", digits=0),
+            *(Column(name, "", 2) for name in names),
+        ),
     )
     better = dict.fromkeys(names, 0)
     for indicator, _, _, gain in TABLE3:

@@ -1,4 +1,4 @@
-"""What we set out to reach ourselves, beyond the paper; its bounds and what each controller gave."""
+"""What we set out to reach beyond the paper: the bounds, and what each controller gave."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from tools.paper.case import Kind
 from tools.paper.compare import BIO, REFERENCE, VARIANTS, matches, usual
+from tools.paper.printed import SLOPE
 from tools.paper.results import Results
 from tools.paper.table import Cell, Column, Table, number
 
@@ -60,7 +61,7 @@ def _least_r2(results: Results, controller: str) -> float | None:
 
 def _slope(results: Results, controller: str) -> float | None:  # noqa: ARG001
     values = results.select(stage=1, plant="model", bus=None).values("slope")
-    return 100.0 * abs(float(values.mean()) / 420.0 - 1.0) if len(values) else None
+    return 100.0 * abs(float(values.mean()) / SLOPE - 1.0) if len(values) else None
 
 
 def _drawn(key: str, reduce: Callable[[Any], Any], scale: float = 1.0) -> Figure:
