@@ -12,7 +12,7 @@ from tools.paper.case import Kind
 from tools.paper.compare import BIO, REFERENCE, VARIANTS, matches, usual
 from tools.paper.printed import SLOPE
 from tools.paper.results import Results
-from tools.paper.table import Cell, Column, Table, number
+from tools.paper.table import Cell, Column, Table
 
 SHOWN = (BIO, *VARIANTS, REFERENCE)
 _PLANTS = 200
@@ -117,7 +117,7 @@ def targets(results: Results) -> tuple[Table, list[dict[str, Any]]]:
     for target in TARGETS:
         values = {name: target.of(results, name) for name in names}
         sign = "≥" if target.least else "≤"
-        cells: list[Cell] = [target.name, f"{sign} {number(target.bound)} {target.unit}".strip()]
+        cells: list[Cell] = [target.name, f"{sign} {target.bound:g} {target.unit}".strip()]
         for place, name in enumerate(names):
             value = values[name]
             cells.append(value)
