@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.schema.root import Config
-
 from tools.log.log import Event
 from tools.paper.case import Run
 
