@@ -60,6 +60,9 @@ def still(kind: Kind, reference: dict[str, Any] | None = None, duration: float =
         "tension.reference": np.full((n, 8), TENSION),
         "wrench.commanded": np.zeros((n, 6)),
         "wrench.deficit": zeros.copy(),
+        "energy.stiffening": zeros.copy(),
+        "energy.dissipated": zeros.copy(),
+        "energy.tank": np.full(n, 0.1),
         "drives.torque_command": np.zeros((n, 8)),
     }
     run = Run(Case(2, "made_up", kind, script), "bio", "lab", 1, "direct")

@@ -25,6 +25,7 @@ Indicators = dict[str, float]
 NEEDED_CYCLE = (
     *("state.scenario_time", "pose.desired_position", "stiffness.k_eq", "stiffness.measured"),
     *("tension.reference", "wrench.commanded", "wrench.deficit", "drives.torque_command"),
+    *("energy.stiffening", "energy.dissipated", "energy.tank"),
 )
 NEEDED_TRUTH = (
     *("position", "quaternion", "velocity", "tension", "drum_rate", "current", "load"),
@@ -137,6 +138,7 @@ def _safety(trial: Trial) -> Indicators:
         "k_eq_min": k_eq.min(),
         "k_eq_max": k_eq.max(),
         "deficit_max": trial.cycle["wrench.deficit"].max(),
+        "envelope_enabled": control.envelope.enabled,
         "duration": trial.time[-1],
     }
 
@@ -148,6 +150,8 @@ def _common(trial: Trial, window: Mask) -> Indicators:
     time = trial.time[span]
     reference, tension = cycle["tension.reference"][span], truth["tension"][span]
     off = tension - reference
+    share = off / np.maximum(reference, trial.config.control.tension.slack)
+    stiffening = cycle["energy.stiffening"][span]
     law = trial.config.control.stiffness
     wanted = np.array(cycle["wrench.commanded"][span])
     true = cable_wrench(
@@ -158,7 +162,10 @@ def _common(trial: Trial, window: Mask) -> Indicators:
     found = {
         "position_rmse": formula.rms(_error(trial)[span]),
         "tension_rmse": np.sqrt((off**2).mean()),
-        "tension_percent": 100.0 * np.sqrt(((off / np.maximum(reference, 1e-9)) ** 2).mean()),
+        "tension_percent": 100.0 * np.sqrt((share**2).mean()),
+        "tension_percent_max": 100.0 * np.abs(share).max(),
+        "eq13_broken_percent": 100.0 * (stiffening > cycle["energy.dissipated"][span]).mean(),
+        "tank_min": cycle["energy.tank"][span].min(),
         "tension_spread": tension.std(axis=1).mean(),
         "force_rmse": formula.rms(wanted[:, :3] - true[:, :3]),
         "moment_rmse": formula.rms(wanted[:, 3:] - true[:, 3:]),
@@ -232,6 +239,8 @@ def _sine(trial: Trial, window: Mask) -> Indicators:
         "amplitude_error_percent": 100.0 * (gain / reference.amplitude - 1.0),
         "energy_per_period": lost / (span * reference.frequency),
         "periods": round(span * reference.frequency),
+        "frequency_hz": reference.frequency,
+        "amplitude": reference.amplitude,
     }
 
 
