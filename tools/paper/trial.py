@@ -33,3 +33,7 @@ class Trial:
     fault: str
     """its name, empty for none"""
     events: list[Event] = field(default_factory=list)
+    contact_peak: float = 0.0
+    """N, the phantom's largest true force over the whole run, a stop by the envelope included"""
+    ticks: int = 0
+    """of the whole run, from OFF"""
