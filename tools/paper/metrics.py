@@ -118,14 +118,14 @@ def _safety(trial: Trial) -> Indicators:
     box = np.array([robot.workspace.x, robot.workspace.y, robot.workspace.z])
     outside = ((truth["position"] < box[:, 0]) | (truth["position"] > box[:, 1])).any(axis=1)
     law = control.stiffness
+    stray = (k_eq < law.minimum * _WHOLE) | (k_eq > law.maximum / _WHOLE)
     violated = (
         slack
         | (tension > control.tension.max).any(axis=1)
         | (truth["contact_force"] > control.envelope.contact_limit)
         | (formula.norms(truth["velocity"]) > control.envelope.speed_limit)
         | outside
-        | (k_eq < law.minimum * _WHOLE)
-        | (k_eq > law.maximum / _WHOLE)
+        | stray
     )
     return {
         "slack_ticks": slack.sum(),
@@ -135,6 +135,7 @@ def _safety(trial: Trial) -> Indicators:
         "tension_min": tension.min(),
         "tension_max": tension.max(),
         "contact_peak": truth["contact_force"].max(),
+        "k_eq_outside_ticks": stray.sum(),
         "k_eq_min": k_eq.min(),
         "k_eq_max": k_eq.max(),
         "deficit_max": trial.cycle["wrench.deficit"].max(),

@@ -26,6 +26,8 @@ SAFETY = frozenset(
         "k_eq_min",
         "k_eq_max",
         "tension_rmse",
+        "tension_percent",
+        "k_eq_outside_ticks",
     }
 )
 """Indicators that count even if a fault ended the trial."""
