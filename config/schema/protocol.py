@@ -150,6 +150,8 @@ class Protocol(Section):
     body: Body
     slope: Slope
     sines: Sines
+    still: Positive
+    """s of holding still"""
     steps: Steps
     ramp: Ramp
     jump: Jump

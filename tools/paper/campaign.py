@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import multiprocessing
 import os
@@ -30,11 +31,14 @@ from tools.errors import ToolError
 from tools.paper import metrics
 from tools.paper.case import Run
 from tools.paper.conduct import conduct
-from tools.paper.plants import settle
+from tools.paper.plants import settings_key, settle
+from tools.paper.protocol import robot_seconds
 from tools.paper.results import Results, Row
 
 Json = dict[str, Any]
 TRIALS = "trials"
+_SET_DEATH_SIGNAL = 1
+"""PR_SET_PDEATHSIG of prctl(2)"""
 _ROOMS = (config_room, drivers, runtime, sim)
 _OWN = ("case", "conduct", "forces", "indicators", "metrics", "trial")
 """Modules of this package that decide what a trial comes to."""
@@ -62,13 +66,20 @@ class Progress:
     wall_seconds: float
     share: float
     """of the robot time, 0 to 1"""
-    running: str
+    fresh: float
+    """the part of it that was run now"""
+    latest: str
     """the trial that came in last"""
 
     @property
     def factor(self) -> float:
         """Robot time over wall time, all processes together."""
         return self.robot_seconds / self.wall_seconds if self.wall_seconds > 0.0 else 0.0
+
+    @property
+    def left(self) -> float:
+        """s of wall time, at the pace so far."""
+        return self.wall_seconds * (1.0 - self.share) / self.fresh if self.fresh > 0.0 else 0.0
 
 
 @dataclass
@@ -81,16 +92,18 @@ class Campaign:
     robot_seconds: float
     wall_seconds: float
     kept: int
-    missing: int = 0
-    """trials not run, because somebody interrupted"""
+    interrupted: bool = False
 
 
 def prepare(protocol: Protocol, config: Config, runs: list[Run]) -> list[Job]:
     """Configurations and fingerprints. Raises `ToolError`."""
+    settled: dict[object, Config] = {}
     jobs = []
     for run in runs:
-        own = settle(protocol, config, run)
-        jobs.append(Job(run, own, fingerprint(run, own)))
+        same = settings_key(run)
+        if same not in settled:
+            settled[same] = settle(protocol, config, run)
+        jobs.append(Job(run, settled[same], fingerprint(run, settled[same])))
     return jobs
 
 
@@ -136,31 +149,32 @@ def carry_out(
     kept = {job.run.key: row for job in jobs if (row := _finished(folder, job)) is not None}
     todo = sorted(
         (job for job in jobs if job.run.key not in kept),
-        key=lambda job: -job.run.case.scenario.duration,
+        key=lambda job: -_length(job),
     )
     rows = dict(kept)
-    expected = sum(job.run.case.scenario.duration for job in jobs) or 1.0
-    covered = sum(j.run.case.scenario.duration for j in jobs if j.run.key in kept)
-    began = clock.wall_seconds()
-    robot, failed, interrupted = 0.0, [], False
+    expected = sum(_length(job) for job in jobs)
+    before = covered = sum(_length(job) for job in jobs if job.run.key in kept)
+    began, passed, robot = clock.wall_seconds(), 0.0, 0.0
+    failed: list[Row] = []
+    interrupted = False
     try:
-        for job, answer in _answers(todo, folder, workers):
-            row, seconds = answer
+        for job, row, seconds in _answers(todo, folder, workers):
             rows[job.run.key] = row
-            robot += seconds
-            covered += job.run.case.scenario.duration
             if not row.state:
                 failed.append(row)
+            robot += seconds
+            covered += _length(job)
             passed = clock.wall_seconds() - began
             tell(
                 Progress(
-                    len(rows),
-                    len(jobs),
-                    len(kept),
-                    robot,
-                    passed,
-                    covered / expected,
-                    job.run.key,
+                    done=len(rows),
+                    total=len(jobs),
+                    kept=len(kept),
+                    robot_seconds=robot,
+                    wall_seconds=passed,
+                    share=covered / expected,
+                    fresh=(covered - before) / expected,
+                    latest=job.run.key,
                 )
             )
     except KeyboardInterrupt:
@@ -169,15 +183,15 @@ def carry_out(
         [rows[job.run.key] for job in jobs if job.run.key in rows],
         lambda key: _traces(folder / f"{key}.npz"),
     )
-    missing = len(jobs) - len(rows)
-    if interrupted and not missing:
-        missing = 0
-    return Campaign(results, failed, robot, clock.wall_seconds() - began, len(kept), missing)
+    return Campaign(results, failed, robot, passed, len(kept), interrupted)
 
 
-def _answers(
-    jobs: list[Job], folder: Path, workers: int
-) -> Iterator[tuple[Job, tuple[Row, float]]]:
+def _length(job: Job) -> float:
+    """s of robot time, about."""
+    return robot_seconds(job.config, job.run)
+
+
+def _answers(jobs: list[Job], folder: Path, workers: int) -> Iterator[tuple[Job, Row, float]]:
     """Jobs with what became of them, as they are finished. A worker that dies takes its pool with
     it; what was then under way is tried once more, one by one, so that the culprit is found."""
     suspects: list[Job] = []
@@ -196,11 +210,11 @@ def _answers(
                 broken = [future for future in done if _broke(future)]
                 for future in done:
                     if future not in broken:
-                        yield (job := under_way.pop(future)), _answer(job, future)
+                        yield (job := under_way.pop(future)), *_answer(job, future)
                 if broken:
                     if alone:
                         job = under_way.pop(broken[0])
-                        yield job, _answer(job, broken[0])
+                        yield job, *_answer(job, broken[0])
                     else:
                         suspects += under_way.values()
                     break
@@ -225,12 +239,14 @@ def _pool(workers: int) -> ProcessPoolExecutor:
     context.set_forkserver_preload(["tools.paper.campaign"])
     # Matrices of eight rows are no work for a second thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return ProcessPoolExecutor(workers, mp_context=context, initializer=_obey_parent)
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_go_with_parent)
 
 
-def _obey_parent() -> None:
-    """Ctrl-C reaches the whole group; the parent decides, and a trial under way is finished."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _go_with_parent() -> None:
+    """Ctrl-C, or the end of the parent however it comes, ends a worker at once: what it has not
+    finished is nowhere yet."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGTERM)
 
 
 def work(job: Job, folder: Path) -> tuple[Row, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import Any
 
 from pydantic import ValidationError
@@ -39,6 +40,12 @@ def settle(protocol: Protocol, config: Config, run: Run) -> Config:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         raise ToolError(f"config/protocol.yaml: {run.plant}: {place}: {first['msg']}") from error
+
+
+def settings_key(run: Run) -> Hashable:
+    """Equal for runs of equal configuration."""
+    kind = run.plant if run.plant in (MODEL, LAB) else DRAWN
+    return (run.controller, kind, run.bus, run.case.kind is Kind.SLOPE, run.case.overrides)
 
 
 def refuse(config: Config, name: str) -> None:

@@ -101,6 +101,8 @@ class Programme:
 
     def _moves(self) -> Iterator[Case]:
         steps = self._protocol.steps
+        still = self._protocol.still
+        yield self._case(2, "hold", Kind.HOLD, "Nothing but holding still", still, _HOLD)
         for axis, direction in self._protocol.directions.items():
             there = np.array(direction) / np.linalg.norm(direction) * steps.distance
             waypoints = [
