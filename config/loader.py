@@ -12,6 +12,7 @@ from pydantic_core import ErrorDetails
 
 from config.document import Document, Key, dotted, is_file, read
 from config.errors import ConfigError
+from config.schema.protocol import Protocol
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 
@@ -58,6 +59,11 @@ def load(
 def load_scenario(name: str, overrides: Overrides | None = None) -> Scenario:
     """A scenario by the name of a file in config/scenarios, or by a path to one."""
     return _scenario(name, f"scenario {name}", 0, "", overrides)
+
+
+def load_protocol() -> Protocol:
+    """The paper's test programme, config/protocol.yaml."""
+    return _validate(read(HERE / "protocol.yaml", "config/protocol.yaml"), Protocol)
 
 
 def _scenario(

@@ -238,6 +238,8 @@ class ControlCycle:
             matrix * present, self._wrench, self._centre, self._low, self._high, self._gradient
         )
         self._shortfall = self._wrench[:3] - matrix[:3] @ self._reference
+        active = self.sequence.state is State.ACTIVE
+        self._controller.applied(self._reference, self.sequence.elapsed if active else -1.0)
 
     def _drum_rate(self, estimate: Estimate) -> Array:
         """Drum rates (8,) that follow the platform at constant tension (eq. 1)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 from config.schema.scenario import Scenario
 
@@ -32,11 +33,13 @@ class Case:
     """One test of the protocol."""
 
     stage: int
-    """1, 2 or 3; 0 for the drawn plants"""
+    """1, 2 or 3; 0 for the drawn plants, which are a test of their own"""
     name: str
     """file-name safe: "sine_z_30mm_1Hz", "ramp_x", "contact" """
     kind: Kind
     scenario: Scenario
+    overrides: tuple[tuple[str, Any], ...] = ()
+    """dotted keys of the configuration that this test alone changes, with their values"""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.schema.root import Config
-
 from tools.log.log import Event
 from tools.paper.case import Run
 
@@ -34,3 +33,7 @@ class Trial:
     fault: str
     """its name, empty for none"""
     events: list[Event] = field(default_factory=list)
+    contact_peak: float = 0.0
+    """N, the phantom's largest true force over the whole run, a stop by the envelope included"""
+    ticks: int = 0
+    """of the whole run, from OFF"""
