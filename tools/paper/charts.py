@@ -97,7 +97,7 @@ def pareto(results: Results) -> Figure | None:
 
 def _open_peaks(results: Results) -> dict[str, float]:
     """N by controller, envelope off."""
-    rows = results.select(kind=Kind.CONTACT)
+    rows = results.select(kind=Kind.CONTACT, plant=None, bus=None)
     found: dict[str, list[float]] = {}
     for row in rows:
         if not row.indicators.get("envelope_enabled", 1.0) and "contact_peak" in row.indicators:

@@ -163,8 +163,8 @@ def load_step(results: Results) -> Figure | None:
 
 def contact(results: Results) -> Figure | None:
     """Stage 3: the force on the phantom, with and without the envelope."""
-    rows = results.select(kind=Kind.CONTACT)
-    guarded = list(curves_of(usual(rows)))
+    rows = results.select(kind=Kind.CONTACT, plant=None, bus=None)
+    guarded = list(curves_of(usual(results).select(kind=Kind.CONTACT)))
     bare = Results(
         [row for row in rows if not row.indicators.get("envelope_enabled", 1.0)], results.traces
     )

@@ -29,17 +29,18 @@ h1{font-size:1.35rem;margin:0 0 .3rem}h2{font-size:1.15rem;margin:2.2rem 0 .5rem
 h3{font-size:1rem;margin:1.6rem 0 .3rem}
 nav{margin:.8rem 0}nav a{margin-right:1rem}
 .sum{display:flex;gap:.6rem;flex-wrap:wrap;margin:1rem 0}
-.sum div{padding:.5rem .9rem;border-left:.4rem solid;min-width:7.5rem}
+.sum div{padding:.5rem .9rem;border-left-width:.4rem;border-left-style:solid;min-width:7.5rem}
 .sum b{font-size:1.5rem;display:block}
 .good{border-color:#0072B2;background:#E8F1F8}.fair{border-color:#E69F00;background:#FCF3E0}
 .bad{border-color:#D55E00;background:#FBEBE0}.none{border-color:#999;background:#F4F4F4}
 .wide{overflow-x:auto}
 table{border-collapse:collapse;margin:.3rem 0}td,th{padding:.2rem .8rem .2rem 0;text-align:left;
 border-bottom:1px solid #ddd;vertical-align:top}
-td.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
+th.n,td.n{text-align:right}td.n{font-variant-numeric:tabular-nums;white-space:nowrap}
 td.best{font-weight:700}
+td.ours{white-space:nowrap}
 table.claims td{padding:.35rem .8rem .35rem .4rem}
-td.verdict{border-left:.4rem solid;font-weight:600;white-space:nowrap}
+td.verdict{border-left-width:.4rem;border-left-style:solid;font-weight:600;white-space:nowrap}
 .note,.rule{color:#555;font-size:.86rem;margin:.15rem 0}
 figure{margin:.6rem 0 1.8rem}figcaption{color:#333}img{width:100%;height:auto}
 img.part{max-width:860px}summary{cursor:pointer}
@@ -121,7 +122,7 @@ def _claims(claims: Sequence[Claim]) -> str:
         lines.append(
             f'<tr><td class="verdict {style}">{_SIGNS[claim.verdict]} {claim.verdict}</td>'
             f"<td>{escape(claim.claim)}</td><td>{escape(claim.paper)}</td>"
-            f"<td>{escape(ours)}</td><td>{escape(claim.sentence)}"
+            f"<td class=ours>{escape(ours)}</td><td>{escape(claim.sentence)}"
             f'<details class="rule"><summary>rule</summary>{escape(claim.rule)}</details></td></tr>'
         )
     return (

@@ -134,7 +134,10 @@ class Table:
         return buffer.getvalue()
 
     def html(self) -> str:
-        heads = "".join(f"<th>{escape(column.heading)}</th>" for column in self.columns)
+        heads = "".join(
+            f"<th{' class=n' if self._numeric(place) else ''}>{escape(column.heading)}</th>"
+            for place, column in enumerate(self.columns)
+        )
         lines = []
         for row, cells in enumerate(self.rows):
             shown = []

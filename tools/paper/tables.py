@@ -110,12 +110,9 @@ def stage2(results: Results) -> Table:
 
 def stage3(results: Results) -> Table:
     """Loads and contact in the lab."""
-    table = _stage(
+    return _stage(
         results.select(stage=3), _STAGE3, "stage3", "Stage 3: loads and contact, lab, against truth"
     )
-    if any(not row.indicators.get("envelope_enabled", 1.0) for row in results.select(stage=3)):
-        table.notes.append("open: with the envelope switched off, to show what it prevents")
-    return table
 
 
 def _stage(
@@ -141,7 +138,9 @@ def _stage(
         cells: list[Cell] = [case, *own, *([plant] if with_plant else [])]
         for key, _, _, scale, _ in kept:
             spread = Spread.of(Results(rows).values(key))
-            cells.append(spread.times(scale) if spread else None)
+            # Where there is nothing to touch, a peak of zero says nothing.
+            idle = key == "contact_peak" and spread is not None and spread.high == 0.0
+            cells.append(spread.times(scale) if spread and not idle else None)
         table.rows.append(cells)
     if broken:
         table.notes.append(f"ended in a fault: {broken}; of these only what tells of safety")
@@ -310,8 +309,9 @@ def _add(
     shown: list[Cell] = [found.spread(name) for name in names]
     label = f"{indicator.label} {indicator.symbol}"
     table.rows.append([label, indicator.unit, *printed, *shown])
+    means = {spread.mean for spread in shown if isinstance(spread, Spread)}
     # K_eq is neither good nor bad.
-    if best is not None and best in names and indicator.key != "k_eq_mean":
+    if best in names and len(means) > 1 and indicator.key != "k_eq_mean":
         table.marked.add((len(table.rows) - 1, names.index(best) + 4))
 
 
