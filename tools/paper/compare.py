@@ -153,4 +153,9 @@ def _aligned(real: Traces, foretold: Traces, name: str) -> tuple[Array, Array]:
 def _curved(results: Results, controller: str, plant: str) -> list[Row]:
     rows = usual(results).select(controller=controller, plant=plant)
     seeds = [row.seed for row in rows]
-    return [row for row in rows if row.completed and row.stage in (2, 3) and row.seed == min(seeds)]
+    return [
+        row
+        for row in rows
+        if row.completed and row.stage in (2, 3) and row.kind != Kind.HOLD
+        if row.seed == min(seeds)
+    ]

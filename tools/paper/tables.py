@@ -208,8 +208,8 @@ def table2(results: Results, match: list[Match], controller: str = BIO) -> tuple
         worst = min(match, key=lambda found: found.r2)
         slack = min(match, key=lambda found: found.force_r2)
         table.notes.append(
-            f"R²: lab against model, mean of {len(match)} cases; least {worst.r2:.4f}, {worst.case}. "
-            f"Of the cables' resultant, which slow motion hardly moves: {slack.force_r2:.2f} at "
+            f"R²: lab against model, mean of {len(match)} cases; least {worst.r2:.4f}, "
+            f"{worst.case}. Of the cables' resultant, which slow motion hardly moves: {slack.force_r2:.2f} at "
             f"least, {slack.case}"
         )
     table.notes.append("phase: sines at 0.5 Hz where there are any; all accuracy against truth")
