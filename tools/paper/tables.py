@@ -209,8 +209,8 @@ def table2(results: Results, match: list[Match], controller: str = BIO) -> tuple
         slack = min(match, key=lambda found: found.force_r2)
         table.notes.append(
             f"R²: lab against model, mean of {len(match)} cases; least {worst.r2:.4f}, "
-            f"{worst.case}. Of the cables' resultant, which slow motion hardly moves: {slack.force_r2:.2f} at "
-            f"least, {slack.case}"
+            f"{worst.case}. Of the cables' resultant, which slow motion hardly moves: "
+            f"{slack.force_r2:.2f} at least, {slack.case}"
         )
     table.notes.append("phase: sines at 0.5 Hz where there are any; all accuracy against truth")
     rows.append(
