@@ -148,7 +148,7 @@ def test_table_2_compares_the_model_with_the_lab() -> None:
     assert rows["T_s"]["lab"]["mean"] == pytest.approx(0.6 * FACTOR["bio"] * mean)
     assert rows["T_s"]["difference_percent"] == pytest.approx(100.0 * (1.0 / mean - 1.0))
     assert rows["φ"]["cases"] == ["sine_z_30mm_0.5Hz"]
-    assert 0.9 < rows["R²"]["force"]["min"] < 1.0
+    assert 0.9 < rows["R²"]["response"]["min"] < 1.0
 
 
 def test_r_squared_falls_when_the_lab_departs_from_the_model() -> None:
@@ -157,12 +157,12 @@ def test_r_squared_falls_when_the_lab_departs_from_the_model() -> None:
     def off(key: str) -> Any:
         found = whole.traces(key)
         if found is not None and ".lab." in key and "ramp" in key:
-            found["cable_force"] = -found["cable_force"]
+            found["position"] = -found["position"]
         return found
 
     other = Results(whole.rows, off)
     assert judged(whole)["r2"].verdict is R
-    worst = min(matches(other), key=lambda found: found.force_r2)
+    worst = min(matches(other), key=lambda found: found.r2)
     assert worst.case == "ramp_x"
     assert judged(other)["r2"].verdict in (C, N)
 

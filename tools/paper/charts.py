@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator
 
 from tools.paper import printed
 from tools.paper.case import Kind
@@ -86,6 +87,8 @@ def pareto(results: Results) -> Figure | None:
     if opened:
         axis.plot([], [], "o", color="0.3", markerfacecolor="none", label="envelope off")
     axis.set_xscale("symlog", linthresh=1.0)
+    axis.xaxis.set_major_locator(FixedLocator([0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]))
+    axis.xaxis.set_major_formatter("{x:g}")
     axis.set_xlim(left=0.0)
     load = "100 N ramp" if kind is Kind.RAMP else "25 N step"
     axis.set_xlabel(f"deviation at the end of the {load} / mm")

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.paper.indicators import r_squared
+from tools.paper.case import Kind
+from tools.paper.indicators import r_squared, rms
 from tools.paper.printed import Indicator
 from tools.paper.results import Results, Row, Traces
 from tools.paper.table import Spread
@@ -109,15 +110,17 @@ class Match:
     """How well the model foretells the lab in one case."""
 
     case: str
+    r2: float
+    """of what the case excites: the contact force where there is contact, else the position"""
     force_r2: float
-    """of the cables' resultant (three components), or of the contact force where there is one"""
-    position_r2: float
+    """of the cables' resultant, three components, which in slow motion hardly varies"""
     force_percent: float
-    """RMS of the difference of that force in % of its RMS"""
+    """RMS of that resultant's difference in % of its RMS"""
 
 
 def matches(results: Results, controller: str = BIO) -> list[Match]:
-    """Model against lab, case by case, from the curves that were kept. Stages 2 and 3."""
+    """Model against lab, case by case, from the curves that were kept. Stages 2 and 3, but for
+    standing still, which excites nothing."""
     lab, model = (
         {row.case: row for row in _curved(results, controller, plant)} for plant in ("lab", "model")
     )
@@ -127,13 +130,12 @@ def matches(results: Results, controller: str = BIO) -> list[Match]:
         if real is None or foretold is None:
             continue
         touched = float(real["contact"].max()) > 0.0
-        measured, told = _aligned(real, foretold, "contact" if touched else "cable_force")
+        response = r_squared(*_aligned(real, foretold, "contact" if touched else "position"))
+        measured, told = _aligned(real, foretold, "cable_force")
         force = r_squared(measured, told)
-        position = r_squared(*_aligned(real, foretold, "position"))
-        if force is not None and position is not None:
-            off = float(np.sqrt(((measured - told) ** 2).mean()))
-            size = float(np.sqrt((measured**2).mean()))
-            found.append(Match(case, force, position, 100.0 * off / size))
+        if response is not None and force is not None:
+            off, size = rms(measured - told), rms(measured)
+            found.append(Match(case, response, force, 100.0 * off / size))
     order = results.names("case")
     return sorted(found, key=lambda match: order.index(match.case))
 
@@ -151,4 +153,9 @@ def _aligned(real: Traces, foretold: Traces, name: str) -> tuple[Array, Array]:
 def _curved(results: Results, controller: str, plant: str) -> list[Row]:
     rows = usual(results).select(controller=controller, plant=plant)
     seeds = [row.seed for row in rows]
-    return [row for row in rows if row.completed and row.stage in (2, 3) and row.seed == min(seeds)]
+    return [
+        row
+        for row in rows
+        if row.completed and row.stage in (2, 3) and row.kind != Kind.HOLD
+        if row.seed == min(seeds)
+    ]
