@@ -13,6 +13,7 @@ from pydantic_core import ErrorDetails
 from config.document import Document, Key, dotted, is_file, read
 from config.errors import ConfigError
 from config.schema.budget import Budget
+from config.schema.protocol import Protocol
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 
@@ -79,6 +80,11 @@ def _named(kind: str, name: str, file: str, line: int, key: str) -> Document:
         problem = f"there is no {kind} {reprlib.repr(name)}"
         raise ConfigError(file, line, key, problem, _choose(path.stem, known))
     return read(path, shown)
+
+
+def load_protocol() -> Protocol:
+    """The paper's test programme, config/protocol.yaml."""
+    return _validate(read(HERE / "protocol.yaml", "config/protocol.yaml"), Protocol)
 
 
 def _scenario(

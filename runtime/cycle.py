@@ -310,6 +310,8 @@ class ControlCycle:
             self._delivered,
             self._shortfall,
         )
+        active = self.sequence.state is State.ACTIVE
+        self._controller.applied(self._reference, self.sequence.elapsed if active else -1.0)
 
     def _drum_rates(self, estimate: Estimate) -> Array:
         """Drum rates (8,) to damp against: those that follow the platform, or those desired."""

@@ -66,7 +66,7 @@ def _outer_loops(config: Config, name: str) -> list[Outer]:
         return [Outer(cable=gains, follows=False)]
     if name == "pd_matched":
         return [spring(control.pd_matched.stiffness)]
-    if name in ("pd", "force"):
+    if name in ("pd", "force", "constant_tension"):
         free, force = spring(law.base), control.force
         touching = Outer(
             damping=force.damping,

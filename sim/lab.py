@@ -103,6 +103,7 @@ class Lab:
             seed=seed,
             phantom=script.phantom or lab.phantom,
             load=script.load,
+            displacement=script.displacement,
             start_ns=start_ns,
         )
         self.samples = Samples(self.plant, config.robot.motor, lab.noise.force_cell, seed)

@@ -87,7 +87,12 @@ class ClosedLoop:
         seed = lab.seed if seed is None else seed
         script = scenario.lab
         self.plant = Plant(
-            robot, lab, seed=seed, phantom=script.phantom or lab.phantom, load=script.load
+            robot,
+            lab,
+            seed=seed,
+            phantom=script.phantom or lab.phantom,
+            load=script.load,
+            displacement=script.displacement,
         )
         self.tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
         self.cycle = ControlCycle(robot, config.control, config.tracker, scenario.reference)

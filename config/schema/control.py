@@ -171,6 +171,11 @@ class Eq9Literal(Section):
     gain: Positive
 
 
+class ConstantTension(Section):
+    settle_s: Positive
+    """s in ACTIVE before the tensions are frozen, at their mean over the second half of it"""
+
+
 class Distribution(Section):
     """One box-bounded quadratic programme, `runtime.distribution`."""
 
@@ -297,6 +302,7 @@ ControllerName = Literal[
     "pid_length",
     "force",
     "eq9_literal",
+    "constant_tension",
 ]
 
 
@@ -316,6 +322,7 @@ class Control(Section):
     pid_length: PidLength
     force: Force
     eq9_literal: Eq9Literal
+    constant_tension: ConstantTension = ConstantTension(settle_s=1.0)
     distribution: Distribution
     tension_loop: TensionLoop
     freshness: Freshness

@@ -228,6 +228,37 @@ class Load(Section):
         return self
 
 
+class DisplacementPoint(Section):
+    """How far the platform is to be at a time after the lab saw every drive enabled."""
+
+    at: NonNegative
+    distance: Finite
+    """m"""
+
+
+class Displacement(Section):
+    """The load port as a testing machine: it takes hold of the platform's origin where that is at
+    the first point, leads it along ``direction`` and leaves every other freedom alone; after the
+    last point it lets go."""
+
+    direction: Direction
+    stiffness: Positive
+    """N/m, of the grip"""
+    damping: NonNegative
+    """N s/m, of the grip"""
+    profile: Annotated[tuple[DisplacementPoint, ...], Field(min_length=2)]
+    """linear in between"""
+
+    @model_validator(mode="after")
+    def _forward(self) -> Displacement:
+        times = [point.at for point in self.profile]
+        if times != sorted(times):
+            raise ValueError("the profile must run forward in time")
+        if self.profile[0].distance != 0.0:
+            raise ValueError("the profile must begin with distance 0, where it takes hold")
+        return self
+
+
 class Occlusion(Section):
     """The platform is hidden from the tracker."""
 
@@ -252,7 +283,14 @@ class LabScript(Section):
     """What a scenario asks of the lab. It cannot be heard by the daemon."""
 
     load: Load | None = None
+    displacement: Displacement | None = None
     phantom: Phantom | None = None
     occlusions: tuple[Occlusion, ...] = ()
     tracker_shifts: tuple[TrackerShift, ...] = ()
     faults: tuple[Fault, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_port(self) -> LabScript:
+        if self.load is not None and self.displacement is not None:
+            raise ValueError("the load port plays either a load or a displacement, not both")
+        return self

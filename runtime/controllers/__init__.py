@@ -7,6 +7,7 @@ loop, so that a comparison compares controllers and nothing else.
 from runtime.controllers.base import Controller, Motion
 from runtime.controllers.bio import Bio, BioIntegral, BioObserver
 from runtime.controllers.cable_length import PidLength
+from runtime.controllers.constant_tension import ConstantTension
 from runtime.controllers.contact_force import ContactForce
 from runtime.controllers.impedance import Pd, PdMatched
 from runtime.controllers.literal import Eq9Literal
@@ -22,6 +23,7 @@ CONTROLLERS: dict[str, type[Controller]] = {
     "pid_length": PidLength,
     "force": ContactForce,
     "eq9_literal": Eq9Literal,
+    "constant_tension": ConstantTension,
 }
 
 __all__ = ["CONTROLLERS", "Controller", "Motion"]

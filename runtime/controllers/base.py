@@ -71,6 +71,9 @@ class Controller(ABC):
     def reset(self) -> None:  # noqa: B027
         """Forget the past, before motion starts."""
 
+    def applied(self, tensions: Array, active: float) -> None:  # noqa: B027
+        """The tension references (8,) of a tick, ``active`` s into ACTIVE, negative outside it."""
+
     @abstractmethod
     def stiffness(self, motion: Motion) -> float:
         """The stiffness (N/m) this controller would like now."""

@@ -17,23 +17,36 @@ from sim.plant.drums import drift_drums, follow_currents, kick_drums, predict_dr
 
 
 @inner
-def _load(knots: Any, loads: Any, time: float) -> float:
-    """The load port's force: nothing before the schedule's start, then linear between knots."""
+def _load(knots: Any, loads: Any, time: float) -> tuple[float, float]:
+    """What the load port plays, and its rate: nothing before the schedule's start, then linear
+    between knots."""
     if time < 0.0 or knots.size == 0:
-        return 0.0
+        return 0.0, 0.0
     if time <= knots[0]:
-        return float(loads[0])
+        return float(loads[0]), 0.0
     for k in range(1, knots.size):
         if time < knots[k]:
-            share = (time - knots[k - 1]) / (knots[k] - knots[k - 1])
-            return float(loads[k - 1] + share * (loads[k] - loads[k - 1]))
-    return float(loads[-1])
+            rate = (loads[k] - loads[k - 1]) / (knots[k] - knots[k - 1])
+            return float(loads[k - 1] + (time - knots[k - 1]) * rate), float(rate)
+    return float(loads[-1]), 0.0
 
 
 @inner
-def _forces(s: Any, p: Any, load: float, prescribed: bool) -> None:
+def _grip(s: Any, p: Any, distance: float, rate: float) -> float:
+    """Force of a port that leads the platform's origin to a distance from where it took hold."""
+    for k in range(3):
+        distance -= p.load_direction[k] * (s.position[k] - p.grip_origin[k])
+        rate -= p.load_direction[k] * s.velocity[k]
+    return float(p.grip_stiffness * distance + p.grip_damping * rate)
+
+
+@inner
+def _forces(s: Any, p: Any, played: tuple[float, float], prescribed: bool) -> None:
     """Total wrench on the platform about its origin, in ``s.force`` and ``s.moment``."""
     s.dissipation = 0.0
+    load = played[0]
+    if p.grip_stiffness > 0.0:
+        load = _grip(s, p, played[0], played[1])
     for k in range(3):
         s.load[k] = load * p.load_direction[k]
     r, point = s.rotation, p.load_point
@@ -179,4 +192,4 @@ def static_wrench(state: Any, parameters: Any, prescribed: bool) -> None:
         s.angular_velocity[k] = 0.0
     for i in range(8):
         s.drum_rate[i] = 0.0
-    _forces(s, p, 0.0, prescribed)
+    _forces(s, p, (0.0, 0.0), prescribed)

@@ -113,6 +113,9 @@ PARAMETERS = np.dtype(
         cradle_rotational_damping=_FLOAT,
         load_direction=_VECTOR,
         load_point=_VECTOR,  # platform frame
+        grip_stiffness=_FLOAT,  # N/m of a port that leads the platform, zero: it plays a force
+        grip_damping=_FLOAT,
+        grip_origin=_VECTOR,  # m, where it took hold
         opening=_FLOAT,  # share of the step before the first drift: 1/2, or 1 (see kernel.advance)
         # Never read: see `sim.plant.compiled`.
         **{f"sources_{sources(Path(__file__).parent)}": _FLOAT},

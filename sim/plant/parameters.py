@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.lab import Backlash, Lab, Load, Phantom, Stiffening
+from config.schema.lab import Backlash, Displacement, Lab, Load, Phantom, Stiffening
 from config.schema.robot import CABLES, Robot
 from sim.errors import LabError
 from sim.plant.layout import PARAMETERS
@@ -144,6 +144,19 @@ def add_load(record: NDArray[Any], load: Load) -> None:
     """Direction and point; the profile is the caller's."""
     record["load_direction"] = _unit(load.direction, "the load")
     record["load_point"] = load.point
+
+
+def take_hold(record: NDArray[Any], displacement: Displacement, position: Floats) -> None:
+    """Have the load port grip the platform where it is; the profile is the caller's."""
+    record["load_direction"] = _unit(displacement.direction, "the displacement")
+    record["grip_stiffness"] = displacement.stiffness
+    record["grip_damping"] = displacement.damping
+    record["grip_origin"] = position
+
+
+def let_go(record: NDArray[Any]) -> None:
+    """End the grip."""
+    record["grip_stiffness"] = 0.0
 
 
 def strain(record: NDArray[Any], tension: Floats) -> Floats:

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.lab import Lab, Load, Phantom
+from config.schema.lab import Displacement, Lab, Load, Phantom
 from config.schema.robot import CABLES, Robot
 from sim.plant import kernel
 from sim.plant.energy import Energy
 from sim.plant.layout import STATE
-from sim.plant.parameters import add_load, add_phantom, parameters, strain
+from sim.plant.parameters import add_load, add_phantom, let_go, parameters, strain, take_hold
 from sim.plant.streams import Stream, generator
 from sim.truth import TRUTH
 
@@ -28,8 +28,8 @@ class Plant:
     ``powered`` and ``locked``. Equal seeds and equal calls of `advance` give equal bytes; other
     instants to stop at give the same motion within the integrator's error.
 
-    ``phantom`` and ``load`` are what the present scenario has, or None; ``start_ns`` is the time on
-    the lab's clock at which the plant begins.
+    ``phantom``, ``load`` and ``displacement`` are what the present scenario has, or None;
+    ``start_ns`` is the time on the lab's clock at which the plant begins.
     """
 
     def __init__(
@@ -40,6 +40,7 @@ class Plant:
         seed: int,
         phantom: Phantom | None,
         load: Load | None,
+        displacement: Displacement | None = None,
         start_ns: int = 0,
     ) -> None:
         random = generator(seed, Stream.PLANT)
@@ -51,6 +52,7 @@ class Plant:
             add_phantom(self.parameters, phantom)
         self._knots = np.zeros(0)
         self._loads = np.zeros(0)
+        self._displacement = displacement
         if load is not None:
             self._knots = np.array([point.at for point in load.profile])
             self._loads = np.array([point.force for point in load.profile])
@@ -97,11 +99,24 @@ class Plant:
             return
         steps = -(-span // self._substep_ns)
         begun = -inf if self._schedule_ns is None else (self.now_ns - self._schedule_ns) * 1e-9
+        if self._displacement is not None:
+            self._grip(self._displacement, begun)
         self._run(steps, span * 1e-9 / steps, begun)
         self.now_ns = to_ns
 
     def _run(self, steps: int, dt: float, time: float) -> None:
         kernel.advance(self.state, self.parameters, self._knots, self._loads, steps, dt, time)
+
+    def _grip(self, displacement: Displacement, time: float) -> None:
+        """Take hold at the first point of a displacement's profile, let go after the last."""
+        profile = displacement.profile
+        if not self._knots.size and profile[0].at <= time <= profile[-1].at:
+            self._knots = np.array([point.at for point in profile])
+            self._loads = np.array([point.distance for point in profile])
+            take_hold(self.parameters, displacement, self.position)
+        elif self._knots.size and time > profile[-1].at:
+            self._knots, self._loads = np.zeros(0), np.zeros(0)
+            let_go(self.parameters)
 
     def start_schedule(self, at_ns: int) -> None:
         """Time zero of the load's profile."""

@@ -1,0 +1,27 @@
+"""Every claim of the paper that can be put to the test, and what our data say about it.
+
+A verdict comes from figures by a rule of `verdicts`; a sentence explains it and decides nothing.
+"""
+
+from tools.paper.claims.agreement import agreement, superiority
+from tools.paper.claims.response import accuracy, dynamics, stiffness
+from tools.paper.claims.safety import inner_loop, safety, stability
+from tools.paper.compare import Match
+from tools.paper.results import Results
+from tools.paper.verdicts import Claim
+
+__all__ = ["claims"]
+
+
+def claims(results: Results, matches: list[Match]) -> list[Claim]:
+    """All claims, about in the order of the paper's abstract, sections and tables."""
+    return [
+        *accuracy(results),
+        *dynamics(results),
+        *stiffness(results),
+        *inner_loop(results),
+        *safety(results),
+        *agreement(results, matches),
+        *superiority(results),
+        *stability(results),
+    ]

@@ -1,0 +1,198 @@
+"""A table once, shown three ways: on the terminal, as CSV, as HTML."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from html import escape
+
+import numpy as np
+from numpy.typing import NDArray
+from rich import box
+from rich.table import Table as Printed
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A figure over repetitions."""
+
+    mean: float
+    sd: float | None
+    """sample standard deviation; None of a single one"""
+    low: float
+    high: float
+    count: int
+
+    @classmethod
+    def of(cls, values: Iterable[float] | NDArray[np.float64]) -> Spread | None:
+        """None without any value."""
+        found = np.array(list(values), dtype=np.float64)
+        if not len(found):
+            return None
+        sd = float(found.std(ddof=1)) if len(found) > 1 else None
+        return cls(float(found.mean()), sd, float(found.min()), float(found.max()), len(found))
+
+    def times(self, factor: float) -> Spread:
+        """In another unit; ``factor`` positive."""
+        sd = None if self.sd is None else self.sd * factor
+        return Spread(self.mean * factor, sd, self.low * factor, self.high * factor, self.count)
+
+    @property
+    def sd_percent(self) -> float | None:
+        """Of the mean; None without a deviation or about zero."""
+        if self.sd is None or self.mean == 0.0:
+            return None
+        return 100.0 * self.sd / abs(self.mean)
+
+    def as_json(self) -> dict[str, float | int | None]:
+        return {
+            "mean": self.mean,
+            "sd": self.sd,
+            "min": self.low,
+            "max": self.high,
+            "n": self.count,
+        }
+
+
+Cell = str | float | int | Spread | None
+
+
+@dataclass(frozen=True)
+class Column:
+    """``digits``: significant digits of its numbers; 0: as they are."""
+
+    name: str
+    unit: str = ""
+    digits: int = 3
+
+    @property
+    def heading(self) -> str:
+        return f"{self.name} / {self.unit}" if self.unit else self.name
+
+
+@dataclass
+class Table:
+    """Rows of cells; a Spread is printed as mean ± deviation."""
+
+    name: str
+    """of its files"""
+    title: str
+    columns: tuple[Column, ...]
+    rows: list[list[Cell]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    marked: set[tuple[int, int]] = field(default_factory=set)
+    """cells (row, column) that stand out"""
+
+    def printed(self) -> Printed:
+        """For a terminal."""
+        table = Printed(
+            title=self.title,
+            title_justify="left",
+            title_style="bold",
+            box=box.SIMPLE_HEAD,
+            caption="\n".join(self.notes) or None,
+            caption_justify="left",
+            pad_edge=False,
+        )
+        for number, column in enumerate(self.columns):
+            table.add_column(column.heading, justify="right" if self._numeric(number) else "left")
+        for row, cells in enumerate(self.rows):
+            texts = [text(cell, self.columns[place].digits) for place, cell in enumerate(cells)]
+            table.add_row(
+                *(
+                    f"[bold]{shown}[/bold]" if (row, place) in self.marked else shown
+                    for place, shown in enumerate(texts)
+                )
+            )
+        return table
+
+    def csv(self) -> str:
+        """A Spread becomes three columns: mean, standard deviation, count."""
+        spread = [
+            any(isinstance(row[place], Spread) for row in self.rows)
+            for place in range(len(self.columns))
+        ]
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")
+        heading: list[str] = []
+        for column, wide in zip(self.columns, spread, strict=True):
+            heading += [column.heading]
+            if wide:
+                heading += [f"{column.heading}, SD", f"{column.name}, n"]
+        writer.writerow(heading)
+        for row in self.rows:
+            line: list[object] = []
+            for cell, wide in zip(row, spread, strict=True):
+                if isinstance(cell, Spread):
+                    line += [_exact(cell.mean), _exact(cell.sd), cell.count]
+                else:
+                    line += [_exact(cell), *(["", ""] if wide else [])]
+            writer.writerow(line)
+        return buffer.getvalue()
+
+    def html(self) -> str:
+        heads = "".join(
+            f"<th{' class=n' if self._numeric(place) else ''}>{escape(column.heading)}</th>"
+            for place, column in enumerate(self.columns)
+        )
+        lines = []
+        for row, cells in enumerate(self.rows):
+            shown = []
+            for place, cell in enumerate(cells):
+                kinds = ["n"] if self._numeric(place) else []
+                kinds += ["best"] if (row, place) in self.marked else []
+                style = f' class="{" ".join(kinds)}"' if kinds else ""
+                shown.append(f"<td{style}>{escape(text(cell, self.columns[place].digits))}</td>")
+            lines.append("<tr>" + "".join(shown) + "</tr>")
+        notes = "".join(f'<p class="note">{escape(note)}</p>' for note in self.notes)
+        return (
+            f"<h3>{escape(self.title)}</h3>\n<div class=wide><table><tr>{heads}</tr>\n"
+            + "\n".join(lines)
+            + f"</table></div>{notes}\n"
+        )
+
+    def _numeric(self, place: int) -> bool:
+        return not any(isinstance(row[place], str) for row in self.rows)
+
+
+def text(cell: Cell, digits: int = 3) -> str:
+    """As a person reads it: mean and deviation to the same place, a digit more than asked where the
+    deviation would else vanish."""
+    if cell is None:
+        return "–"
+    if isinstance(cell, str):
+        return cell
+    if isinstance(cell, Spread):
+        if cell.sd is None:
+            return number(cell.mean, digits)
+        places = _places(cell.mean or cell.sd, digits)
+        if cell.sd > 0.0:
+            finer = min(_places(cell.sd, 1), _places(cell.mean, digits + 1))
+            places = max(places, finer) if cell.mean else places
+        return f"{_plain(cell.mean, places)} ± {_plain(cell.sd, places)}"
+    return str(cell) if isinstance(cell, int) else number(cell, digits)
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Significant digits, without an exponent; 0 digits: as the number is."""
+    if digits == 0:
+        return f"{value:g}"
+    return _plain(value, _places(value, digits))
+
+
+def _places(value: float, digits: int) -> int:
+    if value == 0.0:
+        return 0
+    return max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+
+
+def _plain(value: float, places: int) -> str:
+    shown = f"{value:.{min(places, 9)}f}"
+    return shown.lstrip("-") if float(shown) == 0.0 else shown
+
+
+def _exact(cell: Cell) -> object:
+    return "" if cell is None else cell
