@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from tools.cli.log_compare import compare
 from tools.cli.log_export import export
 from tools.cli.log_identify import identify
 from tools.cli.log_info import info
@@ -19,5 +20,5 @@ def log() -> None:
     """Look into recorded runs."""
 
 
-for command in (export, identify, info, layout, recover, replay, report, timing):
+for command in (compare, export, identify, info, layout, recover, replay, report, timing):
     log.add_command(command)

@@ -22,6 +22,7 @@ real time and starts at 0 in virtual time. In Python,
 
     tonus log info FILE...     what, when, how long, states, faults, topics, rates, gaps, damage
     tonus log report FILE      one HTML page: verdict, plots, the paper's Figure 1, events; offline
+    tonus log compare FILE...  the indicators of the paper's Table 3, for any runs, with spread
     tonus log replay FILE...   the recorded inputs once more, every output compared bit for bit
     tonus log identify FILE... the robot's parameters from its own records (identification.md)
     tonus log timing FILE...   budgets in YAML, each line passes or fails (config/budgets)

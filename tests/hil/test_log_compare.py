@@ -1,0 +1,113 @@
+"""Runs side by side, through the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hil.runs import configured, virtual
+
+from config import load
+from config.schema.scenario import Scenario
+from runtime.states import State
+from tools.cli.log_compare import compare
+from tools.log import Log
+from tools.log import open as open_log
+from tools.paper.case import Kind
+from tools.report.compare import compare as put_side_by_side
+from tools.report.compare import kind_of
+
+RUNS = (("bio", 1), ("bio", 2), ("pid", 1))
+FADE, PERIOD = 0.5, 0.5
+"""s, of the sine that is played"""
+
+
+def play(controller: str, seed: int, folder: Path, **overrides: object) -> Log:
+    """One period of 5 mm at 2 Hz, after a fade."""
+    config, scenario = configured(
+        "config/direct.yaml",
+        "sine_z",
+        duration=FADE + PERIOD + 0.05,
+        overrides={"control.controller": controller, **overrides},
+    )
+    sine = {**scenario.reference.model_dump(), "amplitude": 0.005, "fade": FADE}
+    data = {**scenario.model_dump(), "reference": {**sine, "frequency": 1.0 / PERIOD}}
+    return virtual(config, Scenario.model_validate(data), folder, seed=seed)[1]
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, int], Log]:
+    return {
+        (controller, seed): play(controller, seed, tmp_path_factory.mktemp(f"{controller}{seed}"))
+        for controller, seed in RUNS
+    }
+
+
+def test_repetitions_are_one_column_with_their_spread(
+    logs: dict[tuple[str, int], Log], tmp_path: Path
+) -> None:
+    files = [str(log.path) for log in logs.values()]
+    page = tmp_path / "table.html"
+    done = CliRunner().invoke(compare, [*files, "--json", "--out", str(page)])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.output)
+    tracking = next(row for row in told["rows"] if "RMSE_x" in row["indicator"])
+    assert tracking["controllers"]["bio"]["n"] == 2
+    assert tracking["controllers"]["pid"]["n"] == 1
+    assert {each["against"] for each in told["logs"]} == {"truth"}
+    assert any("RMSE_F (press)" in note for note in told["notes"])
+    assert "RMSE_x" in page.read_text()
+    alone = [each["indicators"]["position_rmse"] for each in told["logs"][:2]]
+    assert tracking["controllers"]["bio"]["mean"] == pytest.approx(1e3 * np.mean(alone))
+
+
+def test_tracking_is_that_of_the_truth(logs: dict[tuple[str, int], Log]) -> None:
+    log = logs["bio", 1]
+    _, (judged,) = put_side_by_side([log])
+    rows = log.join("/tonus/state", "/tonus/pose", "/tonus/truth")
+    time = rows["state"]["scenario_time"]
+    active = rows["state"]["state"] == State.ACTIVE
+    whole = rows[active & (time >= FADE) & (time < FADE + PERIOD)]
+    error = whole["pose"]["desired_position"] - whole["truth"]["position"]
+    independent = np.sqrt((error**2).sum(axis=1).mean())
+    assert judged.row.indicators["position_rmse"] == pytest.approx(independent, rel=0.02)
+
+
+def test_without_truth_the_measurements_stand_in_and_that_is_said(
+    logs: dict[tuple[str, int], Log], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tools.report.compare.TRUTH", "/tonus/no_truth")
+    table, (judged,) = put_side_by_side([open_log(logs["bio", 1].path)])
+    assert judged.against == "the robot's own measurements"
+    assert "position_rmse" in judged.row.indicators
+    assert "efficiency_percent" not in judged.row.indicators
+    assert any("own measurements: 1 of 1" in note for note in table.notes)
+
+
+def test_unlike_gains_of_one_controller_are_two_columns(
+    logs: dict[tuple[str, int], Log], tmp_path: Path
+) -> None:
+    other = play("pid", 1, tmp_path, **{"control.pid.integral.gain": 100.0})
+    table, _ = put_side_by_side([logs["pid", 1], other])
+    assert [column.name for column in table.columns[2:]] == ["pid 1", "pid 2"]
+
+
+def test_every_shipped_scenario_is_of_a_kind() -> None:
+    kinds = {
+        name: kind_of(_scenario(name))
+        for name in ("hold", "sine_x", "contact", "load_test", "identify_motion")
+    }
+    assert kinds == {
+        "hold": Kind.HOLD,
+        "sine_x": Kind.SINE,
+        "contact": Kind.CONTACT,
+        "load_test": Kind.RAMP,
+        "identify_motion": Kind.HOLD,
+    }
+
+
+def _scenario(name: str) -> Scenario:
+    return load("config/direct.yaml", name)[1]
