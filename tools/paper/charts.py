@@ -198,5 +198,5 @@ def drawn_plants(results: Results) -> Figure | None:
     axis.axvline(1.0, color=style.VERMILION, linewidth=1.2, label="target for the median, 1.0 mm")
     axis.set_xlabel("RMS error against truth / mm")
     axis.set_ylabel("plants")
-    axis.legend(frameon=False)
+    legend(figure, axis)
     return figure
