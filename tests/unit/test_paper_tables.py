@@ -96,6 +96,13 @@ def test_more_is_better_for_efficiency() -> None:
     assert found.best() == "bio_observer"
 
 
+def test_what_no_instrument_could_tell_apart_is_no_gain() -> None:
+    found = compared(changed(campaign(), overshoot_percent=0.01), printed.OVERSHOOT)
+    found.values["pid"] = dict.fromkeys(SEEDS, 0.001)
+    assert found.improvements("bio") == [0.0] * len(SEEDS)
+    assert found.standing("bio") == "even"
+
+
 def test_a_case_that_one_controller_lacks_counts_for_none() -> None:
     whole = campaign()
     rows = [

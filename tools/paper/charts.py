@@ -116,7 +116,7 @@ def table3_bars(results: Results) -> Figure | None:
         found = compared(results, indicator)
         reference = found.spread(REFERENCE)
         if reference is not None and reference.mean != 0.0:
-            rows.append((indicator, found, reference.mean, bio / pid))
+            rows.append((indicator, found, max(reference.mean, indicator.floor), bio / pid))
     if not rows or REFERENCE not in names:
         return None
     figure = Figure(figsize=(WIDE, 4.4), layout="constrained")
@@ -130,7 +130,7 @@ def table3_bars(results: Results) -> Figure | None:
             if spread is None:
                 continue
             at = number - 0.42 + (place + 0.5) * width
-            height = spread.mean / base
+            height = max(spread.mean, found.indicator.floor) / base
             axis.bar(
                 at,
                 min(height, highest),

@@ -109,6 +109,8 @@ def _against_pid(
             f"{indicator.symbol}: {BIO} {number(bio.mean)}, tuned {REFERENCE} {number(pid.mean)} "
             f"{indicator.unit}."
         )
+        if max(bio.mean, pid.mean) < indicator.floor:
+            said += f" Both under {indicator.floor:g} {indicator.unit}, and so alike."
     others = {
         name: gains.mean
         for name in VARIANTS
