@@ -7,7 +7,7 @@ STAMP := $(VENV)/.ready
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test bench fuzz lint check-types lock clean
+.PHONY: setup run test bench paper fuzz lint check-types lock clean
 
 setup: $(STAMP)
 
@@ -35,6 +35,10 @@ test: lint check-types
 
 bench: setup
 	$(BIN)/python -m tests.bench
+
+# The paper's whole protocol: five hours of robot time. Goes on where it was interrupted.
+paper: setup
+	$(BIN)/tonus paper --out out/paper
 
 # Prints its seed: make fuzz FUZZ_SEED=... does the same again.
 fuzz: setup

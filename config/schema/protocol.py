@@ -84,8 +84,10 @@ class Jump(Section):
 class Contact(Section):
     """A move whose way is blocked."""
 
+    gap: Positive
+    """m from home to the body's surface"""
     back: Positive
-    """m: how far before the body it starts"""
+    """m from home, away from the body, to where it starts"""
     approach: Positive
     """s to get there"""
     settle: NonNegative
@@ -140,6 +142,9 @@ class Selection(Section):
     """None: all"""
     slope_cycles: Count
     drawn: Annotated[int, Field(ge=0)]
+    sample: tuple[str, ...]
+    """cases that are repeated on CAN frames, once in the lab"""
+    sample_controllers: tuple[ControllerName, ...]
 
 
 class Protocol(Section):
@@ -172,6 +177,3 @@ class Protocol(Section):
     """controllers that without contact are another one: they take no part in what has none"""
     canopen: str
     """the configuration whose fieldbus repeats the sample"""
-    sample: tuple[str, ...]
-    """cases that are repeated on it"""
-    sample_controllers: tuple[ControllerName, ...]

@@ -17,7 +17,8 @@ from tools.paper.case import Case, Kind, Run
 
 CONSTANT_TENSION = "constant_tension"
 LITERAL = "eq9_literal"
-NO_ENVELOPE = "contact_no_envelope"
+OPEN_LITERAL = "eq9_no_envelope"
+OPEN_CONTACT = "contact_no_envelope"
 _ENVELOPE_OFF = (("control.envelope.enabled", False),)
 Plain = dict[str, Any]
 _HOLD: Plain = {"kind": "hold"}
@@ -163,19 +164,19 @@ class Programme:
                     "pause": contact.settle,
                 },
                 {
-                    "position": (contact.distance, 0.0, 0.0),
+                    "position": (contact.gap + contact.distance, 0.0, 0.0),
                     "duration": contact.duration,
                     "pause": contact.pause,
                 },
             ],
         }
         duration = contact.approach + contact.settle + contact.duration + contact.pause
-        script = {"phantom": self._phantom(_ALONG, 0.0)}
+        script = {"phantom": self._phantom(_ALONG, contact.gap)}
         text = "A move whose way is blocked by the phantom"
         yield self._case(3, "contact", Kind.CONTACT, text, duration, reference, script)
         text += ", with the safety envelope switched off"
         yield self._case(
-            3, NO_ENVELOPE, Kind.CONTACT, text, duration, reference, script, _ENVELOPE_OFF
+            3, OPEN_CONTACT, Kind.CONTACT, text, duration, reference, script, _ENVELOPE_OFF
         )
         reference = {
             "kind": "press",
@@ -193,7 +194,10 @@ class Programme:
         text = f"{press.force:g} N with a swing of {press.swing:g} N on the phantom"
         yield self._case(3, "press", Kind.PRESS, text, duration, reference, script)
         text = "The loop of eq. (9) as printed, holding still"
-        yield self._case(3, LITERAL, Kind.HOLD, text, self._protocol.literal, _HOLD)
+        still = self._protocol.literal
+        yield self._case(3, LITERAL, Kind.HOLD, text, still, _HOLD)
+        text += ", with the safety envelope switched off"
+        yield self._case(3, OPEN_LITERAL, Kind.HOLD, text, still, _HOLD, overrides=_ENVELOPE_OFF)
 
     def _phantom(self, way: Direction, distance: float) -> Plain:
         """A body ``distance`` m from home along ``way``, a unit vector."""
@@ -250,16 +254,16 @@ def runs(
             cycles = programme.slope(selection.slope_cycles)
             found += [Run(cycles, CONSTANT_TENSION, "model", 1, "direct")]
             found += [Run(case, CONSTANT_TENSION, "lab", seed, "direct") for seed in seeds]
-        elif case.name == LITERAL:
+        elif case.name in (LITERAL, OPEN_LITERAL):
             found += [Run(case, LITERAL, "model", 1, "direct")]
         else:
             for controller in selection.controllers:
                 if controller in protocol.contact_only and case.kind not in _TOUCHING:
                     continue
                 found += [Run(case, controller, "model", 1, "direct")]
-                if case.name != NO_ENVELOPE:
+                if case.name != OPEN_CONTACT:
                     found += [Run(case, controller, "lab", seed, "direct") for seed in seeds]
-                if case.name in protocol.sample and controller in protocol.sample_controllers:
+                if case.name in selection.sample and controller in selection.sample_controllers:
                     found += [Run(case, controller, "lab", 1, "can")]
     if 3 in stages:
         found += plant_runs(protocol, config, selection.drawn)

@@ -1,0 +1,116 @@
+"""A campaign on real worker processes: it goes on after an interruption, and after a trial or a
+worker that breaks down."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from loop import QUICK
+
+from config import load
+from config.loader import load_protocol
+from tools.cli.paper import paper
+from tools.errors import ToolError
+from tools.paper.campaign import TRIALS, Job, Progress, carry_out, fingerprint, prepare
+from tools.paper.case import Run
+from tools.paper.protocol import Programme
+
+PROTOCOL = load_protocol()
+BRISK, _ = load("config/direct.yaml", overrides=QUICK)
+
+
+def jobs(*controllers: str, duration: float = 0.3) -> list[Job]:
+    case = next(case for case in Programme(PROTOCOL, BRISK).cases() if case.name == "hold")
+    case = replace(case, scenario=case.scenario.model_copy(update={"duration": duration}))
+    todo = [Run(case, controller, "lab", 1, "direct") for controller in controllers]
+    return prepare(PROTOCOL, BRISK, todo)
+
+
+class Deadly:
+    """A configuration that ends the worker which unpacks it."""
+
+    def __init__(self, config: Any) -> None:
+        self.control = config.control
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os._exit, (1,)
+
+
+def test_it_goes_on_where_it_was_interrupted_and_gives_the_same(tmp_path: Path) -> None:
+    todo = jobs("bio", "pd")
+
+    def interrupt(standing: Progress) -> None:
+        assert standing.done == 1
+        raise KeyboardInterrupt
+
+    first = carry_out(todo, tmp_path, 1, interrupt)
+    assert first.interrupted
+    assert len(first.results.rows) == 1
+
+    # What a kill leaves behind: a file in the making, one cut short, and one of another time.
+    folder = tmp_path / TRIALS
+    whole = next(folder.glob("*.json"))
+    (folder / f".{whole.name}.4711").write_bytes(b"{")
+    told: list[Progress] = []
+    second = carry_out(todo, tmp_path, 1, told.append)
+    assert (second.kept, len(told), second.interrupted) == (1, 1, False)
+    assert [row.controller for row in second.results.rows] == ["bio", "pd"]
+    assert all(row.completed for row in second.results.rows)
+    assert second.results.traces(todo[1].run.key) is not None
+
+    kept = json.loads(whole.read_text())
+    whole.write_text(json.dumps(kept | {"fingerprint": "old"})[:-1])
+    third = carry_out(todo, tmp_path, 1, told.append)
+    assert third.kept == 1
+    assert json.loads(whole.read_text())["row"] == kept["row"]
+
+
+def test_neither_an_exception_nor_a_dead_worker_ends_it(tmp_path: Path) -> None:
+    good, deadly, broken = jobs("bio", "pd", "pid")
+    deadly = replace(deadly, config=Deadly(deadly.config))  # type: ignore[arg-type]
+    broken = replace(broken, config=broken.config.model_copy(update={"lab": None}))
+    campaign = carry_out([good, deadly, broken], tmp_path, 2, lambda _: None)
+    rows = {row.controller: row for row in campaign.results.rows}
+    assert rows["bio"].completed
+    assert "BrokenProcessPool" in rows["pd"].reason
+    assert "lab section" in rows["pid"].reason
+    assert {row.controller for row in campaign.failed} == {"pd", "pid"}
+    assert not rows["pd"].completed
+
+
+def test_a_fingerprint_knows_what_a_trial_depends_on() -> None:
+    (job,) = jobs("bio")
+    other = job.config.model_copy(update={"name": "other"})
+    longer = jobs("bio", duration=0.4)[0].run
+    prints = {
+        fingerprint(job.run, job.config),
+        fingerprint(job.run, other),
+        fingerprint(longer, job.config),
+        fingerprint(replace(job.run, seed=2), job.config),
+    }
+    assert len(prints) == 4
+    assert jobs("bio")[0].fingerprint == job.fingerprint
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--controllers", "bio,nobody"], "nobody"),
+        (["--controllers", "eq9_literal"], "test of its own"),
+        (["--stages", "4"], "--stages"),
+        (["config/can.yaml"], "direct"),
+    ],
+)
+def test_what_is_asked_wrongly_is_said_before_anything_runs(
+    options: list[str], said: str, tmp_path: Path
+) -> None:
+    answer = CliRunner().invoke(paper, [*options, "--out", str(tmp_path / "out")])
+    assert isinstance(answer.exception, ToolError)
+    assert said in str(answer.exception)
+    assert not (tmp_path / "out").exists()
