@@ -68,7 +68,14 @@ def test_a_match_is_near_or_not(value: float, expected: Verdict) -> None:
 
 @pytest.mark.parametrize(
     ("values", "expected"),
-    [([40.0, 41.0], R), ([10.0, 12.0], C), ([90.0, -1.0], N), ([-5.0, -6.0], N), ([], M)],
+    [
+        ([40.0, 41.0], R),
+        ([10.0, 12.0], C),
+        ([90.0, -1.0], N),
+        ([-5.0, -6.0], N),
+        ([60.0], C),
+        ([], M),
+    ],
 )
 def test_a_gain_must_hold_with_every_seed(values: list[float], expected: Verdict) -> None:
     assert gain(Spread.of(values), 38.2).verdict is expected

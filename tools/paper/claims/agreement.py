@@ -14,6 +14,16 @@ from tools.paper.table import Spread, number
 from tools.paper.verdicts import Claim, Verdict, gain, limit
 
 
+_WHY = {
+    "settling": "All follow one minimum-jerk reference with the same feed-forward. ",
+    "overshoot_percent": "All follow one minimum-jerk reference with the same feed-forward. ",
+    "energy_per_period": "Free motion and pretension ask the same work of every controller. ",
+    "efficiency_percent": "Free motion and pretension ask the same work of every controller. ",
+    "stiffness_deviation_percent": "Co-contraction adds geometric stiffness as K_eq rises. ",
+}
+"""What explains that there is no gain"""
+
+
 def agreement(results: Results, matches: list[Match]) -> Iterator[Claim]:
     """Lab against model, and repetition against repetition."""
     ours = Spread.of([found.r2 for found in matches])
@@ -121,6 +131,7 @@ def _against_pid(
         said += f" {name} is {number(others[name], 2)} % better than {REFERENCE} with every seed."
     elif bio is not None and found.best() == REFERENCE:
         said += f" {REFERENCE} is the best of all here."
+    why = _WHY.get(indicator.key, "")
     label = what or indicator.label
     return claim_of(
         (
@@ -134,6 +145,6 @@ def _against_pid(
         gain(ours, margin),
         Text(
             said,
-            "The paper does not disclose how its PID was tuned; here all were, with one budget.",
+            f"{why}The paper does not disclose how its PID was tuned; here all were, with one budget.",
         ),
     )
