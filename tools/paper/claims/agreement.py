@@ -13,7 +13,6 @@ from tools.paper.results import Results
 from tools.paper.table import Spread, number
 from tools.paper.verdicts import Claim, Verdict, gain, limit
 
-
 _WHY = {
     "settling": "All follow one minimum-jerk reference with the same feed-forward. ",
     "overshoot_percent": "All follow one minimum-jerk reference with the same feed-forward. ",
@@ -145,6 +144,7 @@ def _against_pid(
         gain(ours, margin),
         Text(
             said,
-            f"{why}The paper does not disclose how its PID was tuned; here all were, with one budget.",
+            f"{why}The paper does not disclose how its PID was tuned; here all were, with one "
+            "budget.",
         ),
     )
