@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator
+from matplotlib.ticker import FixedLocator, NullLocator
 
 from tools.paper import printed
 from tools.paper.case import Kind
@@ -55,7 +55,7 @@ def pareto(results: Results) -> Figure | None:
     """Contact peak against load deviation: soft and firm at once is down and left."""
     hard = Indicator("", "", "N", "contact_peak", frozenset({Kind.CONTACT}))
     kind = Kind.RAMP if usual(results).select(kind=Kind.RAMP).rows else Kind.STEP
-    away = Indicator("", "", "mm", "load_deviation_end", frozenset({kind}), False, 1e3)
+    away = Indicator("", "", "mm", "load_deviation_peak", frozenset({kind}), False, 1e3)
     forces, ways = compared(results, hard), compared(results, away)
     opened = _open_peaks(results)
     names = [name for name in controllers_of(results) if name in forces.values]
@@ -86,12 +86,13 @@ def pareto(results: Results) -> Figure | None:
             )
     if opened:
         axis.plot([], [], "o", color="0.3", markerfacecolor="none", label="envelope off")
-    axis.set_xscale("symlog", linthresh=1.0)
-    axis.xaxis.set_major_locator(FixedLocator([0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]))
+    axis.set_xscale("log")
+    axis.xaxis.set_major_locator(FixedLocator([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]))
+    axis.xaxis.set_minor_locator(NullLocator())
     axis.xaxis.set_major_formatter("{x:g}")
-    axis.set_xlim(left=0.0)
+    axis.margins(0.12)
     load = "100 N ramp" if kind is Kind.RAMP else "25 N step"
-    axis.set_xlabel(f"deviation at the end of the {load} / mm")
+    axis.set_xlabel(f"largest deviation under the {load} / mm")
     axis.set_ylabel("contact force, peak / N")
     grid(axis)
     axis.legend(frameon=False, loc="center left", bbox_to_anchor=(1.01, 0.5))

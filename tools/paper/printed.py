@@ -95,6 +95,7 @@ OURS: tuple[Indicator, ...] = (
         False,
         1e3,
     ),
+    Indicator("25 N step: settling", "T_s", "s", "load_settling", frozenset({Kind.STEP})),
     Indicator(
         "100 N ramp: deviation, peak",
         "e_peak",
