@@ -296,7 +296,7 @@ def test_a_table_three_ways() -> None:
     assert "a &amp; b" in table.html()
     assert "A &lt;title&gt;" in table.html()
     console = Console(width=100, file=io.StringIO())
-    console.print(table.printed())
+    console.print(table)
     assert "1.25 ± 0.04" in console.file.getvalue()  # type: ignore[attr-defined]
 
 
