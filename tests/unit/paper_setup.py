@@ -61,6 +61,7 @@ def still(kind: Kind, reference: dict[str, Any] | None = None, duration: float =
         "tension.reference": np.full((n, 8), TENSION),
         "wrench.commanded": np.zeros((n, 6)),
         "wrench.deficit": zeros.copy(),
+        "envelope.grade": np.zeros(n, np.uint8),
         "energy.stiffening": zeros.copy(),
         "energy.dissipated": zeros.copy(),
         "energy.tank": np.full(n, 0.1),

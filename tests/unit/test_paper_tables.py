@@ -68,7 +68,14 @@ def test_a_match_is_near_or_not(value: float, expected: Verdict) -> None:
 
 @pytest.mark.parametrize(
     ("values", "expected"),
-    [([40.0, 41.0], R), ([10.0, 12.0], C), ([90.0, -1.0], N), ([-5.0, -6.0], N), ([], M)],
+    [
+        ([40.0, 41.0], R),
+        ([10.0, 12.0], C),
+        ([90.0, -1.0], N),
+        ([-5.0, -6.0], N),
+        ([60.0], C),
+        ([], M),
+    ],
 )
 def test_a_gain_must_hold_with_every_seed(values: list[float], expected: Verdict) -> None:
     assert gain(Spread.of(values), 38.2).verdict is expected
@@ -94,6 +101,13 @@ def test_more_is_better_for_efficiency() -> None:
     found = compared(campaign(), printed.EFFICIENCY)
     assert found.improvements("bio_observer") == pytest.approx([100.0] * len(SEEDS))
     assert found.best() == "bio_observer"
+
+
+def test_what_no_instrument_could_tell_apart_is_no_gain() -> None:
+    found = compared(changed(campaign(), overshoot_percent=0.01), printed.OVERSHOOT)
+    found.values["pid"] = dict.fromkeys(SEEDS, 0.001)
+    assert found.improvements("bio") == [0.0] * len(SEEDS)
+    assert found.standing("bio") == "even"
 
 
 def test_a_case_that_one_controller_lacks_counts_for_none() -> None:
@@ -282,7 +296,7 @@ def test_a_table_three_ways() -> None:
     assert "a &amp; b" in table.html()
     assert "A &lt;title&gt;" in table.html()
     console = Console(width=100, file=io.StringIO())
-    console.print(table.printed())
+    console.print(table)
     assert "1.25 ± 0.04" in console.file.getvalue()  # type: ignore[attr-defined]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator
+from matplotlib.ticker import FixedLocator, NullLocator
 
 from tools.paper import printed
 from tools.paper.case import Kind
@@ -55,7 +55,7 @@ def pareto(results: Results) -> Figure | None:
     """Contact peak against load deviation: soft and firm at once is down and left."""
     hard = Indicator("", "", "N", "contact_peak", frozenset({Kind.CONTACT}))
     kind = Kind.RAMP if usual(results).select(kind=Kind.RAMP).rows else Kind.STEP
-    away = Indicator("", "", "mm", "load_deviation_end", frozenset({kind}), False, 1e3)
+    away = Indicator("", "", "mm", "load_deviation_peak", frozenset({kind}), False, 1e3)
     forces, ways = compared(results, hard), compared(results, away)
     opened = _open_peaks(results)
     names = [name for name in controllers_of(results) if name in forces.values]
@@ -86,12 +86,13 @@ def pareto(results: Results) -> Figure | None:
             )
     if opened:
         axis.plot([], [], "o", color="0.3", markerfacecolor="none", label="envelope off")
-    axis.set_xscale("symlog", linthresh=1.0)
-    axis.xaxis.set_major_locator(FixedLocator([0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]))
+    axis.set_xscale("log")
+    axis.xaxis.set_major_locator(FixedLocator([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]))
+    axis.xaxis.set_minor_locator(NullLocator())
     axis.xaxis.set_major_formatter("{x:g}")
-    axis.set_xlim(left=0.0)
+    axis.margins(0.12)
     load = "100 N ramp" if kind is Kind.RAMP else "25 N step"
-    axis.set_xlabel(f"deviation at the end of the {load} / mm")
+    axis.set_xlabel(f"largest deviation under the {load} / mm")
     axis.set_ylabel("contact force, peak / N")
     grid(axis)
     axis.legend(frameon=False, loc="center left", bbox_to_anchor=(1.01, 0.5))
@@ -116,7 +117,7 @@ def table3_bars(results: Results) -> Figure | None:
         found = compared(results, indicator)
         reference = found.spread(REFERENCE)
         if reference is not None and reference.mean != 0.0:
-            rows.append((indicator, found, reference.mean, bio / pid))
+            rows.append((indicator, found, max(reference.mean, indicator.floor), bio / pid))
     if not rows or REFERENCE not in names:
         return None
     figure = Figure(figsize=(WIDE, 4.4), layout="constrained")
@@ -130,7 +131,7 @@ def table3_bars(results: Results) -> Figure | None:
             if spread is None:
                 continue
             at = number - 0.42 + (place + 0.5) * width
-            height = spread.mean / base
+            height = max(spread.mean, found.indicator.floor) / base
             axis.bar(
                 at,
                 min(height, highest),
@@ -198,5 +199,5 @@ def drawn_plants(results: Results) -> Figure | None:
     axis.axvline(1.0, color=style.VERMILION, linewidth=1.2, label="target for the median, 1.0 mm")
     axis.set_xlabel("RMS error against truth / mm")
     axis.set_ylabel("plants")
-    axis.legend(frameon=False)
+    legend(figure, axis)
     return figure

@@ -55,13 +55,18 @@ class Compared:
     def improvements(self, controller: str, reference: str = REFERENCE) -> list[float]:
         """% by which it is better than the reference, for every seed that both have; negative:
         worse. Without a meaning, and so empty, where the reference is at zero."""
-        base, own = self.values.get(reference, {}), self.values.get(controller, {})
+        base, own = self._raised(reference), self._raised(controller)
         sign = 1.0 if self.indicator.more_is_better else -1.0
         return [
             sign * 100.0 * (own[seed] - base[seed]) / abs(base[seed])
             for seed in sorted(base.keys() & own.keys())
             if base[seed] != 0.0
         ]
+
+    def _raised(self, controller: str) -> dict[int, float]:
+        """Seed by seed, nothing below the indicator's floor."""
+        values = self.values.get(controller, {})
+        return {seed: max(value, self.indicator.floor) for seed, value in values.items()}
 
     def standing(self, controller: str, reference: str = REFERENCE) -> str | None:
         """``better`` or ``worse`` than the reference with every seed, else ``even``."""

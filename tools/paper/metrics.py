@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from config.schema.scenario import Path, Press, Sine
 from runtime.reference import trajectory
+from runtime.signals import Grade
 from tools.paper import indicators as formula
 from tools.paper.case import Kind
 from tools.paper.forces import cable_wrench
@@ -25,7 +26,7 @@ Indicators = dict[str, float]
 NEEDED_CYCLE = (
     *("state.scenario_time", "pose.desired_position", "stiffness.k_eq", "stiffness.measured"),
     *("tension.reference", "wrench.commanded", "wrench.deficit", "drives.torque_command"),
-    *("energy.stiffening", "energy.dissipated", "energy.tank"),
+    *("envelope.grade", "energy.stiffening", "energy.dissipated", "energy.tank"),
 )
 NEEDED_TRUTH = (
     *("position", "quaternion", "velocity", "tension", "drum_rate", "current", "load"),
@@ -43,7 +44,7 @@ LEAST_RISE = 0.01
 """of K0: less is no rise"""
 LOW_HZ, HIGH_HZ = 0.0, 10.0
 _WHOLE = 0.999
-_TRACE_ROWS, _TRACE_STRIDE = 3000, 4
+_TRACE_ROWS = 3000
 _STILL = 2.0e-4
 """m/s under which a displaced platform is taken to stand"""
 
@@ -62,12 +63,12 @@ def measure(trial: Trial) -> Indicators:
 
 
 def traces(trial: Trial) -> dict[str, Array]:
-    """Curves for figures and for R^2, at equal steps, about 3000 rows at most:
+    """Curves for figures and for R^2, at equal steps, 3000 rows at most:
 
     time (m,), error, position, velocity, load and cable_force (m, 3), k_eq, contact, contact_wanted
     and way (m,): the true position along the test's direction.
     """
-    stride = max(_TRACE_STRIDE, len(trial.time) // _TRACE_ROWS)
+    stride = -(-len(trial.time) // _TRACE_ROWS)
     every = slice(None, None, stride)
     truth = trial.truth
     wrench = cable_wrench(
@@ -134,6 +135,7 @@ def _safety(trial: Trial) -> Indicators:
         **touched,
         "slack_ticks": slack.sum(),
         "violation_ticks": violated.sum(),
+        "amber_percent": 100.0 * (trial.cycle["envelope.grade"] != Grade.GREEN).mean(),
         "violation_longest": formula.longest_run(violated),
         "tension_low_ticks": (tension < control.tension.min).any(axis=1).sum(),
         "tension_min": tension.min(),

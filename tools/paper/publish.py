@@ -74,7 +74,7 @@ def publish(results: Results, out: Path, say: Say = _silent) -> dict[str, Any]:
     }
     whole = {key: _finite(entry) for key, entry in whole.items()}
     for table in ordered:
-        say(table.printed())
+        say(table)
     say(printed_claims(judged))
     try:
         _write(results, out, judged, ordered, whole)

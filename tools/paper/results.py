@@ -19,6 +19,7 @@ SAFETY = frozenset(
     {
         "contact_peak",
         "slack_ticks",
+        "amber_percent",
         "violation_ticks",
         "violation_longest",
         "tension_max",

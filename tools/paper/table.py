@@ -12,7 +12,14 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 from rich import box
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table as Printed
+from rich.text import Text
+
+_GAP = 3
+"""characters between columns of a terminal's table"""
+_LABEL = 26
+"""characters at which a text in the first columns may be wrapped"""
 
 
 @dataclass(frozen=True)
@@ -85,26 +92,58 @@ class Table:
     notes: list[str] = field(default_factory=list)
     marked: set[tuple[int, int]] = field(default_factory=set)
     """cells (row, column) that stand out"""
+    lead: int = 1
+    """columns that say what a row is"""
 
-    def printed(self) -> Printed:
-        """For a terminal."""
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Side by side as far as the terminal is wide, the rest below, the first columns again."""
+        parts = self._parts(options.max_width)
+        for number, places in enumerate(parts):
+            yield self._printed(places, number == 0, number == len(parts) - 1)
+
+    def _parts(self, width: int) -> list[list[int]]:
+        """Columns by place, in stretches that fit into ``width`` characters."""
+        lead = list(range(self.lead))
+        used = start = sum(self._width(place) + _GAP for place in lead)
+        parts: list[list[int]] = [[]]
+        for place in range(self.lead, len(self.columns)):
+            own = self._width(place) + _GAP
+            if parts[-1] and used + own > width:
+                parts.append([])
+                used = start
+            parts[-1].append(place)
+            used += own
+        return [lead + part for part in parts]
+
+    def _width(self, place: int) -> int:
+        column = self.columns[place]
+        cells = [len(text(row[place], column.digits)) for row in self.rows]
+        widest = max([*cells, *(len(word) for word in column.heading.split())])
+        return min(widest, _LABEL) if place < self.lead else widest
+
+    def _printed(self, places: list[int], first: bool, last: bool) -> Printed:
         table = Printed(
-            title=self.title,
+            title=self.title if first else None,
             title_justify="left",
             title_style="bold",
             box=box.SIMPLE_HEAD,
-            caption="\n".join(self.notes) or None,
+            caption="\n".join(self.notes) if last and self.notes else None,
             caption_justify="left",
             pad_edge=False,
         )
-        for number, column in enumerate(self.columns):
-            table.add_column(column.heading, justify="right" if self._numeric(number) else "left")
+        for place in places:
+            right = self._numeric(place)
+            table.add_column(
+                self.columns[place].heading, justify="right" if right else "left", no_wrap=False
+            )
         for row, cells in enumerate(self.rows):
-            texts = [text(cell, self.columns[place].digits) for place, cell in enumerate(cells)]
             table.add_row(
                 *(
-                    f"[bold]{shown}[/bold]" if (row, place) in self.marked else shown
-                    for place, shown in enumerate(texts)
+                    Text(
+                        text(cells[place], self.columns[place].digits),
+                        style="bold" if (row, place) in self.marked else "",
+                    )
+                    for place in places
                 )
             )
         return table

@@ -126,7 +126,7 @@ def _stage(
     kept = [column for column in shown if len(results.values(column[0]))]
     columns = [Column("case"), Column("controller"), *([Column("plant")] if with_plant else [])]
     columns += [Column(label, unit, digits) for _, label, unit, _, digits in kept]
-    table = Table(name, title, tuple(columns))
+    table = Table(name, title, tuple(columns), lead=3 if with_plant else 2)
     cases: dict[tuple[str, str, str], list[Row]] = {}
     for row in results:
         cases.setdefault((row.case, row.controller, row.plant), []).append(row)
@@ -162,6 +162,7 @@ def table2(results: Results, match: list[Match], controller: str = BIO) -> tuple
             Column("lab"),
             Column("model - lab", "% of lab", 2),
         ),
+        lead=3,
     )
     rows: list[Json] = []
     for indicator, simulated, experiment, printed in TABLE2:
@@ -266,6 +267,7 @@ def table3(results: Results) -> tuple[Table, Json]:
             Column("paper, bio", digits=0),
             *(Column(name) for name in names),
         ),
+        lead=2,
     )
     rows: list[Json] = []
     below: dict[str, float] = {}

@@ -73,14 +73,14 @@ def match(ours: Spread | None, value: float) -> Judgement:
 def gain(ours: Spread | None, margin: float) -> Judgement:
     """An improvement in %, paired by seed."""
     rule = (
-        f"reproduced: mean improvement at least {number(margin)} % and better with every seed; "
-        "consistent: better with every seed; else not reproduced"
+        f"reproduced: mean improvement at least {number(margin)} % and better with every seed, of "
+        "two at least; consistent: better with every seed; else not reproduced"
     )
     if ours is None:
         return Judgement(Verdict.MISSING, rule)
     if ours.low <= 0.0:
         return Judgement(Verdict.NOT_REPRODUCED, rule)
-    if ours.mean >= margin:
+    if ours.mean >= margin and ours.count > 1:
         return Judgement(Verdict.REPRODUCED, rule)
     return Judgement(Verdict.CONSISTENT, rule)
 

@@ -86,6 +86,12 @@ def safety(results: Results) -> Iterator[Claim]:
     )
     rows = usual(results).select(controller=BIO)
     ticks = Spread.of(rows.values("violation_ticks"))
+    amber = Spread.of(rows.values("amber_percent"))
+    warned = (
+        ""
+        if amber is None
+        else f" The envelope acted (amber) in {number(amber.mean, 2)} % of ticks."
+    )
     yield claim_of(
         (
             "envelope",
@@ -98,7 +104,7 @@ def safety(results: Results) -> Iterator[Claim]:
         limit(ticks, 0.0),
         Text(
             "True tension over T_max or slack, contact over 25 N, speed, workspace or K_eq out of "
-            "bounds, per trial."
+            f"bounds, per trial.{warned}"
         ),
     )
 
