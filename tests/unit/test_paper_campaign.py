@@ -3,8 +3,13 @@ worker that breaks down."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -82,6 +87,57 @@ def test_neither_an_exception_nor_a_dead_worker_ends_it(tmp_path: Path) -> None:
     assert "lab section" in rows["pid"].reason
     assert {row.controller for row in campaign.failed} == {"pd", "pid"}
     assert not rows["pd"].completed
+
+
+CHILD = """
+import sys
+from pathlib import Path
+sys.path[:0] = sys.argv[2:]
+from test_paper_campaign import jobs
+from tools.paper.campaign import carry_out
+if __name__ == "__main__":
+    carry_out(jobs("bio") + jobs("pd", duration=1000.0), Path(sys.argv[1]), 2, lambda _: None)
+"""
+
+
+@pytest.mark.realtime
+def test_a_kill_leaves_what_is_done_and_no_worker(tmp_path: Path) -> None:
+    script = tmp_path / "campaign.py"
+    script.write_text(CHILD)
+    here = Path(__file__).parent
+    mark = f"TONUS_TEST_MARK={tmp_path}"
+    child = subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path), str(here), str(here.parent)],
+        env=os.environ | dict([mark.split("=", 1)]),
+    )
+    done = tmp_path / TRIALS / f"{jobs('bio')[0].run.key}.json"
+    try:
+        waited(done.exists, 300)
+        assert len(marked(mark)) >= 3
+    finally:
+        child.kill()
+        child.wait()
+    waited(lambda: not marked(mark), 60)
+    assert carry_out(jobs("bio"), tmp_path, 1, lambda _: None).kept == 1
+
+
+def waited(met: Callable[[], bool], seconds: int) -> None:
+    ticking = threading.Event()
+    for _ in range(10 * seconds):
+        if met():
+            return
+        ticking.wait(0.1)
+    raise AssertionError("it did not come to that")
+
+
+def marked(mark: str) -> list[str]:
+    """Processes that were started with this in their environment."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if mark.encode() in (process / "environ").read_bytes().split(b"\0"):
+                found.append(process.name)
+    return found
 
 
 def test_a_fingerprint_knows_what_a_trial_depends_on() -> None:

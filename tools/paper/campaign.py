@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import multiprocessing
 import os
+import select
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -37,8 +38,6 @@ from tools.paper.results import Results, Row
 
 Json = dict[str, Any]
 TRIALS = "trials"
-_SET_DEATH_SIGNAL = 1
-"""PR_SET_PDEATHSIG of prctl(2)"""
 _ROOMS = (config_room, drivers, runtime, sim)
 _OWN = ("case", "conduct", "forces", "indicators", "metrics", "trial")
 """Modules of this package that decide what a trial comes to."""
@@ -239,14 +238,22 @@ def _pool(workers: int) -> ProcessPoolExecutor:
     context.set_forkserver_preload(["tools.paper.campaign"])
     # Matrices of eight rows are no work for a second thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return ProcessPoolExecutor(workers, mp_context=context, initializer=_go_with_parent)
+    return ProcessPoolExecutor(
+        workers, mp_context=context, initializer=_go_with, initargs=(os.getpid(),)
+    )
 
 
-def _go_with_parent() -> None:
-    """Ctrl-C, or the end of the parent however it comes, ends a worker at once: what it has not
-    finished is nowhere yet."""
+def _go_with(campaign: int) -> None:
+    """In a worker: Ctrl-C, or the end of the campaign's process however it comes, ends it at once.
+    What it has not finished is nowhere yet."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGTERM)
+    # The worker's own parent is the fork server, which outlives the campaign as long as it lives.
+    threading.Thread(target=_end_with, args=(os.pidfd_open(campaign),), daemon=True).start()
+
+
+def _end_with(process: int) -> None:
+    select.select([process], [], [])
+    os._exit(1)
 
 
 def work(job: Job, folder: Path) -> tuple[Row, float]:
