@@ -131,7 +131,7 @@ def _against_pid(
     elif bio is not None and found.best() == REFERENCE:
         said += f" {REFERENCE} is the best of all here."
     why = _WHY.get(indicator.key, "") if ours is not None and ours.low <= 0.0 else ""
-    if ours is not None and 0.0 < ours.low and ours.mean < margin:
+    if ours is not None and ours.low > 0.0 and ours.mean < margin:
         said += f" Better, but not by {margin:g} %."
     label = what or indicator.label
     return claim_of(
