@@ -35,6 +35,8 @@ _STYLES = {
     Verdict.MISSING: "dim",
 }
 _PNG_DPI = 110
+_TERMINAL_ROWS = 30
+"""a longer table is for the page and the CSV only"""
 
 
 def _silent(shown: RenderableType) -> None:
@@ -74,12 +76,14 @@ def publish(results: Results, out: Path, say: Say = _silent) -> dict[str, Any]:
     }
     whole = {key: _finite(entry) for key, entry in whole.items()}
     for table in ordered:
-        say(table)
+        if len(table.rows) <= _TERMINAL_ROWS:
+            say(table)
     say(printed_claims(judged))
     try:
         _write(results, out, judged, ordered, whole)
     except OSError as error:
         raise ToolError(f"{out}: {error.strerror}; choose another with --out") from error
+    say(f"{out / 'paper.html'}: all of it, case by case and with figures; also as CSV and JSON")
     return whole
 
 

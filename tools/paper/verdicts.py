@@ -11,6 +11,9 @@ from tools.paper.table import Spread, number
 EXACT, NEAR = 0.10, 0.25
 """shares of the paper's value within which a figure reproduces it, or is consistent with it"""
 
+HALF = 0.5
+"""share of the paper's improvement under which ours is not the same thing"""
+
 
 class Verdict(StrEnum):
     """What our data say about a claim."""
@@ -74,11 +77,12 @@ def gain(ours: Spread | None, margin: float) -> Judgement:
     """An improvement in %, paired by seed."""
     rule = (
         f"reproduced: mean improvement at least {number(margin)} % and better with every seed, of "
-        "two at least; consistent: better with every seed; else not reproduced"
+        f"two at least; consistent: better with every seed, by {HALF:.0%} of that; else not "
+        "reproduced"
     )
     if ours is None:
         return Judgement(Verdict.MISSING, rule)
-    if ours.low <= 0.0:
+    if ours.low <= 0.0 or ours.mean < HALF * margin:
         return Judgement(Verdict.NOT_REPRODUCED, rule)
     if ours.mean >= margin and ours.count > 1:
         return Judgement(Verdict.REPRODUCED, rule)

@@ -130,7 +130,9 @@ def _against_pid(
         said += f" {name} is {number(others[name], 2)} % better than {REFERENCE} with every seed."
     elif bio is not None and found.best() == REFERENCE:
         said += f" {REFERENCE} is the best of all here."
-    why = _WHY.get(indicator.key, "")
+    why = _WHY.get(indicator.key, "") if ours is not None and ours.low <= 0.0 else ""
+    if ours is not None and ours.low > 0.0 and ours.mean < margin:
+        said += f" Better, but not by {margin:g} %."
     label = what or indicator.label
     return claim_of(
         (
