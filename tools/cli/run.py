@@ -66,7 +66,8 @@ def run(
         click.echo(json.dumps(summary, indent=2))
     else:
         _tell(summary, result, [result.log, out / "summary.json", picture])
-    raise click.exceptions.Exit(0 if result.outcome.fault is Fault.NONE else 1)
+    outcome = result.outcome
+    raise click.exceptions.Exit(0 if outcome.fault is Fault.NONE and not outcome.overrun else 1)
 
 
 def _refuse(path: Path, config: Config, scenario: Scenario) -> None:
