@@ -7,6 +7,7 @@ real time each is a process of its own.
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import platform
 import shutil
@@ -43,6 +44,7 @@ from runtime.taps import EventRing, FrameRing, KeyframeRing
 from runtime.topics import to_json
 from sim.lab import Lab
 from tools.cli.live import Live
+from tools.doctor import doctor
 from tools.errors import ToolError
 from tools.lab_process import LabProcess, start_lab
 from tools.recorder_process import RecorderProcess, start
@@ -226,12 +228,14 @@ class _Stage:
 
     def _recorder_process(self) -> RecorderProcess:
         order = self._order
+        health = doctor.latest(order.config, order.out)
+        attachments = {"doctor.json": json.dumps(health, indent=2, sort_keys=True).encode()}
         recorder = start(
             self._rings,
             self._log,
             order.config.recording,
-            self._metadata(_host()),
-            self._attachments(),
+            self._metadata(_host() | doctor.metadata(health)),
+            self._attachments() | attachments,
             clock.utc_offset_ns(),
             priority=order.config.realtime.of(order.config.realtime.recorder_priority),
             live_duration_s=order.scenario.duration if order.live else None,

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from config.schema.base import Count, Section, no_boolean
+from config.schema.base import Count, NonNegative, Positive, Section, no_boolean
 
 Policy = Literal["require", "prefer", "off"]
 Overrun = Literal["skip", "hold", "stop"]
@@ -19,6 +19,21 @@ def _off(value: Any) -> Any:
 
 Priority = Annotated[int, BeforeValidator(no_boolean), Field(ge=0, le=99)]
 WholeNumber = Annotated[int, BeforeValidator(no_boolean), Field(ge=0)]
+
+
+class HostLimits(Section):
+    """What a host's figures are held against."""
+
+    wakeup_good_us: Positive = 100.0
+    """p99.9 of a bare wake-up"""
+    wakeup_bad_us: Positive = 500.0
+    steal_good_percent: NonNegative = 0.1
+    steal_bad_percent: Positive = 1.0
+    disk_good_mib_s: Positive = 20.0
+    """a log with every CAN frame takes 2 MiB a second"""
+    disk_bad_mib_s: Positive = 4.0
+    can_queue: Count = 32
+    """frames; a tick of one channel sends 4"""
 
 
 class RealTime(Section):
@@ -46,6 +61,7 @@ class RealTime(Section):
     stop is a controlled stop"""
     overrun_ticks: Count = 1
     """ticks missed at once that make an overrun"""
+    host: HostLimits = HostLimits()
 
     def of(self, priority: int) -> int:
         """A priority to be asked for under this policy."""
