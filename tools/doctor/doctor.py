@@ -17,8 +17,8 @@ from tools.doctor.files import read
 from tools.doctor.finding import Finding, worst
 
 Report = dict[str, Any]
-"""JSON object: ``verdict``, ``config``, ``host``, ``seconds`` measured, ``boot`` and s since then as ``at_s``,
-``findings`` as a list of `Finding`."""
+"""JSON object: ``verdict``, ``config``, ``host``, ``seconds`` measured, ``boot`` and s since
+then as ``at_s``, ``findings`` as a list of `Finding`."""
 
 QUICK_S = 0.3
 _DISK_S = 1.0
@@ -54,7 +54,7 @@ def report(config: Config, findings: list[Finding], seconds: float) -> Report:
         "host": f"{platform.node()}, {platform.machine()}, {platform.version()}",
         "seconds": seconds,
         "boot": _boot(),
-        "at_s": round(wall_seconds(), 1),
+        "at_s": wall_seconds(),
         "findings": [asdict(finding) for finding in findings],
     }
 
