@@ -34,6 +34,13 @@ class Histogram:
         place = (shift << _FINE_BITS) + (nanoseconds >> shift)
         self._bins[place if place < _BINS else _BINS - 1] += 1
 
+    def merge(self, other: Histogram) -> None:
+        """Take in what another has counted."""
+        self.count += other.count
+        self.largest = max(self.largest, other.largest)
+        for place, count in enumerate(other._bins):
+            self._bins[place] += count
+
     def at(self, share: float) -> int:
         """The least bin's upper end, ns, that ``share`` (0 to 1) of all counts do not exceed; 0
         without any. Never beyond the largest value added."""

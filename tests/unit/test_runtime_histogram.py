@@ -34,6 +34,13 @@ def test_every_value_is_counted_once_and_the_largest_kept(values: list[int]) -> 
     assert uppers == sorted(set(uppers))
 
 
+def test_two_merge_into_what_one_would_have_counted() -> None:
+    both, first = filled([3, 70_000, 5_000_000_000]), filled([3])
+    first.merge(filled([70_000, 5_000_000_000]))
+    assert list(first.filled()) == list(both.filled())
+    assert (first.count, first.largest) == (both.count, both.largest)
+
+
 def test_what_is_early_counts_as_punctual_and_nothing_as_nothing() -> None:
     assert list(filled([-5, 0, 0]).filled()) == [(0, 3)]
     assert Histogram().at(0.5) == 0
