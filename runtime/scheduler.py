@@ -27,8 +27,9 @@ _TIMERSPEC = struct.Struct("qqqq")
 class Misses:
     """Missed ticks by cause.
 
-    ``host``: had the host not taken the processor from us, or woken us late, the tick would have
-    started within its own period. ``own``: our computation alone was too long.
+    ``own`` would have been missed as well had the host always woken us in time and never taken the
+    processor from us: what we computed, and what we waited for by our own doing, was too long.
+    ``host`` are all others.
     """
 
     own: int = 0
@@ -125,6 +126,7 @@ class Scheduler:
         self._stopwatch = stopwatch
         self._now_ns = loop_clock()
         self._tick = -1
+        self._own_late_ns = 0  # how late the present tick would have started on a perfect host
         self._began_ns = start_ns
         self._began_processor_ns = stopwatch.processor_ns()
         self._began_usage = stopwatch.usage()
@@ -146,16 +148,21 @@ class Scheduler:
             # However late we are, what else the loop has to do gets its turn.
             await asyncio.sleep(0)
         now, processor_ns = self._now_ns(), stopwatch.processor_ns()
+        if blocked:
+            tick_ns = finished_ns - self._began_ns
+        else:
+            tick_ns = finished_processor_ns - self._began_processor_ns
+        # What the loop did between the ticks may all have been after the due time: that counts
+        # against us, and no more than we are late.
+        late_ns = max(self._own_late_ns + tick_ns - self.period_ns, 0)
+        late_ns += processor_ns - finished_processor_ns
+        self._own_late_ns = min(late_ns, max(now - due, 0))
         self.skipped = max(int((now - due) // self.period_ns), 0)
         if self.skipped:
-            tick_ns = finished_processor_ns - self._began_processor_ns
-            if blocked:
-                tick_ns = finished_ns - self._began_ns
-            waiting_ns = processor_ns - finished_processor_ns
-            if self._began_ns + tick_ns + waiting_ns - due >= self.period_ns:
-                self.misses.own += self.skipped
-            else:
-                self.misses.host += self.skipped
+            own = min(self._own_late_ns // self.period_ns, self.skipped)
+            self._own_late_ns -= own * self.period_ns
+            self.misses.own += own
+            self.misses.host += self.skipped - own
             wanted += self.skipped
             due = self.due_ns(wanted)
         self._tick = wanted

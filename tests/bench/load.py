@@ -2,8 +2,8 @@
 
     python -m tests.bench.load [--seconds S] [--only NAME]
 
-One run undisturbed, one for each disturbance, one with all of them. Prints p99.9 of each beside the
-undisturbed one's and exits with 1 when one is twice as large or a tick was missed by our own making.
+One run undisturbed, one for each disturbance, one with all of them. Prints p99.9 of each beside
+that of the first and exits with 1 when one is twice as large or we missed a tick by our own making.
 """
 
 from __future__ import annotations

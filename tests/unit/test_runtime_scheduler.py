@@ -119,11 +119,25 @@ def test_processor_time_taken_within_a_tick_is_the_hosts() -> None:
     assert misses(scheduler) == (0, 2)
 
 
-def test_the_miss_is_ours_when_we_alone_would_have_caused_it() -> None:
-    """4 ms on the wall, 2.4 of them ours: with the processor to itself the tick had still run into
-    the second period after its own; with 1.6 of them ours it would only have been late."""
-    assert misses(schedule(3, VirtualPacing(), computing(0, 0.004, share=0.6))[2]) == (3, 0)
+def test_ours_is_what_we_would_have_missed_on_a_perfect_host() -> None:
+    """4 ms on the wall cost three ticks. Of these 2.4 ms ours, it would have cost one all the same;
+    1.6 ms, and the next tick would only have been late."""
+    assert misses(schedule(3, VirtualPacing(), computing(0, 0.004, share=0.6))[2]) == (1, 2)
     assert misses(schedule(3, VirtualPacing(), computing(0, 0.004, share=0.4))[2]) == (0, 3)
+
+
+def test_lateness_left_by_the_host_does_not_make_the_next_miss_ours() -> None:
+    """Woken 0.9 ms late, then 1.2 ms of computing: a tick is missed that we alone had only begun
+    0.2 ms late. Tick after tick of 1.2 ms, though, adds up to one that is ours."""
+
+    async def long(thread: Thread, number: int) -> None:
+        await thread.compute(0.0012)
+
+    pacing = LateBy(START, 900_000)
+    assert misses(schedule(2, pacing, long)[2]) == (0, 1)
+    numbers, _, scheduler = schedule(7, VirtualPacing(), long)
+    assert numbers == [0, 1, 2, 3, 4, 6, 7]
+    assert misses(scheduler) == (1, 0)
 
 
 def test_a_tick_that_waits_by_its_own_doing_is_ours() -> None:
