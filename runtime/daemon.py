@@ -21,7 +21,7 @@ from drivers.fieldbus import BusEvent, Fieldbus, Progress
 from runtime.clock import Stopwatch, now_ns
 from runtime.cycle import ControlCycle
 from runtime.histogram import Histogram
-from runtime.keyframe import Keyframe
+from runtime.keyframe import Flat, Keyframe
 from runtime.operator import Commander
 from runtime.overruns import Overruns
 from runtime.scheduler import Misses, Pacing, Scheduler
@@ -113,6 +113,7 @@ class Daemon:
         self._keyframes, self._keyframe = keyframes, Keyframe(self.cycle)
         self._keyframe_ticks = round(config.recording.keyframe_s / config.control.rates.period)
         self._keyframe_due = 0
+        self._kept: tuple[int, int, Flat] | None = None
         self._due_ns = 0
         self._overruns = Overruns(config.realtime)
         self.latencies = Latencies()
@@ -205,10 +206,19 @@ class Daemon:
         self._write_timing(scheduler, began, collected, computed, published)
         record.timing.processor_us[...] = used * 1e-3
         self._ring.publish(record.data, due_ns)
-        if self._keyframes is not None and tick >= self._keyframe_due:
-            self._keyframe_due = tick + self._keyframe_ticks
-            self._keyframes(due_ns, tick, self._keyframe.take())
+        if self._keyframes is not None:
+            self._keep_state(tick, self._keyframes)
         self._report(tick, command)
+
+    def _keep_state(self, tick: int, keyframes: KeyframeSink) -> None:
+        """A keyframe now and then, in two ticks: both halves at once would overrun one."""
+        if self._kept is not None:
+            due_ns, seen_in, flat = self._kept
+            self._kept = None
+            keyframes(due_ns, seen_in, self._keyframe.written(flat))
+        elif tick >= self._keyframe_due:
+            self._keyframe_due = tick + self._keyframe_ticks
+            self._kept = (self._due_ns, tick, self._keyframe.seen())
 
     def _write_timing(
         self, scheduler: Scheduler, began: int, collected: int, computed: int, published: int
