@@ -75,7 +75,7 @@ TOPICS: tuple[Topic, ...] = (
     _topic(
         "timing",
         "Timing",
-        "when the tick ran; latencies are zero in virtual time",
+        "when the tick ran; what the host has a part in is zero in virtual time",
         Field("tick", "uint64", 0, "", "number of the tick, due at t0 + tick * period"),
         Field("due_ns", "int64", 0, "ns", "due time on the loop's clock"),
         Field("missed_own", "uint32", 0, "", "ticks missed by our own making, so far"),
