@@ -4,10 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 
+MINUTES ?= 10
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test bench paper fuzz lint check-types lock clean
+.PHONY: setup run test bench bench-realtime load paper fuzz lint check-types lock clean
 
 setup: $(STAMP)
 
@@ -39,6 +40,14 @@ bench: setup
 # The paper's whole protocol: five hours of robot time. Goes on where it was interrupted.
 paper: setup
 	$(BIN)/tonus paper --out out/paper
+
+# MINUTES of cyclictest and the daemon in alternation; the result goes into docs/timing.md.
+bench-realtime: setup
+	$(BIN)/python -m tests.bench.realtime --minutes $(MINUTES) --write
+
+# What the tick makes of busy processes, a slow disk, a flooding client and a stopped recorder.
+load: setup
+	$(BIN)/python -m tests.bench.load
 
 # Prints its seed: make fuzz FUZZ_SEED=... does the same again.
 fuzz: setup

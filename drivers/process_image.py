@@ -92,6 +92,8 @@ class ProcessImage:
         self.cells = self._inputs[cells:tracker].view(CELL_INPUT)
         self.tracker = self._inputs[tracker:].view(TRACKER_INPUT).reshape(())
         self.commands = np.zeros(CABLES, AXIS_OUTPUT)
+        self.bus_ns = 0
+        """from the last exchange to its last answer, where the bus knows; no input of control"""
         self.axes["age"] = NEVER
         self.cells["age"] = NEVER
         self.tracker["quaternion"] = (1.0, 0.0, 0.0, 0.0)

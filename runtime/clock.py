@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import asyncio
 import heapq
+import resource
 import selectors
 import time
 from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
 
 Result = TypeVar("Result")
 Clock = Callable[[], int]
@@ -96,13 +98,50 @@ def run(main: Coroutine[Any, Any, Result], *, virtual: bool) -> Result:
         return runner.run(main)
 
 
+class Usage(Protocol):
+    """What a thread has been through so far; the fields of `resource.struct_rusage` used here."""
+
+    @property
+    def ru_minflt(self) -> int:
+        """page faults mended without a disk"""
+        ...
+
+    @property
+    def ru_majflt(self) -> int:
+        """page faults that waited for a disk"""
+        ...
+
+    @property
+    def ru_nvcsw(self) -> int:
+        """times it gave the processor away"""
+        ...
+
+    @property
+    def ru_nivcsw(self) -> int:
+        """times the processor was taken from it"""
+        ...
+
+
+@dataclass
+class Unused:
+    """A `Usage` in which nothing happens but what a test writes."""
+
+    ru_minflt: int = 0
+    ru_majflt: int = 0
+    ru_nvcsw: int = 0
+    ru_nivcsw: int = 0
+
+
 class Stopwatch:
-    """Measures how long our own code takes. In virtual time it always reads zero: what belongs to
-    the host must not reach a virtual log."""
+    """Measures how long our own code takes, and what happens to it meanwhile. In virtual time it
+    always reads zero: what belongs to the host must not reach a virtual log."""
 
     def __init__(self, *, running: bool) -> None:
+        self.running = running
         self.wall_ns: Clock = time.monotonic_ns if running else _zero
         self.processor_ns: Clock = time.thread_time_ns if running else _zero
+        unused = Unused()
+        self.usage: Callable[[], Usage] = _of_this_thread if running else lambda: unused
 
 
 def utc_offset_ns() -> int:
@@ -117,3 +156,7 @@ def wall_seconds() -> float:
 
 def _zero() -> int:
     return 0
+
+
+def _of_this_thread() -> Usage:
+    return resource.getrusage(resource.RUSAGE_THREAD)

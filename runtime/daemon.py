@@ -20,8 +20,10 @@ from config.schema.scenario import Scenario
 from drivers.fieldbus import BusEvent, Fieldbus, Progress
 from runtime.clock import Stopwatch, now_ns
 from runtime.cycle import ControlCycle
-from runtime.keyframe import Keyframe
+from runtime.histogram import Histogram
+from runtime.keyframe import Flat, Keyframe
 from runtime.operator import Commander
+from runtime.overruns import Overruns
 from runtime.scheduler import Misses, Pacing, Scheduler
 from runtime.sequence import MOVING
 from runtime.signals import Consistency, Grade
@@ -76,6 +78,15 @@ class Outcome:
     reason: str
     ticks: int
     misses: Misses
+    overrun: bool = False
+    """it was stopped because ticks were missed"""
+
+
+class Latencies:
+    """Histograms of a run so far; empty in virtual time, where the host is not to be seen."""
+
+    def __init__(self) -> None:
+        self.wakeup, self.compute, self.cycle, self.slack = (Histogram() for _ in range(4))
 
 
 class Daemon:
@@ -102,7 +113,10 @@ class Daemon:
         self._keyframes, self._keyframe = keyframes, Keyframe(self.cycle)
         self._keyframe_ticks = round(config.recording.keyframe_s / config.control.rates.period)
         self._keyframe_due = 0
+        self._kept: tuple[int, int, Flat] | None = None
         self._due_ns = 0
+        self._overruns = Overruns(config.realtime)
+        self.latencies = Latencies()
         self._recovery: asyncio.Task[None] | None = None
         self._state = State.OFF
         self._grade = Grade.GREEN
@@ -146,10 +160,13 @@ class Daemon:
             self._text or self._verdict(),
             ticks,
             scheduler.misses,
+            self._overruns.stopped,
         )
 
     def _verdict(self) -> str:
         """What became of the scenario when nothing went wrong."""
+        if self._overruns.stopped:
+            return "stopped because ticks were missed, as realtime.overrun asks for"
         if self._commander.interrupted:
             return "stopped by the operator"
         played, asked = float(self.cycle.record.state.scenario_time), self._duration
@@ -180,28 +197,69 @@ class Daemon:
         fieldbus.collect(tick)
         self._tracker.collect(now_ns())
         collected = wall()
-        command = self._command()
+        command = self._command(tick, scheduler)
         record = cycle.step(fieldbus.image, tick, command)
         computed = wall()
         fieldbus.publish(tick)
         published = wall()
         used = self._stopwatch.processor_ns() - used
-        timing, misses = record.timing, scheduler.misses
-        timing.due_ns[...] = due_ns
+        self._write_timing(scheduler, began, collected, computed, published)
+        record.timing.processor_us[...] = used * 1e-3
+        self._ring.publish(record.data, due_ns)
+        if self._keyframes is not None:
+            self._keep_state(tick, self._keyframes)
+        self._report(tick, command)
+
+    def _keep_state(self, tick: int, keyframes: KeyframeSink) -> None:
+        """A keyframe now and then, in two ticks: both halves at once would overrun one."""
+        if self._kept is not None:
+            due_ns, seen_in, flat = self._kept
+            self._kept = None
+            keyframes(due_ns, seen_in, self._keyframe.written(flat))
+        elif tick >= self._keyframe_due:
+            self._keyframe_due = tick + self._keyframe_ticks
+            self._kept = (self._due_ns, tick, self._keyframe.seen())
+
+    def _write_timing(
+        self, scheduler: Scheduler, began: int, collected: int, computed: int, published: int
+    ) -> None:
+        """``began`` to ``published`` in ns of the stopwatch."""
+        timing, misses, found = self.cycle.record.timing, scheduler.misses, scheduler.disturbances
+        timing.due_ns[...] = self._due_ns
         timing.missed_own[...] = misses.own
         timing.missed_host[...] = misses.host
+        timing.page_faults[...] = found.page_faults
+        timing.switches[...] = found.switches
         timing.wakeup_us[...] = scheduler.wakeup_ns * 1e-3
+        timing.bus_us[...] = self._fieldbus.image.bus_ns * 1e-3
         timing.collect_us[...] = (collected - began) * 1e-3
         timing.compute_us[...] = (computed - collected) * 1e-3
         timing.publish_us[...] = (published - computed) * 1e-3
-        timing.processor_us[...] = used * 1e-3
-        self._ring.publish(record.data, due_ns)
-        if self._keyframes is not None and tick >= self._keyframe_due:
-            self._keyframe_due = tick + self._keyframe_ticks
-            self._keyframes(due_ns, tick, self._keyframe.take())
-        self._report(tick, command)
+        if self._stopwatch.running:
+            slack = self._due_ns + scheduler.period_ns - published
+            timing.slack_us[...] = slack * 1e-3
+            latencies = self.latencies
+            latencies.wakeup.add(scheduler.wakeup_ns)
+            latencies.compute.add(computed - collected)
+            latencies.cycle.add(published - began)
+            latencies.slack.add(slack)
 
-    def _command(self) -> Operator:
+    def _command(self, tick: int, scheduler: Scheduler) -> Operator:
+        """What the operator says, or the overrun policy in their place."""
+        said = self._operator()
+        if not scheduler.skipped:
+            return said
+        command = self._overruns.answer(scheduler.skipped, self.cycle.sequence.state, said)
+        if command is not said:
+            misses = scheduler.misses
+            text = (
+                f"{scheduler.skipped} ticks missed at once ({misses.own} of our own making so far, "
+                f"{misses.host} by the host); realtime.overrun asks for {command.name.lower()}"
+            )
+            self._emit(tick, Level.WARNING, "overrun", "scheduler", text)
+        return command
+
+    def _operator(self) -> Operator:
         """What the operator says. A reset in FAULT waits, while ticks go on, until the bus has
         brought back what it can; an emergency stop ends that wait and the reset with it."""
         command = self._commander.next(self.cycle.sequence)

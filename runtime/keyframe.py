@@ -52,8 +52,16 @@ class Keyframe:
 
     def take(self) -> bytes:
         """What has changed since the owner was made."""
+        return self.written(self.seen())
+
+    def seen(self) -> Flat:
+        """The owner's state as it is now: the part of a keyframe that cannot wait."""
+        return _flat(self._owner)
+
+    def written(self, seen: Flat) -> bytes:
+        """What had changed when it was seen."""
         initial, rows, blobs, at = self._initial, {}, [], 0
-        for path, entry in _flat(self._owner).items():
+        for path, entry in seen.items():
             if initial.get(path) == entry:
                 continue
             rows[path] = [entry.kind, entry.value]

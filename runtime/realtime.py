@@ -5,10 +5,31 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import struct
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from config.schema.realtime import RealTime
+from runtime.errors import DaemonError
+
 _MCL_CURRENT_AND_FUTURE = 1 | 2
+_PR_SET_TIMERSLACK = 29
+_LEAST_SLACK_NS, _USUAL_SLACK = 1, 0
+_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
+_NEVER = 2**31 - 1
+_USUAL_TRIM, _USUAL_MMAPS = 128 * 1024, 65536
+_DMA_LATENCY = Path("/dev/cpu_dma_latency")
+_STACK_DEPTH = 400
+"""nested calls through C, about 300 bytes of stack each"""
+_MIB = 1 << 20
+
+Undo = Callable[[], object]
+
+
+class RefusedError(DaemonError):
+    """The host does not grant what the configuration requires; a line for each item."""
 
 
 @dataclass(frozen=True)
@@ -23,16 +44,72 @@ class Grant:
         return f"{self.item}: {'granted' if self.granted else 'REFUSED'} ({self.detail})"
 
 
+class Hygiene:
+    """All that a daemon asks of the host, held until `release`.
+
+    The caller warms compiled code itself, before: the code is its own.
+    """
+
+    def __init__(self, settings: RealTime) -> None:
+        self.grants: list[Grant] = []
+        self._undo: list[Undo] = []
+        if settings.policy == "off":
+            self._take(_freeze())
+            return
+        self._take(_reserve(settings.prefault_mib))
+        if settings.lock_memory:
+            self._take(_lock())
+        self._take(_slack())
+        if settings.cpu_dma_latency_us is not None:
+            self._take(_dma_latency(settings.cpu_dma_latency_us))
+        if settings.daemon_cpu is not None:
+            self._take(_pin(settings.daemon_cpu))
+        if settings.daemon_priority:
+            self._take(_fifo(settings.daemon_priority))
+        self._take(_freeze())
+
+    def release(self) -> None:
+        """Give everything back; more than once does no harm."""
+        while self._undo:
+            self._undo.pop()()
+
+    @property
+    def refused(self) -> list[Grant]:
+        return [grant for grant in self.grants if not grant.granted]
+
+    def _take(self, asked: tuple[Grant, Undo | None]) -> None:
+        grant, undo = asked
+        self.grants.append(grant)
+        if undo is not None:
+            self._undo.append(undo)
+
+
+def demand(settings: RealTime) -> None:
+    """With the policy ``require``, ask for everything and give it back, before anything is started.
+
+    Raises `RefusedError` with a line for each item that the host refuses.
+    """
+    if settings.policy != "require":
+        return
+    hygiene = Hygiene(settings)
+    hygiene.release()
+    if hygiene.refused:
+        lines = "".join(f"\n  {grant}" for grant in hygiene.refused)
+        raise RefusedError(
+            "realtime.policy is require, and this host refuses (tonus doctor tells more):" + lines
+        )
+
+
 def prepare(*, priority: int, processor: int | None, lock_memory: bool) -> list[Grant]:
-    """Ask for what a periodic process needs: SCHED_FIFO (0 for none; children start without it),
-    one processor, memory that is never paged out."""
+    """What a process beside the daemon asks for, for good: SCHED_FIFO (0 for none; children start
+    without it), one processor, locked memory."""
     grants = []
     if priority:
-        grants.append(_fifo(priority))
+        grants.append(_fifo(priority)[0])
     if processor is not None:
-        grants.append(_pin(processor))
+        grants.append(_pin(processor)[0])
     if lock_memory:
-        grants.append(_lock())
+        grants.append(_lock()[0])
     return grants
 
 
@@ -56,27 +133,82 @@ def stolen_jiffies() -> tuple[int, int]:
     return fields[7], sum(fields[:8])
 
 
-def _fifo(priority: int) -> Grant:
+def _freeze() -> tuple[Grant, Undo]:
+    freeze_collector()
+    return Grant("collector", True, "frozen and off"), thaw_collector
+
+
+def _fifo(priority: int) -> tuple[Grant, Undo | None]:
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    item = f"SCHED_FIFO {priority}"
+    before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, policy, os.sched_param(priority))
     except OSError as error:
         detail = f"{error.strerror}; run as root or raise the rtprio limit"
-        return Grant(f"SCHED_FIFO {priority}", False, detail)
-    return Grant(f"SCHED_FIFO {priority}", True, "reset on fork")
+        return Grant(item, False, detail), None
+    return Grant(item, True, "reset on fork"), partial(os.sched_setscheduler, 0, before, parameter)
 
 
-def _pin(processor: int) -> Grant:
+def _pin(processor: int) -> tuple[Grant, Undo | None]:
+    item, before = f"processor {processor}", os.sched_getaffinity(0)
     try:
         os.sched_setaffinity(0, {processor})
     except OSError as error:
-        return Grant(f"processor {processor}", False, error.strerror or "refused")
-    return Grant(f"processor {processor}", True, "this process alone is pinned")
+        known = f"this host has 0 to {(os.cpu_count() or 1) - 1}"
+        return Grant(item, False, f"{error.strerror}; {known}"), None
+    return Grant(item, True, "pinned"), partial(os.sched_setaffinity, 0, before)
 
 
-def _lock() -> Grant:
+def _lock() -> tuple[Grant, Undo | None]:
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT_AND_FUTURE):
         reason = os.strerror(ctypes.get_errno())
-        return Grant("mlockall", False, f"{reason}; raise the memlock limit")
-    return Grant("mlockall", True, "present and future pages")
+        return Grant("mlockall", False, f"{reason}; raise the memlock limit"), None
+    return Grant("mlockall", True, "present and future pages"), libc.munlockall
+
+
+def _slack() -> tuple[Grant, Undo | None]:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.prctl(_PR_SET_TIMERSLACK, _LEAST_SLACK_NS, 0, 0, 0):
+        return Grant("timer slack", False, os.strerror(ctypes.get_errno())), None
+    undo = partial(libc.prctl, _PR_SET_TIMERSLACK, _USUAL_SLACK, 0, 0, 0)
+    return Grant("timer slack", True, f"{_LEAST_SLACK_NS} ns"), undo
+
+
+def _dma_latency(microseconds: int) -> tuple[Grant, Undo | None]:
+    """Holds as long as the file is open: no processor sleeps deeper than it wakes up from."""
+    item = f"CPU DMA latency {microseconds} us"
+    try:
+        descriptor = os.open(_DMA_LATENCY, os.O_WRONLY | os.O_CLOEXEC)
+    except OSError as error:
+        detail = f"{_DMA_LATENCY}: {error.strerror}; run as root or let the group write to it"
+        return Grant(item, False, detail), None
+    os.write(descriptor, struct.pack("i", microseconds))
+    return Grant(item, True, "held while the daemon runs"), partial(os.close, descriptor)
+
+
+def _reserve(mebibytes: int) -> tuple[Grant, Undo | None]:
+    """Touch stack and heap, and let the heap keep what it has had: no page fault is left for a
+    tick. What is mapped later, such as rings, `_lock` brings in at once."""
+    _touch_stack(_STACK_DEPTH)
+    item = f"heap of {mebibytes} MiB"
+    if not mebibytes:
+        return Grant("stack", True, "touched"), None
+    libc = ctypes.CDLL(None)
+    # 1 is success. Without mapped blocks the heap grows in one piece, and is never trimmed.
+    if not (libc.mallopt(_M_TRIM_THRESHOLD, _NEVER) and libc.mallopt(_M_MMAP_MAX, 0)):
+        return Grant(item, False, "this C library has no mallopt; it is glibc that has"), None
+    block = bytearray(mebibytes * _MIB)
+    block[::4096] = b"\1" * len(block[::4096])
+
+    def undo() -> None:
+        libc.mallopt(_M_TRIM_THRESHOLD, _USUAL_TRIM)
+        libc.mallopt(_M_MMAP_MAX, _USUAL_MMAPS)
+
+    return Grant(item, True, "touched and kept, and the stack"), undo
+
+
+def _touch_stack(depth: int) -> None:
+    if depth:
+        list(map(_touch_stack, (depth - 1,)))

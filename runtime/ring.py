@@ -33,6 +33,8 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 _MAGIC = int.from_bytes(b"TONUSRNG", "little")
 _VERSION = 1
 _WORD = 8
+_MADV_POPULATE_WRITE = 23
+"""madvise(2); Python has no name for it"""
 _MAGIC_AT, _VERSION_AT, _PAYLOAD_AT, _CAPACITY_AT, _PUBLISHED_AT, _CURSOR_AT, _META_AT = range(7)
 _META_START = 8 * _WORD
 SLOT_HEAD = 2 * _WORD
@@ -45,6 +47,14 @@ class RingError(DaemonError):
 
 def _padded(size: int, to: int = _WORD) -> int:
     return -(-size // to) * to
+
+
+def _touch(memory: mmap.mmap) -> None:
+    """Bring every page in, writable, so that no record is the first to touch one."""
+    try:
+        memory.madvise(_MADV_POPULATE_WRITE)
+    except OSError:  # a kernel before 5.14
+        memory[:: mmap.PAGESIZE] = bytes(len(range(0, len(memory), mmap.PAGESIZE)))
 
 
 class RingWriter:
@@ -79,6 +89,7 @@ class RingWriter:
             # Real blocks, not a hole: a full disk shows here and not as SIGBUS in a tick.
             os.posix_fallocate(file.fileno(), 0, size)
             memory = mmap.mmap(file.fileno(), size)
+        _touch(memory)
         memory[_META_START : _META_START + len(text)] = text
         with memoryview(memory) as view, view.cast("q") as words:
             words[_VERSION_AT] = _VERSION

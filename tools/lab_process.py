@@ -89,7 +89,8 @@ async def work(
     Raises `LabError`.
     """
     realtime = config.realtime
-    prepare(priority=realtime.lab_priority, processor=realtime.lab_cpu, lock_memory=False)
+    priority = realtime.of(realtime.lab_priority)
+    prepare(priority=priority, processor=realtime.lab_cpu, lock_memory=False)
     now = clock.loop_clock()
     lab = Lab(config, scenario.lab, seed=seed, clock=now, truth=truth, start_ns=now(), nodes=nodes)
 

@@ -7,6 +7,7 @@ real time each is a process of its own.
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import platform
 import shutil
@@ -14,6 +15,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import distributions, version
 from pathlib import Path
 from typing import Any
@@ -30,19 +32,20 @@ from drivers.fieldbus import Fieldbus, FrameTap, Progress
 from drivers.process_image import ProcessImage
 from drivers.tracker import TrackerInput, TrackerSource, UdpTracker
 from runtime import clock
-from runtime.daemon import Daemon, Outcome
+from runtime.daemon import Daemon, Latencies, Outcome
 from runtime.operator import Script
-from runtime.realtime import Grant, freeze_collector, prepare, stolen_jiffies, thaw_collector
+from runtime.realtime import Grant, Hygiene, demand, stolen_jiffies
 from runtime.recorder import Recorder
 from runtime.rehearsal import rehearse
 from runtime.ring import RingWriter
-from runtime.scheduler import TimerPacing, VirtualPacing
+from runtime.scheduler import Pacing, TimerPacing, VirtualPacing
 from runtime.signals import CYCLE, SCHEMA_VERSION, TOPICS
 from runtime.taps import EventRing, FrameRing, KeyframeRing
 from runtime.topics import to_json
 from runtime.viewer import Scene
 from sim.lab import Lab
 from tools.cli.live import Live
+from tools.doctor import doctor
 from tools.errors import ToolError
 from tools.lab_process import LabProcess, start_lab
 from tools.recorder_process import RecorderProcess, start
@@ -67,6 +70,8 @@ class Order:
     live: bool = True
     start_ns: int = 0
     """on the loop's clock, no tick before; so that runs of unlike bring-up can be compared"""
+    pacing: Callable[[], Pacing] | None = None
+    """instead of the usual one: what a test lets the ticks wait for"""
 
 
 @dataclass
@@ -81,6 +86,7 @@ class Result:
     grants: list[Grant] = field(default_factory=list)
     unrecorded: str = ""
     """why the recording ended before the run, in words"""
+    latencies: Latencies | None = None
 
     def realtime_factor(self, period: float) -> float:
         """Run time over wall time."""
@@ -90,6 +96,8 @@ class Result:
 def run(order: Order) -> Result:
     """Run to the end. Raises `DriverError` when a bus cannot be brought up."""
     log = order.out / "run.mcap"
+    if not order.virtual:
+        demand(order.config.realtime)
     _make(order.out, "choose another with --out")
     for old in (log, *order.out.glob("run.[0-9]*.mcap")):
         old.unlink(missing_ok=True)
@@ -120,7 +128,8 @@ class _Stage:
             self._tap = frames.tap
         self._ticks = ticks
         self._began = 0.0
-        self._grants: list[Grant] = []
+        self._hygiene: Hygiene | None = None
+        self._latencies: Latencies | None = None
 
     def virtual(self) -> Result:
         order = self._order
@@ -142,7 +151,10 @@ class _Stage:
             draining = _every(DRAIN_S, recorder.drain)
             try:
                 return await daemon.run(
-                    VirtualPacing, order.say, self._begin, start_ns=order.start_ns
+                    order.pacing or VirtualPacing,
+                    order.say,
+                    self._begin,
+                    start_ns=order.start_ns,
                 )
             finally:
                 draining()
@@ -164,19 +176,18 @@ class _Stage:
         realtime = order.config.realtime
         lab = self._lab_process()
         recorder = self._recorder_process()
+        early, spin = realtime.early_wake_us * 1000, realtime.spin_us * 1000
 
         async def main() -> Outcome:
             daemon = self._daemon(None, clock.Stopwatch(running=True))
+            self._latencies = daemon.latencies
             # Before the bring-up, since it takes longer than the drives wait for a heartbeat.
-            self._grants = prepare(
-                priority=realtime.daemon_priority,
-                processor=realtime.daemon_cpu,
-                lock_memory=realtime.lock_memory,
-            )
-            for grant in self._grants:
+            self._hygiene = hygiene = Hygiene(realtime)
+            self._cleanup.callback(hygiene.release)
+            for grant in hygiene.grants:
                 order.say(str(grant))
-            freeze_collector()
-            return await daemon.run(TimerPacing, order.say, self._begin)
+            pacing = order.pacing or partial(TimerPacing, early, spin)
+            return await daemon.run(pacing, order.say, self._begin)
 
         before = stolen_jiffies()
         try:
@@ -184,13 +195,16 @@ class _Stage:
                 outcome = clock.run(main(), virtual=False)
             seconds = clock.wall_seconds() - self._began
         finally:
-            thaw_collector()
+            if self._hygiene is not None:
+                self._hygiene.release()
             recorder.stop()
             if lab is not None:
                 lab.stop()
         stolen, total = (now - then for now, then in zip(stolen_jiffies(), before, strict=True))
         steal = 100.0 * stolen / total if total else 0.0
-        return Result(outcome, self._log, seconds, steal, self._grants, recorder.stopped)
+        grants = self._hygiene.grants if self._hygiene is not None else []
+        unrecorded = recorder.stopped
+        return Result(outcome, self._log, seconds, steal, grants, unrecorded, self._latencies)
 
     def _begin(self) -> None:
         self._began = clock.wall_seconds()
@@ -220,14 +234,16 @@ class _Stage:
 
     def _recorder_process(self) -> RecorderProcess:
         order = self._order
+        health = doctor.latest(order.config, order.out)
+        attachments = {"doctor.json": json.dumps(health, indent=2, sort_keys=True).encode()}
         recorder = start(
             self._rings,
             self._log,
             order.config.recording,
-            self._metadata(_host()),
-            self._attachments(),
+            self._metadata(_host() | doctor.metadata(health)),
+            self._attachments() | attachments,
             clock.utc_offset_ns(),
-            priority=order.config.realtime.recorder_priority,
+            priority=order.config.realtime.of(order.config.realtime.recorder_priority),
             live_duration_s=order.scenario.duration if order.live else None,
             scene=Scene.of(order.config),
         )

@@ -54,6 +54,7 @@ def summarise(
         "cycle_us": percentiles(cycle_us),
         "missed_by_host": _last(timing["missed_host"]),
         "steal_percent": steal_percent,
+        **_host(timing, active),
         "tracking_rmse_m": _tracking(log, active),
         "tension_rmse_n": _tension_error(log, running),
         "k_eq_n_per_m": _range(log["/tonus/stiffness"]["k_eq"][running]),
@@ -63,6 +64,27 @@ def summarise(
         "seed": _seed(log),
         "log": log.path.name,
     }
+
+
+def _host(timing: NDArray[Any], active: NDArray[np.bool_]) -> Summary:
+    """What else the cycles say about time, as far as the log has it: older ones do not."""
+    names = timing.dtype.names or ()
+    found: Summary = {"compute_us": percentiles(timing["compute_us"])}
+    found["bus_us"] = percentiles(timing["bus_us"]) if "bus_us" in names else None
+    found["slack_us"] = _left(timing["slack_us"]) if "slack_us" in names else None
+    for name in ("page_faults", "switches"):
+        rises = np.diff(timing[name].astype(np.int64), prepend=0) if name in names else None
+        found[f"active_{name}"] = None if rises is None else int(rises[active].sum())
+    return found
+
+
+def _left(slack: NDArray[Any]) -> dict[str, float] | None:
+    """Of what should be large, the small end."""
+    if not len(slack):
+        return None
+    p50, p1, p0_1 = np.percentile(slack, (50.0, 1.0, 0.1))
+    found = {"p50": p50, "p1": p1, "p0_1": p0_1, "min": slack.min()}
+    return {name: round(float(value), 1) for name, value in found.items()}
 
 
 def find_faults(log: Log) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 
-def _no_boolean(value: Any) -> Any:
+def no_boolean(value: Any) -> Any:
     """YAML reads yes and on as true, and pydantic would read true as 1."""
     if isinstance(value, bool):
         raise ValueError(
@@ -22,15 +22,15 @@ def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
     return vector
 
 
-Number = Annotated[float, BeforeValidator(_no_boolean)]
+Number = Annotated[float, BeforeValidator(no_boolean)]
 Positive = Annotated[Number, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[Number, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[Number, Field(allow_inf_nan=False)]
 Fraction = Annotated[Number, Field(ge=0, le=1)]
-Count = Annotated[int, BeforeValidator(_no_boolean), Field(ge=1)]
+Count = Annotated[int, BeforeValidator(no_boolean), Field(ge=1)]
 Vector3 = tuple[Finite, Finite, Finite]
 Direction = Annotated[Vector3, AfterValidator(_not_zero)]
-NodeId = Annotated[int, BeforeValidator(_no_boolean), Field(ge=1, le=127)]
+NodeId = Annotated[int, BeforeValidator(no_boolean), Field(ge=1, le=127)]
 
 
 class Section(BaseModel):

@@ -330,18 +330,6 @@ class Control(Section):
     envelope: Envelope
 
 
-class RealTime(Section):
-    """What the daemon asks of the host; each refusal is reported, none stops a lab run."""
-
-    daemon_priority: Annotated[int, Field(ge=0, le=99)]
-    """SCHED_FIFO, 0 for none"""
-    lab_priority: Annotated[int, Field(ge=0, le=99)]
-    recorder_priority: Annotated[int, Field(ge=0, le=99)]
-    lock_memory: bool
-    daemon_cpu: int | None = None
-    lab_cpu: int | None = None
-
-
 class Recording(Section):
     ring_s: Positive
     """seconds of cycles the ring file holds for a recorder that is late"""

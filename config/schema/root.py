@@ -6,8 +6,9 @@ from pydantic import model_validator
 
 from config.schema.base import Section
 from config.schema.bus import Bus, Tracker
-from config.schema.control import Control, RealTime, Recording
+from config.schema.control import Control, Recording
 from config.schema.lab import Lab
+from config.schema.realtime import RealTime
 from config.schema.robot import Robot
 
 

@@ -126,6 +126,7 @@ class CanopenFieldbus:
         for channel in self._buses:
             channel.drain()
             channel.discard_stale()
+        self.image.bus_ns = max(channel.syncs.answered_ns for channel in self._buses)
         # The SYNC goes out before the sums are done: its jitter is everybody's sampling jitter.
         for channel in self._buses:
             channel.sync(tick)

@@ -29,6 +29,11 @@ class Syncs:
         self.ticks = [NOT_YET] * HISTORY
         self.times_ns = [0] * HISTORY
 
+    @property
+    def answered_ns(self) -> int:
+        """From the last SYNC to the last frame heard since; 0 without one."""
+        return max(self.stamp_ns - self.times_ns[self.count % HISTORY], 0) if self.count else 0
+
     def sent(self, tick: int, now_ns: int) -> None:
         self.count += 1
         place = self.count % HISTORY

@@ -14,13 +14,14 @@ from tests.bench.frames import frames
 from tests.bench.log import log
 from tests.bench.measure import Figure
 from tests.bench.process_data import process_data
+from tests.bench.realtime import realtime
 from tests.bench.whole import whole
 
 
 def main() -> None:
     figures: list[Figure] = []
     console = Console()
-    for bench in (control, process_data, frames, whole, log):
+    for bench in (control, process_data, frames, whole, log, realtime):
         console.print(f"measuring {bench.__name__} ...")
         figures += bench()
     table = Table("what", "value", "peer", "peer's value", "ratio", "note")

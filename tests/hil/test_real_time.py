@@ -96,6 +96,9 @@ def test_a_run_leaves_log_summary_and_picture(tmp_path: Path, environment: dict[
     log = open_log(out / "run.mcap")
     assert log.damage is None
     assert len(log["/tonus/state"]) == summary["ticks"]
+    assert sum(count for _, count in summary["histograms"]["wakeup"]) == summary["ticks"]
+    assert summary["slack_us"]["min"] <= summary["slack_us"]["p50"] < 1000.0
+    assert json.loads(log.attachments["doctor.json"])["verdict"] == log.metadata["doctor.verdict"]
     # How many ticks the host lets pass is its own affair; that each is accounted for is ours.
     ticks = log["/tonus/timing"]["tick"].astype(np.int64)
     missed = int(ticks[-1]) + 1 - len(ticks)

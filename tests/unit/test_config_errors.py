@@ -17,6 +17,7 @@ CONFIG = "can.yaml"
 ROBOT = "robots/paper.yaml"
 CONTROL = "control.yaml"
 BUS = "buses/can4.yaml"
+REALTIME = "realtime.yaml"
 DRIVE = "buses/epos4.yaml"
 
 
@@ -70,6 +71,14 @@ def make_directory(folder: Path) -> None:
 
 
 CASES = [
+    Broken(
+        "policy", Edit(REALTIME, "policy: prefer", "policy: demand"), REALTIME, "policy",
+        "realtime.policy", "'require', 'prefer' or 'off'", "choose one of these",
+    ),
+    Broken(
+        "spins longer than awake", Edit(REALTIME, "spin_us: 30", "spin_us: 300"), REALTIME, 2,
+        "realtime", "spin_us must not be longer than early_wake_us", "change one of the values",
+    ),
     Broken(
         "unknown key", Edit(ROBOT, "  mass: 2.35", "  mas: 2.35"), ROBOT, "mas:",
         "robot.platform.mas", "is not a key here", "did you mean mass?",

@@ -4,12 +4,14 @@ every miss laid at the right door."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from runtime.clock import Stopwatch, now_ns, run
-from runtime.scheduler import Scheduler, TimerPacing, VirtualPacing
+from runtime.clock import Stopwatch, Unused, now_ns, run
+from runtime.scheduler import Disturbances, Pacing, Scheduler, TimerPacing, VirtualPacing
 
 PERIOD = 1_000_000
 START = 5 * PERIOD
@@ -29,40 +31,58 @@ class LateBy:
         pass
 
 
-def stopwatch(processor_ns: Callable[[], int]) -> Stopwatch:
-    watch = Stopwatch(running=False)
-    watch.processor_ns = processor_ns
-    return watch
+class Thread:
+    """What the tick's thread has used of the processor, and how often it gave it away."""
+
+    def __init__(self) -> None:
+        self.processor_ns = 0
+        self.usage = Unused()
+        self.stopwatch = Stopwatch(running=False)
+        self.stopwatch.processor_ns = lambda: self.processor_ns
+        self.stopwatch.usage = lambda: replace(self.usage)
+
+    async def compute(self, seconds: float, *, share: float = 1.0) -> None:
+        """Time passes, of which this thread has the processor for a ``share``."""
+        await asyncio.sleep(seconds)
+        self.processor_ns += round(seconds * share * 1e9)
 
 
-def busy() -> int:
-    """All wall time was spent computing."""
-    return now_ns()
+Work = Callable[[Thread, int], Coroutine[Any, Any, None]]
 
 
-def starved() -> int:
-    """None of it was."""
-    return 0
-
-
-def schedule(
-    ticks: int, pacing: object, watch: Stopwatch, work: Callable[[int], float]
-) -> tuple[list[int], list[int], Scheduler]:
-    """Numbers and lateness of the ticks handed out; ``work`` gives s that each computes."""
+def schedule(ticks: int, pacing: Pacing, work: Work) -> tuple[list[int], list[int], Scheduler]:
+    """Numbers and lateness of the ticks handed out; ``work`` is what each does."""
 
     async def main() -> tuple[list[int], list[int], Scheduler]:
-        scheduler = Scheduler(PERIOD, START, pacing, watch)  # type: ignore[arg-type]
+        thread = Thread()
+        scheduler = Scheduler(PERIOD, START, pacing, thread.stopwatch)
         numbers, late = [], []
         for _ in range(ticks):
             number = await scheduler.next()
             numbers.append(number)
             late.append(scheduler.wakeup_ns)
             assert now_ns() == scheduler.due_ns(number) + scheduler.wakeup_ns
-            await asyncio.sleep(work(number))
+            await work(thread, number)
         scheduler.close()
         return numbers, late, scheduler
 
     return run(main(), virtual=True)
+
+
+def computing(tick: int, seconds: float, *, share: float = 1.0) -> Work:
+    """One long tick among short ones."""
+
+    async def work(thread: Thread, number: int) -> None:
+        if number == tick:
+            await thread.compute(seconds, share=share)
+        else:
+            await thread.compute(0.0001)
+
+    return work
+
+
+def misses(scheduler: Scheduler) -> tuple[int, int]:
+    return scheduler.misses.own, scheduler.misses.host
 
 
 @pytest.mark.parametrize("start_ns", [0, 36_000_000_000_007])
@@ -76,49 +96,130 @@ def test_virtual_ticks_are_exact_to_the_nanosecond(start_ns: int, period_ns: int
             assert now_ns() == start_ns + expected * period_ns
         return scheduler
 
-    misses = run(main(), virtual=True).misses
-    assert (misses.own, misses.host) == (0, 0)
+    assert misses(run(main(), virtual=True)) == (0, 0)
 
 
 def test_a_tick_longer_than_its_period_skips_and_is_ours() -> None:
-    numbers, late, scheduler = schedule(
-        5, VirtualPacing(), stopwatch(busy), lambda n: 0.0033 if n == 1 else 0.0001
-    )
+    numbers, late, scheduler = schedule(5, VirtualPacing(), computing(1, 0.0033))
     assert numbers == [0, 1, 4, 5, 6]
     assert late == [0, 0, 300_000, 0, 0]
-    assert (scheduler.misses.own, scheduler.misses.host) == (2, 0)
+    assert misses(scheduler) == (2, 0)
 
 
 def test_an_overrun_within_the_next_period_costs_lateness_but_no_tick() -> None:
-    numbers, late, scheduler = schedule(
-        4, VirtualPacing(), stopwatch(busy), lambda n: 0.0017 if n == 0 else 0.0001
-    )
+    numbers, late, scheduler = schedule(4, VirtualPacing(), computing(0, 0.0017))
     assert numbers == [0, 1, 2, 3]
     assert late == [0, 700_000, 0, 0]
-    assert (scheduler.misses.own, scheduler.misses.host) == (0, 0)
+    assert misses(scheduler) == (0, 0)
 
 
-def test_processor_time_stolen_within_a_tick_is_the_hosts() -> None:
-    numbers, _, scheduler = schedule(
-        3, VirtualPacing(), stopwatch(starved), lambda n: 0.0033 if n == 0 else 0.0001
-    )
+def test_processor_time_taken_within_a_tick_is_the_hosts() -> None:
+    numbers, _, scheduler = schedule(3, VirtualPacing(), computing(0, 0.0033, share=0.1))
     assert numbers == [0, 3, 4]
-    assert (scheduler.misses.own, scheduler.misses.host) == (0, 2)
+    assert misses(scheduler) == (0, 2)
+
+
+def test_ours_is_what_we_would_have_missed_on_a_perfect_host() -> None:
+    """4 ms on the wall cost three ticks. Of these 2.4 ms ours, it would have cost one all the same;
+    1.6 ms, and the next tick would only have been late."""
+    assert misses(schedule(3, VirtualPacing(), computing(0, 0.004, share=0.6))[2]) == (1, 2)
+    assert misses(schedule(3, VirtualPacing(), computing(0, 0.004, share=0.4))[2]) == (0, 3)
+
+
+def test_lateness_left_by_the_host_does_not_make_the_next_miss_ours() -> None:
+    """Woken 0.9 ms late, then 1.2 ms of computing: a tick is missed that we alone had only begun
+    0.2 ms late. Tick after tick of 1.2 ms, though, adds up to one that is ours."""
+
+    async def long(thread: Thread, number: int) -> None:
+        await thread.compute(0.0012)
+
+    pacing = LateBy(START, 900_000)
+    assert misses(schedule(2, pacing, long)[2]) == (0, 1)
+    numbers, _, scheduler = schedule(7, VirtualPacing(), long)
+    assert numbers == [0, 1, 2, 3, 4, 6, 7]
+    assert misses(scheduler) == (1, 0)
+
+
+def test_a_tick_that_waits_by_its_own_doing_is_ours() -> None:
+    """It used hardly any processor, but it gave it away itself: a disk, a lock."""
+
+    async def work(thread: Thread, number: int) -> None:
+        await thread.compute(0.0033 if number == 1 else 0.0001, share=0.1)
+        thread.usage.ru_nvcsw += number == 1
+
+    numbers, _, scheduler = schedule(3, VirtualPacing(), work)
+    assert numbers == [0, 1, 4]
+    assert misses(scheduler) == (2, 0)
+
+
+def test_what_else_the_loop_does_between_ticks_is_ours() -> None:
+    class Chatty(LateBy):
+        async def until(self, due_ns: int) -> None:
+            late = due_ns == self._due
+            await super().until(due_ns)
+            thread.processor_ns += self._late * late
+
+    thread = Thread()
+    pacing = Chatty(START + 2 * PERIOD, 4_400_000)
+
+    async def main() -> Scheduler:
+        scheduler = Scheduler(PERIOD, START, pacing, thread.stopwatch)
+        for _ in range(5):
+            await scheduler.next()
+        return scheduler
+
+    assert misses(run(main(), virtual=True)) == (4, 0)
 
 
 def test_a_late_wakeup_is_the_hosts_and_makes_no_burst() -> None:
     pacing = LateBy(START + 2 * PERIOD, 4_400_000)
-    numbers, late, scheduler = schedule(5, pacing, stopwatch(busy), lambda n: 0.0001)
+    numbers, late, scheduler = schedule(5, pacing, computing(0, 0.0001))
     assert numbers == [0, 1, 6, 7, 8]
     assert late == [0, 0, 400_000, 0, 0]
-    assert (scheduler.misses.own, scheduler.misses.host) == (0, 4)
+    assert misses(scheduler) == (0, 4)
 
 
-def test_real_ticks_come_in_order_and_every_number_is_accounted_for() -> None:
+def test_faults_and_switches_within_ticks_are_counted() -> None:
+    async def work(thread: Thread, number: int) -> None:
+        thread.usage.ru_minflt += 3
+        thread.usage.ru_majflt += number == 2
+        thread.usage.ru_nivcsw += number % 2
+
+    _, _, scheduler = schedule(5, VirtualPacing(), work)
+    assert scheduler.disturbances == Disturbances(page_faults=3 * 4 + 1, switches=2)
+
+
+def test_a_loop_that_is_always_late_still_gives_others_their_turn() -> None:
+    turns = 0
+
+    async def other() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    async def main() -> None:
+        others = asyncio.get_running_loop().create_task(other())
+        for _ in range(10):
+            # Each is behind its schedule from the start, as after an overrun.
+            late = Scheduler(PERIOD, -100 * PERIOD, VirtualPacing(), Stopwatch(running=False))
+            await late.next()
+        others.cancel()
+
+    run(main(), virtual=True)
+    assert turns >= 10
+
+
+@pytest.mark.parametrize(("early_ns", "spin_ns"), [(0, 0), (300_000, 0), (300_000, 100_000)])
+def test_real_ticks_come_in_order_and_every_number_is_accounted_for(
+    early_ns: int, spin_ns: int
+) -> None:
     async def main() -> None:
         period_ns = 2_000_000
         start_ns = now_ns() + period_ns
-        scheduler = Scheduler(period_ns, start_ns, TimerPacing(), Stopwatch(running=True))
+        scheduler = Scheduler(
+            period_ns, start_ns, TimerPacing(early_ns, spin_ns), Stopwatch(running=True)
+        )
         numbers = []
         for _ in range(50):
             numbers.append(await scheduler.next())

@@ -39,7 +39,7 @@ def compare(files: tuple[Path, ...], out: Path | None, *, as_json: bool) -> None
         ended = f"ended in {row.fault}" if row.fault else row.reason
         text = f"{each.log.path}: {row.controller}, {row.case} ({row.kind}), {ended}"
         console.print(escape(text), soft_wrap=True)
-    console.print(table.printed())
+    console.print(table)
     if out is not None:
         console.print(str(out))
 

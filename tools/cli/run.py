@@ -14,6 +14,8 @@ from drivers.fieldbus import Progress
 from runtime.states import Fault, State
 from tools.check import check
 from tools.errors import ToolError
+from tools.latencies import buckets
+from tools.latencies import rows as latency_rows
 from tools.log import Log
 from tools.log import open as open_log
 from tools.log.several import segments
@@ -67,7 +69,8 @@ def run(
         click.echo(json.dumps(summary, indent=2))
     else:
         _tell(summary, result, [*segments(result.log), out / "summary.json", picture])
-    raise click.exceptions.Exit(0 if result.outcome.fault is Fault.NONE else 1)
+    outcome = result.outcome
+    raise click.exceptions.Exit(0 if outcome.fault is Fault.NONE and not outcome.overrun else 1)
 
 
 def _refuse(path: Path, config: Config, scenario: Scenario) -> None:
@@ -94,6 +97,8 @@ def _summary(order: Order, result: Result) -> Summary:
     summary["active_missed_ticks"], summary["active_missed_by_host"] = own, host
     summary["unrecorded"] = result.unrecorded
     summary["refused"] = [str(grant) for grant in result.grants if not grant.granted]
+    if result.latencies is not None:
+        summary["histograms"] = buckets(result.latencies)
     path = order.out / "summary.json"
     path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary
@@ -125,6 +130,8 @@ def _tell(summary: Summary, result: Result, files: list[Path]) -> None:
         ("time", f"{summary['ticks']} ticks at {summary['realtime_factor']:.2f} x real time"),
         ("missed ticks", f"{summary['missed_ticks']} own, {summary['missed_by_host']} by the host"),
     ]
+    if result.latencies is not None:
+        rows += latency_rows(summary)
     if summary["tracking_rmse_m"] is not None:
         rows.append(("position error", f"{summary['tracking_rmse_m'] * 1e3:.2f} mm RMS"))
     load = _largest_load(open_log(result.log))

@@ -1,0 +1,74 @@
+"""What the processes of a run in real time ask of the host, and what a missed tick leads to."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from config.schema.base import Count, NonNegative, Positive, Section, no_boolean
+
+Policy = Literal["require", "prefer", "off"]
+Overrun = Literal["skip", "hold", "stop"]
+
+
+def _off(value: Any) -> Any:
+    """YAML reads a bare off as false, and nothing else can be meant by it here."""
+    return "off" if value is False else value
+
+
+Priority = Annotated[int, BeforeValidator(no_boolean), Field(ge=0, le=99)]
+WholeNumber = Annotated[int, BeforeValidator(no_boolean), Field(ge=0)]
+
+
+class HostLimits(Section):
+    """What a host's figures are held against."""
+
+    wakeup_good_us: Positive = 100.0
+    """p99.9 of a bare wake-up"""
+    wakeup_bad_us: Positive = 500.0
+    steal_good_percent: NonNegative = 0.1
+    steal_bad_percent: Positive = 1.0
+    disk_good_mib_s: Positive = 20.0
+    """a log with every CAN frame takes 2 MiB a second"""
+    disk_bad_mib_s: Positive = 4.0
+    can_queue: Count = 32
+    """frames; a tick of one channel sends 4"""
+
+
+class RealTime(Section):
+    """Defaults are what logs of before there were these keys were made with."""
+
+    policy: Annotated[Policy, BeforeValidator(_off)] = "prefer"
+    """require: no run without all of it; prefer: each refusal is reported; off: nothing is asked"""
+    daemon_priority: Priority
+    """SCHED_FIFO, 0 for none"""
+    lab_priority: Priority
+    recorder_priority: Priority
+    lock_memory: bool
+    daemon_cpu: WholeNumber | None = None
+    lab_cpu: WholeNumber | None = None
+    cpu_dma_latency_us: WholeNumber | None = None
+    """longest wake-up from idle that processors may take while the daemon runs; null: not asked"""
+    prefault_mib: WholeNumber = 0
+    """MiB of heap touched, and kept from going back to the kernel, before anything is armed"""
+    early_wake_us: WholeNumber = 0
+    """how long before a tick the event loop is woken; the rest is slept outside of it"""
+    spin_us: WholeNumber = 0
+    """of this, how long the processor is kept busy rather than asleep"""
+    overrun: Overrun = "skip"
+    """on missed ticks, whoever's making: skip counts them; hold keeps the platform where it is;
+    stop is a controlled stop"""
+    overrun_ticks: Count = 1
+    """ticks missed at once that make an overrun"""
+    host: HostLimits = HostLimits()
+
+    def of(self, priority: int) -> int:
+        """A priority to be asked for under this policy."""
+        return 0 if self.policy == "off" else priority
+
+    @model_validator(mode="after")
+    def _spins_within_the_early_wake(self) -> RealTime:
+        if self.spin_us > self.early_wake_us:
+            raise ValueError("spin_us must not be longer than early_wake_us, which it is a part of")
+        return self

@@ -1,0 +1,112 @@
+"""The doctor: verdicts, cyclictest's histogram, the command, and what a log is given of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from config import load
+from runtime.realtime import Grant
+from tools.cli.doctor import doctor as command
+from tools.doctor import doctor, privileges, wakeup
+from tools.doctor.finding import Finding, Verdict, graded, worst
+from tools.errors import ToolError
+
+CONFIG = load("config/can.yaml")[0]
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.mark.parametrize(
+    ("value", "good", "bad", "verdict"),
+    [
+        (50.0, 100.0, 500.0, Verdict.GOOD),
+        (100.0, 100.0, 500.0, Verdict.GOOD),
+        (101.0, 100.0, 500.0, Verdict.BETTER),
+        (501.0, 100.0, 500.0, Verdict.BAD),
+        (30.0, 20.0, 4.0, Verdict.GOOD),
+        (10.0, 20.0, 4.0, Verdict.BETTER),
+        (3.0, 20.0, 4.0, Verdict.BAD),
+    ],
+)
+def test_a_figure_is_graded_by_its_two_limits(
+    value: float, good: float, bad: float, verdict: Verdict
+) -> None:
+    assert graded(value, good, bad) is verdict
+
+
+def test_the_worst_finding_is_the_verdict() -> None:
+    findings = [Finding("a", "", verdict) for verdict in (Verdict.GOOD, Verdict.BAD)]
+    assert worst(findings) is Verdict.BAD
+    assert worst([]) is Verdict.GOOD
+
+
+def test_cyclictests_histogram_is_read() -> None:
+    text = (
+        "# /dev/cpu_dma_latency set to 0us\n# Histogram\n"
+        "000000 000000\n000011 000007\n000250 000002\n"
+        "# Total: 000000010\n# Max Latencies: 30000\n# Histogram Overflows: 00001\n"
+    )
+    found = wakeup.parse(text)
+    assert found.count == 10
+    assert found.at(0.5) == pytest.approx(11_000, rel=1 / 32)
+    assert found.at(0.9) == pytest.approx(250_000, rel=1 / 32)
+    assert found.largest >= 20_000_000
+
+
+def test_each_refusal_is_bad_and_has_a_remedy() -> None:
+    items = ("SCHED_FIFO 80", "mlockall", "CPU DMA latency 0 us", "processor 1")
+    findings = privileges.examine([Grant(item, False, "no") for item in items])
+    assert [finding.name for finding in findings] == list(items)
+    assert all(finding.verdict is Verdict.BAD and finding.remedy for finding in findings)
+    assert len(privileges.examine([Grant(item, True, "") for item in items])) == 1
+
+
+def test_the_command_measures_and_tells_in_one_json_object(tmp_path: Path) -> None:
+    arguments = ["--seconds", "0.1", "--out", str(tmp_path / "out"), "--json"]
+    result = CliRunner().invoke(command, arguments)
+    found = json.loads(result.stdout)
+    assert result.exit_code == (1 if found["verdict"] == "bad" else 0)
+    by_name = {entry["name"]: entry for entry in found["findings"]}
+    figures = by_name["wake-up"]["figures"]
+    assert 0.0 < figures["p50_us"] <= figures["p99_us"] <= figures["max_us"]
+    assert by_name["disk"]["figures"]["mib_per_s"] > 0.0
+    assert {"stolen time", "kernel preemption", "clock source", "EtherCAT", "rings"} <= set(by_name)
+    assert not list((tmp_path / "out").iterdir()), "it leaves nothing behind"
+
+
+def test_on_a_robot_a_missing_can_interface_is_bad_and_the_command_is_there(
+    tmp_path: Path,
+) -> None:
+    config, _ = load("config/robot.yaml", overrides={"fieldbus.channels.0.name": "can_none"})
+    found = {f.name: f for f in doctor.examine(config, tmp_path, 0.1)}
+    missing = found["CAN can_none"]
+    assert missing.verdict is Verdict.BAD
+    assert missing.remedy.startswith("sudo ip link set can_none up type can bitrate 1000000")
+
+
+def test_a_folder_that_cannot_be_written_to_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ToolError, match="choose another folder"):
+        doctor.examine(CONFIG, tmp_path / "file" / "out", 0.1)
+
+
+def test_a_log_gets_the_last_report_of_this_boot_or_a_quick_one(tmp_path: Path) -> None:
+    quick = doctor.latest(CONFIG, tmp_path)
+    assert quick["seconds"] == doctor.QUICK_S
+    assert doctor.latest(CONFIG, tmp_path)["at_s"] == quick["at_s"], "kept for the next run"
+    long = {**quick, "seconds": 5.0, "verdict": "good"}
+    doctor.keep(long)
+    found = doctor.latest(CONFIG, tmp_path)
+    assert found["seconds"] == 5.0
+    assert found["age_s"] >= 0.0
+    assert doctor.metadata(found)["doctor.verdict"] == "good"
+    assert float(doctor.metadata(found)["doctor.wakeup_p99_9_us"]) > 0.0
+    doctor.keep({**long, "boot": "another"})
+    assert doctor.latest(CONFIG, tmp_path)["seconds"] == doctor.QUICK_S
