@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -47,18 +47,24 @@ EPOS4 = Kind(
 """Places and limits of the maker's device description (that of the Micro 24/5: the 50/8's is not
 public)."""
 
-AMPLIFIER = Kind(
+_AMPLIFIER = Kind(
     name="force amplifier",
     group="Sensors",
     vendor=0x0000FFFF,
-    product=0x00000404,
+    product=0x00000400,
     revision=0x00000001,
     receive_mailbox=0x1000,
     send_mailbox=0x1080,
     mailbox_bytes=128,
     outputs=0,
     inputs=0x1100,
-    longest_pdo=96,
-    longest_mapping=24,
+    longest_pdo=128,
+    longest_mapping=32,
     complete_access=True,
 )
+
+
+def amplifier(channels: int) -> Kind:
+    """A force amplifier of so many channels, which its product code tells. A device of ours."""
+    name = f"force amplifier, {channels} channel{'s' if channels > 1 else ''}"
+    return replace(_AMPLIFIER, name=name, product=_AMPLIFIER.product + channels)

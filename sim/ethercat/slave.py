@@ -92,6 +92,8 @@ class Slave:
         self._timers = timers
         self.clock = DistributedClock(drift, origin)
         self.sync = SyncUnit()
+        for subindex, value in ((1, kind.vendor), (2, kind.product), (3, kind.revision)):
+            device.objects.find(0x1018, subindex).set(value)
         serial = device.objects.number(0x1018, 4)
         self.process_data = ProcessData(device, kind, lambda: self.state is State.PRE_OP)
         self._coe = Coe(
@@ -356,6 +358,11 @@ class Slave:
         self._chain.remapped()
 
     # -- clock -----------------------------------------------------------------------------------
+
+    def set_drift(self, drift: float) -> None:
+        """Let the clock run at another speed from now on."""
+        self.clock.change_drift(drift, self._timers.now_ns)
+        self._chain.resynchronised()
 
     def clock_read(self, now_ns: int) -> None:
         memory, clock = self.controller.memory, self.clock

@@ -19,7 +19,7 @@ from rich.table import Table
 from config.faults import KINDS, FaultField, FaultKind
 from tools.lab_door import ask
 
-_HEXADECIMAL = ("code", "identifier")
+_HEXADECIMAL = ("code", "identifier", "index", "vendor", "product", "revision")
 _SOCKET = click.Option(
     ["--socket", "path"],
     type=click.Path(path_type=Path),
