@@ -132,9 +132,7 @@ class _Server:
         interfaces = tuple(ours for _, ours in pairs)
         segment = self._lab.segments[bus.interface]
         self._ports.append(
-            SegmentPort(
-                segment, interfaces, end.receive_buffer, self._clock, self._utc, self._arm
-            )
+            SegmentPort(segment, interfaces, end.receive_buffer, self._clock, self._utc, self._arm)
         )
 
     def _listen(self, channel: Channel) -> None:

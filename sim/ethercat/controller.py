@@ -138,7 +138,7 @@ class Controller:
         return memory[address] | memory[address + 1] << 8
 
     def answers_to(self, station: int) -> bool:
-        """Whether this station address, or with the DL control's leave the alias, is the slave's."""
+        """Whether the slave has this station address, or the alias where that is used."""
         memory = self.memory
         if memory[0x010] | memory[0x011] << 8 == station:
             return True
@@ -175,14 +175,12 @@ class Controller:
     def _written(self, start: int, end: int, data: bytes, now_ns: int) -> None:
         """Act on the registers among these."""
         memory, firmware = self.memory, self.firmware
-        if start < reg.ALIAS + 2 and end > reg.STATION or start <= 0x103 < end:
+        if (start < reg.ALIAS + 2 and end > reg.STATION) or start <= 0x103 < end:
             firmware.remapped()
         if start <= reg.CONTROL_AL < end:
             firmware.control(self.word(reg.CONTROL_AL), now_ns)
         if start < reg.ERRORS_END and end > reg.RECEIVE_ERRORS:
-            memory[reg.RECEIVE_ERRORS : reg.ERRORS_END] = bytes(
-                reg.ERRORS_END - reg.RECEIVE_ERRORS
-            )
+            memory[reg.RECEIVE_ERRORS : reg.ERRORS_END] = bytes(reg.ERRORS_END - reg.RECEIVE_ERRORS)
         if start < reg.WATCHDOG_COUNT + 2 and end > reg.WATCHDOG_COUNT:
             memory[reg.WATCHDOG_COUNT : reg.WATCHDOG_COUNT + 2] = b"\0\0"
         if start < reg.EEPROM_END and end > reg.EEPROM_CONTROL:

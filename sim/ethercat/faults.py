@@ -87,7 +87,9 @@ def check(segment: Segment, fault: Fault) -> None:
             raise LabError(f"{what}: behind must be less than the {count} slaves there are")
         return
     if fault.node > count:
-        raise LabError(f"{what}: there is no slave {fault.node} on {segment.name}; there are {count}")
+        raise LabError(
+            f"{what}: there is no slave {fault.node} on {segment.name}; there are {count}"
+        )
     device = segment.slaves[fault.node - 1].device
     where = f"{what}: slave {fault.node} on {segment.name}"
     if isinstance(fault, DriveError | DriveInput) and not isinstance(device, Epos4):

@@ -106,5 +106,7 @@ def _entry(objects: ObjectDictionary, index: int, subindex: int, values: int) ->
     if "t" in entry.mapping:
         access |= _INTO_TRANSMIT
     size = len(entry.encode()) if entry.kind is Kind.STRING else entry.kind.size
-    head = struct.pack("<HBBHHH", index, subindex, values, _DATA_TYPES[entry.kind], 8 * size, access)
+    head = struct.pack(
+        "<HBBHHH", index, subindex, values, _DATA_TYPES[entry.kind], 8 * size, access
+    )
     return head + entry.name.encode("ascii")

@@ -1,4 +1,4 @@
-"""How a logical datagram falls on a segment's slaves, worked out once for each address and length."""
+"""How a logical datagram falls on a segment's slaves, worked out once per address and length."""
 
 from __future__ import annotations
 

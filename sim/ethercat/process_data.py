@@ -1,4 +1,4 @@
-"""Process data of a slave: PDO mapping and assignment in the dictionary, and what they compile to."""
+"""Process data of a slave: PDO mapping and assignment, and what they compile to."""
 
 from __future__ import annotations
 
@@ -87,7 +87,9 @@ class ProcessData:
         types = (1, 2, 3 if self._has_outputs else 0, 4)
         for number, use in enumerate(types, start=1):
             objects.add(MANAGER_TYPES, number, Entry(f"Type of SM{number - 1}", Kind.U8, "ro", use))
-        ways = [(TRANSMIT_ASSIGNMENT, INPUT_SYNC, TRANSMIT_MAPPING, len(self._device.transmit_pdos))]
+        ways = [
+            (TRANSMIT_ASSIGNMENT, INPUT_SYNC, TRANSMIT_MAPPING, len(self._device.transmit_pdos))
+        ]
         if self._has_outputs:
             count = len(self._device.receive_pdos)
             ways.insert(0, (RECEIVE_ASSIGNMENT, OUTPUT_SYNC, RECEIVE_MAPPING, count))

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from typing import Protocol
 from dataclasses import dataclass
+from typing import Protocol
 
 from sim.devices.timers import Callback
 from sim.ethercat import registers as reg
@@ -216,7 +216,9 @@ class Segment:
             if not size:
                 pass
             elif command in _WAYS:
-                added = self._logical(slaves, command, place | offset << 16, frame, data, size, now_ns)
+                added = self._logical(
+                    slaves, command, place | offset << 16, frame, data, size, now_ns
+                )
             elif command == Command.FRMW and offset == reg.SYSTEM_TIME and size == _TIME.size:
                 added = self._pass_time(slaves, place, frame, data, now_ns)
             elif Command.NOP < command <= Command.FRMW:

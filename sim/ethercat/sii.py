@@ -38,13 +38,12 @@ def _category(kind: int, data: bytes) -> bytes:
 def managers(kind: Kind) -> list[tuple[int, int, int, int]]:
     """Start, length, control and type of the sync managers the slave has. Lengths of process data
     are those of its mapping, so 0 here."""
-    found = [
+    return [
         (kind.receive_mailbox, kind.mailbox_bytes, MAILBOX_OUT, 1),
         (kind.send_mailbox, kind.mailbox_bytes, MAILBOX_IN, 2),
         (kind.outputs, 0, OUTPUTS, 3) if kind.outputs else (0, 0, 0, 0),
         (kind.inputs, 0, INPUTS, 4),
     ]
-    return found
 
 
 def image(kind: Kind, serial: int) -> bytearray:

@@ -36,12 +36,14 @@ def open_pair(master: str, lab: str) -> bool:
         return False
     if exists(master):
         raise LabError(
-            f"{master} is there and {lab} is not, so they are no pair; name in lab.ethercat.interface "
-            f"what {master} leads to"
+            f"{master} is there and {lab} is not, so they are no pair; name in "
+            f"lab.ethercat.interface what {master} leads to"
         )
     remedy = "as root: " + " && ".join(commands(master, lab))
     if shutil.which("ip") is None:
-        raise LabError(f"{lab} cannot be made: there is no ip command; install iproute2, then {remedy}")
+        raise LabError(
+            f"{lab} cannot be made: there is no ip command; install iproute2, then {remedy}"
+        )
     for command in commands(master, lab):
         try:
             done = subprocess.run(
