@@ -9,6 +9,8 @@ _RATE = 64
 _LEAST_NS = 100_000
 """Comparisons in quick succession say nothing about the rate."""
 _SPEED_LIMIT = 5e-3
+_SLEW = 10
+"""A clock runs by a tenth faster or slower at most while it takes a difference back."""
 _MASK = (1 << 64) - 1
 _HALF = 1 << 63
 
@@ -73,7 +75,8 @@ class DistributedClock:
         self.difference = difference
         passed = max(now_ns - self._compared_ns, _LEAST_NS)
         self._compared_ns = now_ns
-        self._local -= int(difference / _PHASE)
+        step = int(difference / _PHASE)
+        self._local -= min(max(step, -passed // _SLEW), passed // _SLEW)
         correction = self._correction - difference / _RATE / passed
         self._correction = min(max(correction, -_SPEED_LIMIT), _SPEED_LIMIT)
 

@@ -241,7 +241,7 @@ class Segment:
         added = 0
         for slave in slaves:
             if slave.controller.answers_to(station):
-                value |= slave.system_time(now_ns)
+                value = slave.system_time(now_ns)
                 added += 1
             else:
                 if value:
@@ -335,6 +335,8 @@ class Segment:
         """Wait for the next SYNC0 of any slave."""
         self._sync += 1
         number, now_ns = self._sync, self._lab.now_ns
+        for slave in self.slaves:
+            slave.sync.jumped(slave.clock.system(now_ns))
         times = [s.clock.when(s.sync.next, now_ns) for s in self.slaves if s.sync.active]
         if times:
             at_ns = max(min(times), now_ns + 1)
