@@ -128,7 +128,9 @@ class SegmentBench:
 
     # -- mailbox ---------------------------------------------------------------------------------
 
-    def post(self, slave: int, content: bytes, protocol: int = 3, counter: int | None = None) -> int:
+    def post(
+        self, slave: int, content: bytes, protocol: int = 3, counter: int | None = None
+    ) -> int:
         """Write a mailbox; its working counter."""
         if counter is None:
             self._mail[slave] = counter = self._mail[slave] % 7 + 1

@@ -224,7 +224,9 @@ def test_the_plan_follows_every_change_of_the_map(bench: SegmentBench) -> None:
     bench.fmmu(0, 0, LOGICAL, 1, RAM + 1, 1)
     assert bench.logical(Command.LRD, LOGICAL, b"\0") == (b"\x02", 1)
     bench.manager(0, 3, RAM, 4, 0x24)
-    assert bench.logical(Command.LRD, LOGICAL, b"\0") == (b"\0", 0), "a slave locks it below SAFE-OP"
+    assert bench.logical(Command.LRD, LOGICAL, b"\0") == (b"\0", 0), (
+        "a slave locks it below SAFE-OP"
+    )
     bench.segment.cut(0)
     assert bench.logical(Command.LRD, LOGICAL, b"\0") == (b"\0", 0)
 
