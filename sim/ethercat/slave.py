@@ -332,7 +332,8 @@ class Slave:
     def _look(self, watch: int, now_ns: int) -> None:
         if watch != self._watch:
             return
-        if now_ns < self._heard_ns + self._watchdog_ns():
+        patience_ns = self._watchdog_ns()
+        if not patience_ns or now_ns < self._heard_ns + patience_ns:
             self._expect(now_ns)
         else:
             self.expire(now_ns)
