@@ -33,6 +33,8 @@ _TIME = struct.Struct("<Q")
 _SOURCE = 6
 _TOGETHER_NS = 1000
 """SYNC0 of slaves within this time is one instant: a drive's current loop takes 40 us."""
+_LONGEST_NS = 1_000_000_000
+"""A pulse that is further away is looked for again by then: no timer waits for years."""
 _LINK = 0x0001 | 0x0010 | 0x0200 | 0x5000
 """DL status: a working slave with a link at port 0, ports 2 and 3 closed"""
 _LINK_BEHIND, _CLOSED_BEHIND = 0x0820, 0x0400
@@ -335,7 +337,7 @@ class Segment:
             slave.sync.jumped(slave.clock.system(now_ns))
         times = [s.clock.when(s.sync.next, now_ns) for s in self.slaves if s.sync.active]
         if times:
-            at_ns = max(min(times), now_ns + 1)
+            at_ns = min(max(min(times), now_ns + 1), now_ns + _LONGEST_NS)
             self._lab.call_at(at_ns, lambda at: self._pulse(number, at))
 
     def _pulse(self, number: int, now_ns: int) -> None:

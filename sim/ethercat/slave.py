@@ -10,7 +10,7 @@ from sim.devices.objects import AbortError
 from sim.devices.timers import Timers
 from sim.errors import LabError
 from sim.ethercat import registers as reg
-from sim.ethercat.clock import DistributedClock, SyncUnit
+from sim.ethercat.clock import SHORTEST_NS, DistributedClock, SyncUnit
 from sim.ethercat.coe import Coe, emergency
 from sim.ethercat.controller import Controller, Manager
 from sim.ethercat.eeprom import Eeprom
@@ -189,7 +189,7 @@ class Slave:
             and _is(managers[1], kind.send_mailbox, size, MAILBOX_IN),
             outputs=_is(managers[_OUT], kind.outputs, outputs, OUTPUTS),
             inputs=_is(managers[_IN], kind.inputs, inputs, INPUTS),
-            sync=cycle > 0 if pulsed else not self.process_data.wants_sync(),
+            sync=cycle >= SHORTEST_NS if pulsed else not self.process_data.wants_sync(),
         )
 
     def _enter(self, wanted: Standing, now_ns: int) -> None:
@@ -266,9 +266,10 @@ class Slave:
     # -- process data ----------------------------------------------------------------------------
 
     def outputs_written(self, now_ns: int) -> None:
-        manager = self.controller.managers[_OUT]
-        self._outputs = bytes(self.controller.memory[manager.start : manager.end])
-        self._fresh = True
+        manager, size = self.controller.managers[_OUT], self.process_data.size
+        if manager.start == self.kind.outputs and manager.length == size:
+            self._outputs = bytes(self.controller.memory[manager.start : manager.end])
+            self._fresh = True
         self._heard_ns = now_ns
         self.controller.memory[reg.WATCHDOG_STATUS] = 1
         if not self.sync.active:
@@ -284,7 +285,7 @@ class Slave:
         if self.state >= State.SAFE_OP:
             self.device.sample(now_ns)
             data = self.process_data.inputs()
-            start = self.controller.managers[_IN].start
+            start = self.kind.inputs  # where the sync manager was when the state was granted
             self.controller.memory[start : start + len(data)] = data
 
     def act(self, now_ns: int) -> None:
@@ -326,7 +327,9 @@ class Slave:
         self._watch += 1
         patience_ns = self._watchdog_ns()
         if patience_ns:
-            watch, due_ns = self._watch, max(self._heard_ns + patience_ns, now_ns + 1)
+            # No timer waits longer than a second, so that old ones do not gather.
+            due_ns = min(max(self._heard_ns + patience_ns, now_ns + 1), now_ns + _WAIT_NS)
+            watch = self._watch
             self._timers.call_at(due_ns, lambda at_ns: self._look(watch, at_ns))
 
     def _look(self, watch: int, now_ns: int) -> None:
