@@ -202,7 +202,7 @@ class ProcessData:
         """Of the device's last sample."""
         return self._pack(*[get() for get in self._getters])
 
-    def apply(self, outputs: bytes, now_ns: int) -> None:
+    def apply(self, outputs: bytes | bytearray, now_ns: int) -> None:
         """Give the device its outputs."""
         if not self._setters:
             return

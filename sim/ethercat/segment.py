@@ -83,7 +83,7 @@ class Segment:
         self._breaks: set[int] = set()  # each before the slave of this place, from 0
         self._reach: tuple[list[Slave], list[Slave]] = ([], [])
         self._plans: dict[tuple[int, int, int, int], list[Part]] = {}
-        self._touched: list[Slave] = []
+        self._touched: dict[int, Slave] = {}
         self._mail = 0
         self._sync = 0  # timers of an older arrangement are stale
         self._late: list[tuple[int, int, bytes]] = []
@@ -103,8 +103,7 @@ class Segment:
         self._plans.clear()
 
     def exchanged(self, slave: Slave) -> None:
-        if slave not in self._touched:
-            self._touched.append(slave)
+        self._touched[slave.number] = slave
 
     def mailbox_passed(self, *, read: bool) -> None:
         self._mail |= 1 if read else 2
@@ -161,10 +160,10 @@ class Segment:
         if not self._touched:
             return
         now_ns = self._lab.now_ns
-        touched, self._touched = self._touched, []
-        for slave in touched:
+        touched, self._touched = self._touched, {}
+        for slave in touched.values():
             slave.latch(now_ns)
-        for slave in touched:
+        for slave in touched.values():
             slave.act(now_ns)
 
     def exit(self, port: int) -> int:
@@ -313,12 +312,13 @@ class Segment:
             memory = slave.controller.memory
             # Bytes may be mapped both ways, in the frame and in the slave: each way takes what was
             # there before.
-            given = [frame[data + at : data + at + count] for at, _, count in part.writes]
+            writes = part.writes
+            given = [frame[data + at : data + at + count] for at, _, count in writes]
             if part.bit_writes or part.bit_reads or part.registers:
                 _slowly(part, frame, data, size, now_ns)
             for at, place, count in part.reads:
                 frame[data + at : data + at + count] = memory[place : place + count]
-            for (_, place, count), piece in zip(part.writes, given, strict=True):
+            for (_, place, count), piece in zip(writes, given, strict=True):
                 memory[place : place + count] = piece
             if part.outputs:
                 slave.outputs_written(now_ns)

@@ -101,7 +101,7 @@ class Slave:
         )
         self.controller = Controller(self, Eeprom(image(kind, serial)))
         self.mailbox = Mailbox(self.controller, self._coe.serve, kind.mailbox_bytes)
-        self._outputs = b""
+        self._outputs = bytearray()
         self._fresh = False
         self._heard_ns = 0
         self._watch = 0  # timers of an older watch are stale
@@ -215,7 +215,7 @@ class Slave:
             self._watch += 1
             self._left(wanted.code)
         if state >= State.SAFE_OP > before:
-            self._outputs, self._fresh = b"", False
+            self._outputs, self._fresh = bytearray(), False
             self.latch(now_ns)
 
     def _left(self, code: int) -> None:
@@ -259,19 +259,20 @@ class Slave:
         self.clock.restart(self._timers.now_ns)
         self.mailbox.reset()
         self._coe.reset()
-        self._outputs, self._fresh = b"", False
+        self._outputs, self._fresh = bytearray(), False
         self.powered = True
         self._show()
 
     # -- process data ----------------------------------------------------------------------------
 
     def outputs_written(self, now_ns: int) -> None:
-        manager, size = self.controller.managers[_OUT], self.process_data.size
-        if manager.start == self.kind.outputs and manager.length == size:
-            self._outputs = bytes(self.controller.memory[manager.start : manager.end])
+        controller, size = self.controller, self.process_data.size
+        manager, start = controller.managers[_OUT], self.kind.outputs
+        if manager.start == start and manager.length == size:
+            self._outputs = controller.memory[start : start + size]
             self._fresh = True
         self._heard_ns = now_ns
-        self.controller.memory[reg.WATCHDOG_STATUS] = 1
+        controller.memory[reg.WATCHDOG_STATUS] = 1
         if not self.sync.active:
             self._chain.exchanged(self)
 
