@@ -273,6 +273,10 @@ class DistributedClocks(Section):
     """largest difference of a slave's clock from the reference before the segment starts"""
     settle_ms: Count
     """time allowed for that"""
+    limit_ns: Count
+    """a slave's clock further away than this is told"""
+    guard_us: NonNegative
+    """a frame that passes closer to SYNC0 than this is told"""
     proportional: Fraction
     """share of the phase error that one tick takes back"""
     integral: Fraction
