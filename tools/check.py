@@ -12,11 +12,22 @@ from dataclasses import dataclass
 
 from config import Config, Scenario
 from config.busload import channel_load
-from config.schema.bus import CanopenBus, Channel, Drive, ForceCell
+from config.schema.bus import (
+    Amplifier,
+    CanopenBus,
+    Channel,
+    DirectBus,
+    Drive,
+    EthercatBus,
+    EthercatDrive,
+    ForceCell,
+    parts,
+)
 from drivers import epos4, force_cell
 from drivers.canopen import identifiers
 from drivers.canopen.pdo import Mapping, PdoError
 from drivers.canopen.process_data import drive_encoder
+from tools.check_ethercat import check_ethercat
 from tools.mechanics import Finding, mechanics
 
 __all__ = ["Finding", "check"]
@@ -34,9 +45,14 @@ class _Node:
 
 def check(config: Config, scenario: Scenario) -> list[Finding]:
     """Every rule's outcome, in a fixed order; nothing is started and nothing raises."""
-    bus = config.fieldbus
-    findings = list(_mappings(bus.drive, bus.force_cell))
-    if isinstance(bus, CanopenBus):
+    findings: list[Finding] = []
+    if isinstance(config.fieldbus, DirectBus):
+        findings += _mappings(config.fieldbus.drive, config.fieldbus.force_cell)
+    for bus in parts(config.fieldbus):
+        findings += _mappings(bus.drive, bus.force_cell)
+        if isinstance(bus, EthercatBus):
+            findings += check_ethercat(config, bus, scenario)
+            continue
         findings += _period(bus, config.control.rates.period_us)
         findings += _heartbeat(bus)
         findings += _channel_names(bus)
@@ -47,7 +63,7 @@ def check(config: Config, scenario: Scenario) -> list[Finding]:
     return findings + list(mechanics(config, scenario))
 
 
-def _mappings(drive: Drive, cell: ForceCell) -> Iterator[Finding]:
+def _mappings(drive: Drive | EthercatDrive, cell: ForceCell | Amplifier) -> Iterator[Finding]:
     needed = "statusword 0x60410010, position 0x60640020 and torque 0x60770010"
     commands = "controlword 0x60400010 and target torque 0x60710010"
     try:
@@ -199,6 +215,8 @@ def _faults(bus: CanopenBus, scenario: Scenario) -> Iterator[Finding]:
         (channel.name, cell.node_id) for channel in bus.channels for cell in channel.force_cells
     }
     for index, fault in enumerate(scenario.lab.faults):
+        if getattr(fault, "slave", None) is not None:
+            continue  # one of a segment
         node = getattr(fault, "node", None)
         if node is not None:
             there = (fault.channel, node) in nodes

@@ -380,6 +380,16 @@ class SeveralBuses(Section):
         return next(bus.force_cell for bus in self.buses if devices(bus)[1])
 
 
+Bus = Annotated[CanopenBus | DirectBus | EthercatBus | SeveralBuses, Field(discriminator="kind")]
+
+
+def parts(bus: Bus) -> tuple[CanopenBus | EthercatBus, ...]:
+    """The buses with frames that a fieldbus consists of."""
+    if isinstance(bus, SeveralBuses):
+        return bus.buses
+    return () if isinstance(bus, DirectBus) else (bus,)
+
+
 def devices(bus: CanopenBus | EthercatBus) -> tuple[list[int], list[int]]:
     """The axes and the cells that hang on a bus."""
     if isinstance(bus, EthercatBus):
@@ -403,9 +413,6 @@ def _once(kind: str, axes: list[int], cells: list[int], *, complete: bool) -> No
         missing = sorted(set(range(wanted)) - set(found))
         if missing and complete:
             raise ValueError(f"no {kind} for {what} {missing[0]}; add one")
-
-
-Bus = Annotated[CanopenBus | DirectBus | EthercatBus | SeveralBuses, Field(discriminator="kind")]
 
 
 class Tracker(Section):

@@ -12,7 +12,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from config.schema.bus import EthercatBus
+from config.schema.bus import DistributedClocks, EthercatBus
 from config.schema.robot import CABLES
 from config.schema.root import Config
 from drivers import epos4
@@ -100,6 +100,7 @@ class EthercatFieldbus:
         self._ahead_ns: int | None = None
         self._known_ahead_ns: int | None = None
         self._phase_ns = 0
+        self._shift_ns = round(bus.clocks.shift_us * 1e3)
         self._codes = [0] * CABLES
         self._next_look = 0
         self._look_now = False
@@ -158,8 +159,7 @@ class EthercatFieldbus:
         raise BringUpError("bring-up failed: " + "; ".join(problems))
 
     def _phase_of(self, ahead_ns: int) -> int:
-        shift_ns = round(self._bus.clocks.shift_us * 1e3)
-        return (ahead_ns + shift_ns) % self._period_ns
+        return (ahead_ns + self._shift_ns) % self._period_ns
 
     async def _reach(self, state: AlState) -> None:
         """Ask every slave for ``state`` and wait until all are there. Raises `BringUpError`."""
@@ -243,15 +243,23 @@ class EthercatFieldbus:
             self._look_now = False
             self._wire.look()
 
-    def reference_ahead_ns(self) -> int | None:
-        """By how much the reference clock is ahead of the loop's, by the last frame; None unless
-        that frame came back."""
-        return self._ahead_ns
+    @property
+    def clocks(self) -> DistributedClocks:
+        return self._bus.clocks
 
     @property
-    def phase_ns(self) -> int:
-        """SYNC0 in the reference clock, after a multiple of the period."""
-        return self._phase_ns
+    def leads(self) -> bool:
+        """The loop's phase is to follow this segment's reference clock."""
+        return self._bus.clocks.pacing == "distributed_clock"
+
+    def phase_error_ns(self, due_ns: int) -> int | None:
+        """How much later a tick is due than it should be for SYNC0 to come ``shift_us`` after it,
+        within half a period either way; None unless the last frame came back."""
+        if self._ahead_ns is None:
+            return None
+        period = self._period_ns
+        late = due_ns + self._ahead_ns + self._shift_ns - self._phase_ns
+        return (late + period // 2) % period - period // 2
 
     def _send(self, outputs: list[bytes], tick: int | None) -> None:
         assert self._wire is not None

@@ -2,9 +2,11 @@
 
 SOEM waits for frames on a socket with a receive timeout of 1 us, which the kernel rounds up to its
 own tick: a frame that is lost holds it for 4 to 8 ms, whatever timeout it was given. So its socket
-is made non-blocking here, and SOEM polls it until its own timer has run out. States are read, and AL
-control is written, with frames of our own through a second socket that nobody waits on: pysoem has
-no call for either that leaves the interpreter lock alone. The kernel sorts the answers by index.
+is made non-blocking here, and SOEM polls it until its own timer has run out.
+
+States are read, and AL control is written, with frames of our own through a second socket that
+nobody waits on: pysoem has no call for either that leaves the interpreter lock alone. The kernel
+sorts the answers by index.
 """
 
 from __future__ import annotations
