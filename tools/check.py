@@ -51,7 +51,7 @@ def check(config: Config, scenario: Scenario) -> list[Finding]:
     for bus in parts(config.fieldbus):
         findings += _mappings(bus.drive, bus.force_cell)
         if isinstance(bus, EthercatBus):
-            findings += check_ethercat(config, bus, scenario)
+            findings += check_ethercat(config, bus)
             continue
         findings += _period(bus, config.control.rates.period_us)
         findings += _heartbeat(bus)
@@ -59,7 +59,8 @@ def check(config: Config, scenario: Scenario) -> list[Finding]:
         for channel in bus.channels:
             findings += _load(bus, channel, config.control.rates.period_us)
             findings += _identifiers(bus, channel)
-        findings += _faults(bus, scenario)
+    if parts(config.fieldbus):
+        findings += _faults(config, scenario)
     return findings + list(mechanics(config, scenario))
 
 
@@ -207,16 +208,18 @@ def _identifiers(bus: CanopenBus, channel: Channel) -> Iterator[Finding]:
     )
 
 
-def _faults(bus: CanopenBus, scenario: Scenario) -> Iterator[Finding]:
+def _faults(config: Config, scenario: Scenario) -> Iterator[Finding]:
     """A fault injected where there is nothing would never be seen."""
-    channels = {channel.name for channel in bus.channels}
-    nodes = {(channel.name, drive.node_id) for channel in bus.channels for drive in channel.drives}
-    nodes |= {
-        (channel.name, cell.node_id) for channel in bus.channels for cell in channel.force_cells
-    }
+    nodes: set[tuple[str, int]] = set()
+    for bus in parts(config.fieldbus):
+        if isinstance(bus, EthercatBus):
+            nodes |= {(bus.interface, number + 1) for number in range(len(bus.slaves))}
+            continue
+        for channel in bus.channels:
+            nodes |= {(channel.name, drive.node_id) for drive in channel.drives}
+            nodes |= {(channel.name, cell.node_id) for cell in channel.force_cells}
+    channels = {name for name, _ in nodes}
     for index, fault in enumerate(scenario.lab.faults):
-        if getattr(fault, "slave", None) is not None:
-            continue  # one of a segment
         node = getattr(fault, "node", None)
         if node is not None:
             there = (fault.channel, node) in nodes
@@ -229,5 +232,5 @@ def _faults(bus: CanopenBus, scenario: Scenario) -> Iterator[Finding]:
             there,
             f"scenario {scenario.name}: lab.faults.{index}",
             what + ("" if there else ", which is not there"),
-            "name a channel and a node id of the fieldbus",
+            "name a channel and a node of the fieldbus",
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from config import Config, Scenario
+from config import Config
 from config.schema.bus import EthercatBus
 from drivers.errors import DriverError
 from drivers.ethercat.frames import COUNTER_BYTES, HEADER_BYTES, MAXIMUM_DATA
@@ -23,13 +23,12 @@ LOAD_LIMIT = 0.5
 """Of the period that may be frames: mailboxes and states use what is left over."""
 
 
-def check_ethercat(config: Config, bus: EthercatBus, scenario: Scenario) -> Iterator[Finding]:
+def check_ethercat(config: Config, bus: EthercatBus) -> Iterator[Finding]:
     """Every rule's outcome, in a fixed order; nothing raises."""
     yield from _frames(config, bus)
     yield from _times(config, bus)
     yield _slaves(bus)
     yield from _interfaces(config, bus)
-    yield from _faults(bus, scenario)
 
 
 def _frames(config: Config, bus: EthercatBus) -> Iterator[Finding]:
@@ -136,19 +135,3 @@ def _interfaces(config: Config, bus: EthercatBus) -> Iterator[Finding]:
         f"interfaces {', '.join(names)}" + ("" if apart else ": one is named twice"),
         "give every end of a cable its own interface",
     )
-
-
-def _faults(bus: EthercatBus, scenario: Scenario) -> Iterator[Finding]:
-    """A fault injected where there is nothing would never be seen."""
-    for index, fault in enumerate(scenario.lab.faults):
-        slave = getattr(fault, "slave", None)
-        if slave is None:
-            continue
-        there = 1 <= slave <= len(bus.slaves)
-        yield Finding(
-            "faults",
-            there,
-            f"scenario {scenario.name}: lab.faults.{index}",
-            f"{fault.kind} of slave {slave}" + ("" if there else ", which is not there"),
-            f"name a slave from 1 to {len(bus.slaves)}",
-        )

@@ -300,7 +300,7 @@ class DeterministicMaster:
 
     # -- the tick ---------------------------------------------------------------------------
 
-    def send(self, outputs: Sequence[bytes]) -> None:
+    def send(self, outputs: Sequence[bytes]) -> int:
         self._cycle_index = self._cycle_index % 0x7F + 1
         frame = self._template[:]
         index = self._cycle_index
@@ -309,6 +309,7 @@ class DeterministicMaster:
         for (place, size), data in zip(self._outputs, outputs, strict=True):
             frame[place : place + size] = data
         self._cyclic.send(bytes(frame), self._frame_ns)
+        return self._clock() + self._frame_ns
 
     def receive(self) -> int | None:
         while (frame := self._cyclic.receive()) is not None:

@@ -263,8 +263,7 @@ class EthercatFieldbus:
 
     def _send(self, outputs: list[bytes], tick: int | None) -> None:
         assert self._wire is not None
-        self._sent_ns = self._now()
-        self._wire.send(outputs)
+        self._sent_ns = self._wire.send(outputs)
         self._sent_tick = tick
 
     def _receive(self, tick: int | None) -> bool:

@@ -104,10 +104,11 @@ class SoemMaster:
         soem, master = self._soem, self._master
         master.sdo_read_timeout = master.sdo_write_timeout = self._bus.master.sdo_timeout_ms * 1000
         master.always_release_gil = True
-        master.manual_state_change = True
         count = master.config_init()
         if count <= 0:
             raise BringUpError(f"bring-up failed: nobody answers on {self._bus.interface}")
+        # From here on: before, it would leave the slaves in INIT.
+        master.manual_state_change = True
         self._slaves = list(master.slaves)
         master.state_check(soem.PREOP_STATE, self._bus.master.state_timeout_ms * 1000)
         master.read_state()
@@ -240,11 +241,13 @@ class SoemMaster:
 
     # -- the tick ---------------------------------------------------------------------------
 
-    def send(self, outputs: Sequence[bytes]) -> None:
+    def send(self, outputs: Sequence[bytes]) -> int:
         for slave, data in zip(self._slaves, outputs, strict=True):
             if data:
                 slave.output = data
+        sent_ns = self._clock()
         self._master.send_processdata()
+        return sent_ns
 
     def receive(self) -> int | None:
         counter: int = self._master.receive_processdata(self._timeout_us)

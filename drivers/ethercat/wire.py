@@ -71,8 +71,8 @@ class Wire(Protocol):
     async def remap(self, slave: int) -> None:
         """Sync managers, watchdog and FMMUs of one slave, as `map` set them."""
 
-    def send(self, outputs: Sequence[bytes]) -> None:
-        """Process data, and with it the reference clock to all."""
+    def send(self, outputs: Sequence[bytes]) -> int:
+        """Process data, and with it the reference clock to all. Returns when, on the loop's clock."""
 
     def receive(self) -> int | None:
         """The working counter of what `send` sent, None if it did not come back."""
