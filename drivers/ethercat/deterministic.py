@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from config.schema.bus import EthercatBus
@@ -334,9 +334,9 @@ class DeterministicMaster:
     def looked(self) -> list[SlaveStatus | None] | None:
         return self._status.looked() if self._status is not None else None
 
-    def control(self, slave: int, word: int) -> None:
+    def control(self, words: Mapping[int, int]) -> None:
         if self._status is not None:
-            self._status.control(slave, word)
+            self._status.control(words)
 
     def close(self) -> None:
         for port in (self._acyclic, self._cyclic, self._states):

@@ -9,6 +9,7 @@ tick k+1. The same two ticks as on CAN.
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -34,6 +35,8 @@ _POLL_S = 1e-3
 _FITS_TICKS = 4
 """The reference clock in a frame may be off by so much: a frame can leave late, and indices repeat
 after 16."""
+_ASK_AGAIN = 50
+"""Polls after which a change of state is asked for again: the frame may have been lost."""
 _FAREWELL = 3
 """Frames with zeros at the end: one may be lost."""
 
@@ -165,11 +168,12 @@ class EthercatFieldbus:
         """Ask every slave for ``state`` and wait until all are there. Raises `BringUpError`."""
         assert self._wire is not None
         wire, loop = self._wire, asyncio.get_running_loop()
-        for slave in self._slaves:
-            wire.control(slave.number, state)
+        behind: list[tuple[Slave, SlaveStatus | None]] = [(slave, None) for slave in self._slaves]
         end = loop.time() + self._bus.master.state_timeout_ms * 1e-3
         found: list[SlaveStatus | None] = [None] * len(self._slaves)
-        while True:
+        for poll in itertools.count():
+            if poll % _ASK_AGAIN == 0:
+                wire.control({slave.number: state for slave, _ in behind})
             wire.look()
             await asyncio.sleep(_POLL_S)
             found = wire.looked() or found
@@ -439,8 +443,7 @@ class EthercatFieldbus:
                 self._send(self._idle, None)
                 await asyncio.sleep(_POLL_S)
             self._receive(None)
-        for slave in self._slaves:
-            wire.control(slave.number, AlState.PREOP | ERROR)
+        wire.control({slave.number: AlState.PREOP | ERROR for slave in self._slaves})
         await asyncio.sleep(_POLL_S)
         wire.close()
         self._wire = None

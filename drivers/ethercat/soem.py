@@ -14,7 +14,7 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -264,9 +264,9 @@ class SoemMaster:
     def looked(self) -> list[SlaveStatus | None] | None:
         return self._status.looked() if self._status is not None else None
 
-    def control(self, slave: int, word: int) -> None:
+    def control(self, words: Mapping[int, int]) -> None:
         if self._status is not None:
-            self._status.control(slave, word)
+            self._status.control(words)
 
     def close(self) -> None:
         self._thread.shutdown(wait=True)

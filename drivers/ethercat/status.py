@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.ethercat import al
@@ -84,7 +85,10 @@ class StatusFrames:
             found.append(SlaveStatus(state & 0xF, bool(state & ERROR), code, ns))
         return found
 
-    def control(self, slave: int, word: int) -> None:
-        address = station(self._stations[slave], AL_CONTROL)
-        data = word.to_bytes(2, "little")
-        self._port.send(build(_CONTROL_INDEX, [Datagram(Command.FPWR, address, data)]))
+    def control(self, words: Mapping[int, int]) -> None:
+        orders = []
+        for slave, word in words.items():
+            address = station(self._stations[slave], AL_CONTROL)
+            orders.append(Datagram(Command.FPWR, address, word.to_bytes(2, "little")))
+        if orders:
+            self._port.send(build(_CONTROL_INDEX, orders))

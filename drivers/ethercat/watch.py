@@ -97,9 +97,9 @@ class Watch:
                 self._events.begin("slave_given_up", slave.where, text)
                 return
             watched.attempts += 1
-            wire.control(slave.number, status.state | ERROR)
+            wire.control({slave.number: status.state | ERROR})
         elif status.state in _NEXT:
-            wire.control(slave.number, _NEXT[AlState(status.state)])
+            wire.control({slave.number: _NEXT[AlState(status.state)]})
 
     def _leave(self, watched: Watched, why: str) -> None:
         watched.left = why

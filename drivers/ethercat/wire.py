@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -72,7 +72,8 @@ class Wire(Protocol):
         """Sync managers, watchdog and FMMUs of one slave, as `map` set them."""
 
     def send(self, outputs: Sequence[bytes]) -> int:
-        """Process data, and with it the reference clock to all. Returns when, on the loop's clock."""
+        """Process data, and with it the reference clock to all. Returns when: ns of
+        the loop's clock."""
 
     def receive(self) -> int | None:
         """The working counter of what `send` sent, None if it did not come back."""
@@ -84,7 +85,7 @@ class Wire(Protocol):
         """The answer to `look`, None if there is none (yet); within it None for each slave that
         did not take part."""
 
-    def control(self, slave: int, word: int) -> None:
-        """Write a slave's AL control, without waiting for anything."""
+    def control(self, words: Mapping[int, int]) -> None:
+        """Write AL control of some slaves, in one frame and without waiting for anything."""
 
     def close(self) -> None: ...
