@@ -179,6 +179,8 @@ class Segment(Section):
 
     interface: str
     """network interface the slaves answer on; with the master's it is the pair of a veth"""
+    redundant_interface: str | None = None
+    """the same for the cable back from the last slave, where the master has one"""
     hop_ns: Count = 800
     """one slave and the cable to the next, one way"""
     clock_spread_ppm: NonNegative = 10.0
