@@ -19,9 +19,11 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 from config.schema.bus import EthercatBus
+from drivers.canopen.abort_codes import NO_SUCH_OBJECT
 from drivers.errors import BringUpError, DriverError, SdoAbortError, SdoError, SdoTimeoutError
 from drivers.ethercat.al import AlState, name
 from drivers.ethercat.port import PacketPort, packet_sockets, select
+from drivers.ethercat.slave import RX_ASSIGNMENT, TX_ASSIGNMENT
 from drivers.ethercat.status import SlaveStatus, StatusFrames
 from drivers.ethercat.wire import FIRST_STATION, Found, Sizes
 from drivers.setting import ObjectAccess
@@ -104,6 +106,8 @@ class SoemMaster:
         soem, master = self._soem, self._master
         master.sdo_read_timeout = master.sdo_write_timeout = self._bus.master.sdo_timeout_ms * 1000
         master.always_release_gil = True
+        # A try takes 2 ms; SOEM's own limit leaves no second one for a frame that was lost.
+        soem.settings.timeouts.ret = _TRIES * _REGISTER_TIMEOUT_US
         count = master.config_init()
         if count <= 0:
             raise BringUpError(f"bring-up failed: nobody answers on {self._bus.interface}")
@@ -139,7 +143,8 @@ class SoemMaster:
 
     async def _sdo(self, index: int, subindex: int, access: Callable[[], Result]) -> Result:
         """SOEM keeps the errors of one call for the next, and an emergency counts as one: neither
-        is an answer to what was asked, so it is asked again. Raises `SdoError`."""
+        is an answer to what was asked. So it is asked again, as after a frame that was lost: these
+        reads and writes may happen twice. Raises `SdoError`."""
         soem, where = self._soem, f"0x{index:04X}:{subindex}"
         last: Exception | None = None
         for _ in range(_TRIES):
@@ -147,10 +152,10 @@ class SoemMaster:
                 return await self._beside(access)
             except soem.SdoError as error:
                 raise SdoAbortError(error.abort_code, f"{where}: {error.desc}") from error
-            except (soem.Emergency, soem.MailboxError, soem.PacketError) as error:
+            except (soem.Emergency, soem.MailboxError, soem.PacketError, soem.WkcError) as error:
                 last = error
-            except soem.WkcError as error:
-                raise SdoTimeoutError(f"{where}: no answer in its mailbox") from error
+        if isinstance(last, soem.WkcError):
+            raise SdoTimeoutError(f"{where}: no answer in its mailbox") from last
         raise SdoError(f"{where}: {last}") from last
 
     async def align_clocks(self) -> int:
@@ -187,8 +192,13 @@ class SoemMaster:
         try:
             master.config_map()
         except soem.ConfigMapError as error:
-            told = "; ".join(str(each) for each in error.error_list)
-            raise BringUpError(f"bring-up failed: process data cannot be mapped: {told}") from error
+            told = "; ".join(
+                self._words(each) for each in error.error_list if not self._harmless(each, sizes)
+            )
+            if told:
+                raise BringUpError(
+                    f"bring-up failed: process data cannot be mapped: {told}"
+                ) from error
         expected = 0
         for number, (slave, wanted) in enumerate(zip(self._slaves, sizes, strict=True)):
             there = Sizes(len(slave.output), len(slave.input))
@@ -208,6 +218,22 @@ class SoemMaster:
             )
         self.inputs = [bytes(each.inputs) for each in sizes]
         self._watchdog_ms = watchdog_ms
+
+    def _harmless(self, error: Any, sizes: Sequence[Sizes]) -> bool:
+        """SOEM asks every slave for both assignments; one without outputs has no 0x1C12."""
+        if not isinstance(error, self._soem.SdoError) or error.abort_code != NO_SUCH_OBJECT:
+            return False
+        size = sizes[error.slave_pos - 1]
+        absent = {RX_ASSIGNMENT: not size.outputs, TX_ASSIGNMENT: not size.inputs}
+        return absent.get(error.index, False)
+
+    def _words(self, error: Any) -> str:
+        if not isinstance(error, self._soem.SdoError):
+            return str(error)
+        return (
+            f"{self._bus.interface}/{error.slave_pos}: 0x{error.index:04X}:{error.subindex}: "
+            f"abort 0x{error.abort_code:08X}: {error.desc}"
+        )
 
     async def start_sync(self, slave: int, period_ns: int, phase_ns: int) -> None:
         await self._beside(lambda: self._slaves[slave].dc_sync(True, period_ns, phase_ns))
