@@ -12,6 +12,7 @@ sorts the answers by index.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import socket
 from collections.abc import Callable, Mapping, Sequence
@@ -56,7 +57,7 @@ class SoemMaster:
         self._bus = bus
         self._clock = clock
         self._timeout_us = bus.master.receive_timeout_us
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="soem")
+        self._thread: ThreadPoolExecutor | None = None
         self._master: Any = None
         self._slaves: list[Any] = []
         self._port: PacketPort | None = None
@@ -66,6 +67,8 @@ class SoemMaster:
         self.reference_ns: int | None = None
 
     async def _beside(self, action: Callable[[], Result]) -> Result:
+        if self._thread is None:
+            self._thread = _thread_below_this()
         return await asyncio.get_running_loop().run_in_executor(self._thread, action)
 
     # -- bring-up ---------------------------------------------------------------------------
@@ -177,12 +180,32 @@ class SoemMaster:
         return min(ahead)[1]
 
     def _register(self, slave: int, register: int, size: int) -> bytes:
-        try:
-            return bytes(self._slaves[slave]._fprd(register, size, _REGISTER_TIMEOUT_US))
-        except self._soem.WkcError as error:
-            raise BringUpError(
-                f"{self._bus.interface}/{slave + 1}: register 0x{register:04X} cannot be read"
-            ) from error
+        read = self._slaves[slave]._fprd
+        return bytes(
+            self._again(
+                slave,
+                f"register 0x{register:04X} cannot be read",
+                lambda: read(register, size, _REGISTER_TIMEOUT_US),
+            )
+        )
+
+    def _set_watchdog(self, slave: int, watchdog_ms: int) -> None:
+        its = self._slaves[slave]
+        self._again(
+            slave,
+            "its watchdog cannot be set",
+            lambda: its.set_watchdog("processdata", watchdog_ms),
+        )
+
+    def _again(self, slave: int, what: str, access: Callable[[], Result]) -> Result:
+        """A register access, once more when its frame was lost. Raises `BringUpError`."""
+        last: Exception | None = None
+        for _ in range(_TRIES):
+            try:
+                return access()
+            except self._soem.WkcError as error:
+                last = error
+        raise BringUpError(f"{self._bus.interface}/{slave + 1}: {what}") from last
 
     async def map(self, sizes: Sequence[Sizes], watchdog_ms: int) -> None:
         await self._beside(lambda: self._map(sizes, watchdog_ms))
@@ -210,7 +233,7 @@ class SoemMaster:
                     f"{wanted.inputs}"
                 )
             if wanted.outputs:
-                slave.set_watchdog("processdata", watchdog_ms)
+                self._set_watchdog(number, watchdog_ms)
         if master.expected_wkc != expected:
             raise BringUpError(
                 f"bring-up failed: SOEM expects a working counter of {master.expected_wkc}, "
@@ -263,7 +286,7 @@ class SoemMaster:
         """`reconfig` has written sync managers and FMMUs; the watchdog is ours."""
         its = self._slaves[slave]
         if len(its.output):
-            its.set_watchdog("processdata", self._watchdog_ms)
+            self._set_watchdog(slave, self._watchdog_ms)
 
     # -- the tick ---------------------------------------------------------------------------
 
@@ -295,11 +318,27 @@ class SoemMaster:
             self._status.control(words)
 
     def close(self) -> None:
-        self._thread.shutdown(wait=True)
+        if self._thread is not None:
+            self._thread.shutdown(wait=True)
         if self._port is not None:
             self._port.close()
         if self._master is not None:
             self._master.close()
+
+
+def _thread_below_this() -> ThreadPoolExecutor:
+    """A thread that this one can interrupt and ordinary processes cannot: SOEM gives a frame 2 ms
+    to come back. A real-time process hands its priority to no thread by itself."""
+    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+    priority = max(os.sched_getparam(0).sched_priority - 1, 1)
+
+    def begin() -> None:
+        if policy in (os.SCHED_FIFO, os.SCHED_RR):
+            # Refused only where it would have been refused to the caller.
+            with contextlib.suppress(PermissionError):
+                os.sched_setscheduler(0, policy, os.sched_param(priority))
+
+    return ThreadPoolExecutor(1, thread_name_prefix="soem", initializer=begin)
 
 
 class _Objects:
