@@ -47,6 +47,9 @@ class Firmware(Protocol):
     def remapped(self) -> None:
         """Station address, FMMUs or sync managers are not what they were."""
 
+    def watchdog_set(self, now_ns: int) -> None:
+        """The watchdog's time may be another."""
+
     def clock_read(self, now_ns: int) -> None:
         """Registers of time are about to be read."""
 
@@ -183,6 +186,8 @@ class Controller:
             memory[reg.RECEIVE_ERRORS : reg.ERRORS_END] = bytes(reg.ERRORS_END - reg.RECEIVE_ERRORS)
         if start < reg.WATCHDOG_COUNT + 2 and end > reg.WATCHDOG_COUNT:
             memory[reg.WATCHDOG_COUNT : reg.WATCHDOG_COUNT + 2] = b"\0\0"
+        if start < reg.WATCHDOG_TIME + 2 and end > reg.DIVIDER:
+            firmware.watchdog_set(now_ns)
         if start < reg.EEPROM_END and end > reg.EEPROM_CONTROL:
             self.eeprom.written(memory, start, data)
         if start < reg.FMMU + reg.FMMUS * reg.FMMU_BYTES and end > reg.FMMU:

@@ -309,19 +309,15 @@ class Segment:
         for part in plan:
             slave = part.slave
             memory = slave.controller.memory
-            # A map may overlap: the outputs are taken before the inputs replace them.
-            for at, place, count in part.writes:
-                memory[place : place + count] = frame[data + at : data + at + count]
-            if part.bit_writes:
-                copy_bits(frame[data : data + size], memory, part.bit_writes)
-            if part.registers:
-                _through(part, frame, data, now_ns)
+            # Bytes may be mapped both ways, in the frame and in the slave: each way takes what was
+            # there before.
+            given = [frame[data + at : data + at + count] for at, _, count in part.writes]
+            if part.bit_writes or part.bit_reads or part.registers:
+                _slowly(part, frame, data, size, now_ns)
             for at, place, count in part.reads:
                 frame[data + at : data + at + count] = memory[place : place + count]
-            if part.bit_reads:
-                found = frame[data : data + size]
-                copy_bits(memory, found, ((to, where) for where, to in part.bit_reads))
-                frame[data : data + size] = found
+            for (_, place, count), piece in zip(part.writes, given, strict=True):
+                memory[place : place + count] = piece
             if part.outputs:
                 slave.outputs_written(now_ns)
             elif part.inputs:
@@ -433,6 +429,19 @@ _COUNTING = frozenset(
 
 def _either(one: bytes | bytearray, other: bytes) -> bytes:
     return bytes(a | b for a, b in zip(one, other, strict=True))
+
+
+def _slowly(part: Part, frame: bytearray, data: int, size: int, now_ns: int) -> None:
+    """Single bits, and registers."""
+    memory = part.slave.controller.memory
+    given = frame[data : data + size]
+    _through(part, frame, data, now_ns)
+    if part.bit_reads:
+        found = frame[data : data + size]
+        copy_bits(memory, found, ((to, where) for where, to in part.bit_reads))
+        frame[data : data + size] = found
+    if part.bit_writes:
+        copy_bits(given, memory, part.bit_writes)
 
 
 def _through(part: Part, frame: bytearray, data: int, now_ns: int) -> None:

@@ -313,22 +313,28 @@ class Slave:
         ticks = self.controller.word(reg.WATCHDOG_TIME)
         return ticks * _TICK_NS * (self.controller.word(reg.DIVIDER) + 2)
 
+    def watchdog_set(self, now_ns: int) -> None:
+        if self.state is State.OP:
+            self._expect(now_ns)
+
     def _start_watch(self, now_ns: int) -> None:
-        self._watch += 1
         self._heard_ns = now_ns
+        self._expect(now_ns)
+
+    def _expect(self, now_ns: int) -> None:
+        """Look again when the outputs would be overdue."""
+        self._watch += 1
         patience_ns = self._watchdog_ns()
         if patience_ns:
-            watch = self._watch
-            self._timers.call_at(now_ns + patience_ns, lambda at_ns: self._look(watch, at_ns))
+            watch, due_ns = self._watch, max(self._heard_ns + patience_ns, now_ns + 1)
+            self._timers.call_at(due_ns, lambda at_ns: self._look(watch, at_ns))
 
     def _look(self, watch: int, now_ns: int) -> None:
         if watch != self._watch:
             return
         patience_ns = self._watchdog_ns()
-        due_ns = self._heard_ns + (patience_ns or _WAIT_NS)
-        if now_ns < due_ns or not patience_ns:
-            later = max(due_ns, now_ns + 1)
-            self._timers.call_at(later, lambda at_ns: self._look(watch, at_ns))
+        if not patience_ns or now_ns < self._heard_ns + patience_ns:
+            self._expect(now_ns)
         else:
             self.expire(now_ns)
 
