@@ -98,6 +98,7 @@ class EthercatFieldbus:
         self._now: Clock = _loop_clock
         self._pump_task: asyncio.Task[None] | None = None
         self._ticking = False
+        self._found = 0
         self._sent_tick: int | None = None
         self._sent_ns = 0
         self._ahead_ns: int | None = None
@@ -147,6 +148,7 @@ class EthercatFieldbus:
 
     def _identify(self, found: list[Found], progress: Progress) -> None:
         """Every slave has to be the device the configuration has in its place."""
+        self._found = len(found)
         problems = []
         if len(found) != len(self._slaves):
             problems.append(f"{len(found)} slaves answer, configured are {len(self._slaves)}")
@@ -443,7 +445,8 @@ class EthercatFieldbus:
                 self._send(self._idle, None)
                 await asyncio.sleep(_POLL_S)
             self._receive(None)
-        wire.control({slave.number: AlState.PREOP | ERROR for slave in self._slaves})
+        there = self._slaves[: self._found]
+        wire.control({slave.number: AlState.PREOP | ERROR for slave in there})
         await asyncio.sleep(_POLL_S)
         wire.close()
         self._wire = None
