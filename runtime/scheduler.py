@@ -1,6 +1,7 @@
 """The fixed period: integer ticks on an absolute schedule, paced by a timer or by virtual time.
 
-Tick k is due at ``start + k * period``. A tick whose whole period passed before it could start is
+Tick k is due at ``start + k * period``, where a bus with a clock of its own may move ``start`` by a
+little each tick. A tick whose whole period passed before it could start is
 missed: it is counted and skipped, never made up by a burst.
 """
 
@@ -37,6 +38,9 @@ class Pacing(Protocol):
 
     async def until(self, due_ns: int) -> None: ...
 
+    def steer(self, due_ns: int) -> int:
+        """ns by which the tick that is due then, and all after it, are moved."""
+
     def close(self) -> None: ...
 
 
@@ -48,6 +52,10 @@ class VirtualPacing:
         arrived = loop.create_future()
         loop.call_at(due_ns * 1e-9, arrived.set_result, None)
         await arrived
+
+    def steer(self, due_ns: int) -> int:
+        del due_ns
+        return 0
 
     def close(self) -> None:
         pass
@@ -75,6 +83,10 @@ class TimerPacing:
         if self._libc.timerfd_settime(self._descriptor, _TFD_TIMER_ABSTIME, self._spec, None):
             raise SchedulingError(f"timerfd_settime: {os.strerror(ctypes.get_errno())}")
         await self._waiting
+
+    def steer(self, due_ns: int) -> int:
+        del due_ns
+        return 0
 
     def close(self) -> None:
         asyncio.get_running_loop().remove_reader(self._descriptor)
@@ -111,6 +123,10 @@ class Scheduler:
         processor_ns = self._stopwatch.processor_ns() - self._began_processor_ns
         wanted = self._tick + 1
         due = self.due_ns(wanted)
+        moved = self._pacing.steer(due)
+        if moved:
+            self._start_ns += moved
+            due += moved
         if finished_ns < due:
             await self._pacing.until(due)
         now = self._now_ns()

@@ -21,11 +21,8 @@ from typing import Any
 import yaml
 
 from config.places import runtime_dir
-from config.schema.bus import DirectBus
 from config.schema.root import Config
 from config.schema.scenario import Scenario
-from drivers.canopen.master import CanopenFieldbus
-from drivers.direct import DirectFieldbus
 from drivers.fieldbus import Fieldbus, FrameTap, Progress
 from drivers.process_image import ProcessImage
 from drivers.tracker import TrackerInput, TrackerSource, UdpTracker
@@ -41,6 +38,7 @@ from runtime.signals import CYCLE, SCHEMA_VERSION, TOPICS
 from runtime.taps import EventRing, FrameRing, KeyframeRing
 from runtime.topics import to_json
 from sim.lab import Lab
+from tools import fieldbuses
 from tools.cli.live import Live
 from tools.errors import ToolError
 from tools.lab_process import LabProcess, start_lab
@@ -110,8 +108,8 @@ class _Stage:
         self._events = EventRing.open(rings / "events.ring")
         self._keyframes = KeyframeRing.open(rings / "keyframes.ring")
         self._tap: FrameTap | None = None
-        if config.recording.raw_frames and not isinstance(config.fieldbus, DirectBus):
-            channels = [channel.name for channel in config.fieldbus.channels]
+        channels = fieldbuses.channels(config)
+        if config.recording.raw_frames and channels:
             frames = FrameRing.open(rings / "frames.ring", channels, ticks * FRAMES_PER_TICK)
             self._tap = frames.tap
         self._ticks = ticks
@@ -133,12 +131,12 @@ class _Stage:
 
         async def main() -> Outcome:
             lab = self._lab()
-            daemon = self._daemon(lab, clock.Stopwatch(running=False))
+            fieldbus = fieldbuses.build(order.config, self._image, lab, self._tap)
+            daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False))
+            pacing = fieldbuses.steering(fieldbus, VirtualPacing)
             draining = _every(DRAIN_S, recorder.drain)
             try:
-                return await daemon.run(
-                    VirtualPacing, order.say, self._begin, start_ns=order.start_ns
-                )
+                return await daemon.run(pacing, order.say, self._begin, start_ns=order.start_ns)
             finally:
                 draining()
                 if lab is not None:
@@ -161,7 +159,9 @@ class _Stage:
         recorder = self._recorder_process()
 
         async def main() -> Outcome:
-            daemon = self._daemon(None, clock.Stopwatch(running=True))
+            fieldbus = fieldbuses.build(order.config, self._image, tap=self._tap)
+            daemon = self._daemon(fieldbus, None, clock.Stopwatch(running=True))
+            pacing = fieldbuses.steering(fieldbus, TimerPacing)
             # Before the bring-up, since it takes longer than the drives wait for a heartbeat.
             self._grants = prepare(
                 priority=realtime.daemon_priority,
@@ -171,7 +171,7 @@ class _Stage:
             for grant in self._grants:
                 order.say(str(grant))
             freeze_collector()
-            return await daemon.run(TimerPacing, order.say, self._begin)
+            return await daemon.run(pacing, order.say, self._begin)
 
         before = stolen_jiffies()
         try:
@@ -228,15 +228,8 @@ class _Stage:
         self._cleanup.callback(recorder.stop)
         return recorder
 
-    def _daemon(self, lab: Lab | None, stopwatch: clock.Stopwatch) -> Daemon:
+    def _daemon(self, fieldbus: Fieldbus, lab: Lab | None, stopwatch: clock.Stopwatch) -> Daemon:
         config, image = self._order.config, self._image
-        fieldbus: Fieldbus
-        if isinstance(config.fieldbus, DirectBus):
-            if lab is None:
-                raise ToolError("the direct fieldbus has no wires: it needs --virtual and a lab")
-            fieldbus = DirectFieldbus(config, image, lab.direct, clock.loop_clock())
-        else:
-            fieldbus = CanopenFieldbus(config, image, self._tap)
         source: TrackerSource
         if lab is not None:
             source = lab.tracker
@@ -279,6 +272,7 @@ class _Stage:
             "scenario": order.scenario.name,
             "schema_version": str(SCHEMA_VERSION),
             "seed": str(order.seed),
+            "pacing": fieldbuses.pacing_name(order.config, virtual=order.virtual),
             "time": "virtual" if order.virtual else "real",
         }
 

@@ -273,6 +273,10 @@ class DistributedClocks(Section):
     """largest difference of a slave's clock from the reference before the segment starts"""
     settle_ms: Count
     """time allowed for that"""
+    limit_ns: Count
+    """a slave's clock further away than this is told"""
+    guard_us: NonNegative
+    """a frame that passes closer to SYNC0 than this is told"""
     proportional: Fraction
     """share of the phase error that one tick takes back"""
     integral: Fraction
@@ -376,6 +380,16 @@ class SeveralBuses(Section):
         return next(bus.force_cell for bus in self.buses if devices(bus)[1])
 
 
+Bus = Annotated[CanopenBus | DirectBus | EthercatBus | SeveralBuses, Field(discriminator="kind")]
+
+
+def parts(bus: Bus) -> tuple[CanopenBus | EthercatBus, ...]:
+    """The buses with frames that a fieldbus consists of."""
+    if isinstance(bus, SeveralBuses):
+        return bus.buses
+    return () if isinstance(bus, DirectBus) else (bus,)
+
+
 def devices(bus: CanopenBus | EthercatBus) -> tuple[list[int], list[int]]:
     """The axes and the cells that hang on a bus."""
     if isinstance(bus, EthercatBus):
@@ -399,9 +413,6 @@ def _once(kind: str, axes: list[int], cells: list[int], *, complete: bool) -> No
         missing = sorted(set(range(wanted)) - set(found))
         if missing and complete:
             raise ValueError(f"no {kind} for {what} {missing[0]}; add one")
-
-
-Bus = Annotated[CanopenBus | DirectBus | EthercatBus | SeveralBuses, Field(discriminator="kind")]
 
 
 class Tracker(Section):
