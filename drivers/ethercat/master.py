@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -37,6 +38,7 @@ _FITS_TICKS = 4
 after 16."""
 _ASK_AGAIN = 50
 """Polls after which a change of state is asked for again: the frame may have been lost."""
+_REMEMBERED = 64
 _FAREWELL = 3
 """Frames with zeros at the end: one may be lost."""
 
@@ -104,6 +106,8 @@ class EthercatFieldbus:
         self._ahead_ns: int | None = None
         self._known_ahead_ns: int | None = None
         self._phase_ns = 0
+        self._pulses: deque[int] = deque(maxlen=_REMEMBERED)
+        """SYNC0's number less the tick's: the least is that of a frame that was on time"""
         self._shift_ns = round(bus.clocks.shift_us * 1e3)
         self._codes = [0] * CABLES
         self._next_look = 0
@@ -230,7 +234,7 @@ class EthercatFieldbus:
         if not self._ticking:
             self._begin_ticking(tick)
         if self._receive(self._sent_tick) and self._sent_tick is not None:
-            self._take_inputs(wire.inputs, self._sent_tick)
+            self._take_inputs(wire.inputs, self._sampled_in(tick, self._sent_tick))
         self._sent_tick = None
         found = wire.looked()
         if found is not None:
@@ -276,10 +280,10 @@ class EthercatFieldbus:
         """Take the frame that was sent; True if its inputs are those of every slave."""
         wire = self._wire
         assert wire is not None
-        if not self._sent_ns:
-            return False
         began = self._now()
         counter = wire.receive()
+        if not self._sent_ns:
+            return False
         where = self._bus.interface
         if counter is None:
             self._lose(self._now() - began, tick)
@@ -322,6 +326,16 @@ class EthercatFieldbus:
         self._guard(reference_ns)
         return True
 
+    def _sampled_in(self, tick: int, sent: int) -> int:
+        """The tick whose SYNC0 took the sample in the frame that ``sent`` published. It is another
+        one when the host held us up between the two: the frame then passed late."""
+        reference_ns = self._wire.reference_ns if self._wire is not None else None
+        if reference_ns is None:
+            return sent
+        pulse = (reference_ns - self._phase_ns) // self._period_ns
+        self._pulses.append(pulse - sent)
+        return min(pulse - min(self._pulses), tick - 1)
+
     def _guard(self, reference_ns: int) -> None:
         """A frame that passes together with SYNC0 carries one sample or the next, nobody knows."""
         if not self._ticking:
@@ -362,6 +376,7 @@ class EthercatFieldbus:
         self._ticking = True
         self._stop_pump()
         self._next_look = tick
+        self._pulses.clear()
         # What the pump sent last is nobody's sample.
         self._sent_tick = None
 
@@ -401,7 +416,6 @@ class EthercatFieldbus:
                 self._give_up(watched, error)
         if any(watched in waiting for watched in anew):
             await self._set_clocks(wire)
-        self._known_ahead_ns = None
         for watched in waiting:
             await self._bring_back(watched)
 
@@ -412,6 +426,9 @@ class EthercatFieldbus:
                 await wire.start_sync(slave.number, self._period_ns, self._phase_ns)
         except DriverError as error:
             self._events.add("recovery_failed", self._bus.interface, f"clocks: {error}")
+        # The frame that is under way still carries the old time.
+        self._known_ahead_ns, self._sent_ns = None, 0
+        self._pulses.clear()
 
     async def _bring_back(self, watched: Watched) -> None:
         assert self._wire is not None

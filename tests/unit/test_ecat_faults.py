@@ -6,8 +6,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from segment_bench import SegmentBench, beside, run, until
+from segment_bench import PERIOD_NS, SegmentBench, beside, run, until
 
+from drivers.ethercat.deterministic import DeterministicMaster
 from drivers.ethercat.frames import FIRST_DATAGRAM, Command
 from drivers.events import EVENTS
 from drivers.process_image import AxisState
@@ -136,6 +137,29 @@ def test_an_answer_of_an_earlier_tick_is_known_by_its_clock_and_not_used() -> No
     run(main)
 
 
+def test_a_frame_that_left_late_carries_a_later_sample_and_is_counted_so() -> None:
+    """The host stops us for 3 ms between computing and sending: what comes back was sampled by the
+    SYNC0 before the frame passed, not by that of the tick that sent it."""
+
+    async def main() -> None:
+        bench = await _enabled()
+        await bench.run(10)
+        held = bench.fieldbus._wire
+        assert isinstance(held, DeterministicMaster)
+        usual = held._frame_ns
+        held._frame_ns = usual + 3 * PERIOD_NS
+        await bench.run(1)
+        held._frame_ns = usual
+        # The three ticks in between were missed.
+        bench.tick += 3
+        bench.due_ns += 3 * PERIOD_NS
+        await bench.run(1)
+        assert (bench.image.axes["age"] == 0).all()
+        assert (bench.image.axes["state"] == AxisState.OPERATION_ENABLED).all()
+
+    run(main)
+
+
 def test_a_slave_that_falls_to_safeop_is_named_and_brought_back() -> None:
     async def main() -> None:
         bench = await _enabled()
@@ -144,7 +168,9 @@ def test_a_slave_that_falls_to_safeop_is_named_and_brought_back() -> None:
         event = bench.named("slave_left_op")[0]
         assert event.where == "tonus0/3"
         assert "SAFEOP + ERROR (AL status 0x001B: sync manager watchdog expired" in event.text
-        assert bench.image.axes["state"][2] == AxisState.LOST or bench.fieldbus._exchange.untrusted[2]
+        assert (
+            bench.image.axes["state"][2] == AxisState.LOST or bench.fieldbus._exchange.untrusted[2]
+        )
         await until(bench, lambda: bool(bench.named("slave_recovered")), 100)
         assert bench.segment.slaves[2].state == State.OP
         await bench.run(5)
