@@ -50,9 +50,9 @@ def obstacle() -> str:
 
 
 class Bench:
-    """A lab in its own process, and SOEM on the other end of its cable."""
+    """A lab in its own process, and SOEM on the other end of its cable, or ``ring``: on both."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, ring: bool = False) -> None:
         reason = obstacle()
         if reason:
             pytest.skip(reason)
@@ -60,7 +60,8 @@ class Bench:
         self.near, self.far = f"tm{number}", f"tl{number}"
         self.directory = directory
         config = directory / "ethercat.yaml"
-        config.write_text(_renamed(self.near, self.far))
+        config.write_text(_renamed(self.near, self.far, ring))
+        self.ring = ring
         environment = {
             **os.environ,
             "TONUS_RUNTIME_DIR": str(directory),
@@ -102,7 +103,7 @@ class Bench:
         if self.master is not None:
             self.master.close()
         self.master = pysoem.Master()
-        self.master.open(self.near)
+        self.master.open(self.near, *((f"{self.near}r",) if self.ring else ()))
         return self.master
 
     def init(self) -> Any:
@@ -142,7 +143,7 @@ class Bench:
         return False
 
 
-def _renamed(near: str, far: str) -> str:
+def _renamed(near: str, far: str, ring: bool) -> str:
     """The shipped configuration on interfaces of this test's own."""
     folder = Path(__file__).resolve().parents[2] / "config"
 
@@ -159,6 +160,9 @@ def _renamed(near: str, far: str) -> str:
     data = yaml.load((folder / "ethercat.yaml").read_text(), Loader)  # noqa: S506
     data["fieldbus"]["interface"] = near
     data["lab"]["ethercat"]["interface"] = far
+    if ring:
+        data["fieldbus"]["redundant_interface"] = f"{near}r"
+        data["lab"]["ethercat"]["redundant_interface"] = f"{far}r"
     return yaml.safe_dump(data)
 
 
@@ -403,3 +407,22 @@ def test_an_error_of_the_drive_reaches_the_master(bench: Bench) -> None:
     assert bench.until(lambda: bool(drain(master.slaves[0])) or bool(heard))
     assert heard[0] == 34321
     assert _drained_code(master.slaves[0]) == 34321
+
+
+# -- a ring ------------------------------------------------------------------------------------
+
+
+def test_a_ring_that_is_cut_loses_nobody(
+    lab: Bench, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    lab.process.terminate()  # the interfaces have its process's number
+    lab.process.wait(10)
+    bench = Bench(tmp_path_factory.mktemp("ring"), ring=True)
+    try:
+        master = bench.operate()
+        for reachable in (4, 9, DRIVES + 2):
+            bench.order(op="cut", n=reachable)
+            assert [bench.exchange() for _ in range(20)] == [EXPECTED] * 20
+            assert states(master) == [(OP, 0)] * (DRIVES + 2)
+    finally:
+        bench.close()
