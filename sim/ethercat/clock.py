@@ -73,7 +73,8 @@ class DistributedClock:
     def compare(self, reference: int, now_ns: int) -> None:
         """The reference clock's time has come by, and is to be followed."""
         self._rebase(now_ns)
-        difference = _less(self.system(now_ns), reference + self.delay & _MASK)
+        own = self._local + self.offset & _MASK
+        difference = _less(own, reference + self.delay & _MASK)
         self.difference = difference
         passed = max(now_ns - self._compared_ns, _LEAST_NS)
         self._compared_ns = now_ns

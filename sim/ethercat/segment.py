@@ -333,9 +333,15 @@ class Segment:
         """Wait for the next SYNC0 of any slave."""
         self._sync += 1
         number, now_ns = self._sync, self._lab.now_ns
+        times = []
         for slave in self.slaves:
-            slave.sync.jumped(slave.clock.system(now_ns))
-        times = [s.clock.when(s.sync.next, now_ns) for s in self.slaves if s.sync.active]
+            sync = slave.sync
+            if sync.active:
+                at_ns = slave.clock.when(sync.next, now_ns)
+                if at_ns < now_ns - sync.cycle:
+                    sync.stop()  # the time was set past it
+                else:
+                    times.append(at_ns)
         if times:
             at_ns = min(max(min(times), now_ns + 1), now_ns + _LONGEST_NS)
             self._lab.call_at(at_ns, lambda at: self._pulse(number, at))
