@@ -28,14 +28,13 @@ from sim.ethercat.states import (
     State,
     next_standing,
 )
+from sim.ethercat.watchdog import Watchdog
 
 PDO_ERROR = 0x8280
 COMMUNICATION_ERROR = 0x8180
 """What a drive raises when its process data stay away, and when its master leaves OP."""
 _WAIT_NS = 1_000_000_000
 """How long a request for OP waits for the first SYNC0."""
-_TICK_NS = 40
-"""of the watchdog's divider (0x400)"""
 _VALID_CONTROL = 0x0F
 _PULSED = 0x03
 _ONE = struct.Struct("<H")
@@ -103,9 +102,8 @@ class Slave:
         self.mailbox = Mailbox(self.controller, self._coe.serve, kind.mailbox_bytes)
         self._outputs = bytearray()
         self._fresh = False
-        self._heard_ns = 0
-        self._watch = 0  # timers of an older watch are stale
-        self._waiting = 0  # the same for a wait for SYNC0; 0: there is none
+        self._watchdog = Watchdog(self.controller, timers, self.expire)
+        self._waiting = 0  # number of the present wait for SYNC0; 0: there is none
         self._waits = 0
         device.on_error = self._emergency
         device.set_operational(False)
@@ -210,9 +208,9 @@ class Slave:
         operational = state is State.OP
         self.device.set_operational(operational)
         if operational:
-            self._start_watch(now_ns)
+            self._watchdog.start(now_ns)
         elif before is State.OP:
-            self._watch += 1
+            self._watchdog.stop()
             self._left(wanted.code)
         if state >= State.SAFE_OP > before:
             self._outputs, self._fresh = bytearray(), False
@@ -241,7 +239,7 @@ class Slave:
         self._stop()
 
     def _stop(self) -> None:
-        self._watch += 1
+        self._watchdog.stop()
         self._waiting = 0
         self.sync.restart()
         self.standing = Standing(State.INIT, False, NO_ERROR)
@@ -271,8 +269,7 @@ class Slave:
         if manager.start == start and manager.length == size:
             self._outputs = controller.memory[start : start + size]
             self._fresh = True
-        self._heard_ns = now_ns
-        controller.memory[reg.WATCHDOG_STATUS] = 1
+        self._watchdog.heard(now_ns)
         if not self.sync.active:
             self._chain.exchanged(self)
 
@@ -308,45 +305,12 @@ class Slave:
 
     # -- watchdog --------------------------------------------------------------------------------
 
-    def _watchdog_ns(self) -> int:
-        """How long outputs may stay away; 0: for ever."""
-        if not self.controller.managers[_OUT].guards or not self.kind.outputs:
-            return 0
-        ticks = self.controller.word(reg.WATCHDOG_TIME)
-        return ticks * _TICK_NS * (self.controller.word(reg.DIVIDER) + 2)
-
     def watchdog_set(self, now_ns: int) -> None:
-        if self.state is State.OP:
-            self._expect(now_ns)
-
-    def _start_watch(self, now_ns: int) -> None:
-        self._heard_ns = now_ns
-        self._expect(now_ns)
-
-    def _expect(self, now_ns: int) -> None:
-        """Look again when the outputs would be overdue."""
-        self._watch += 1
-        patience_ns = self._watchdog_ns()
-        if patience_ns:
-            # No timer waits longer than a second, so that old ones do not gather.
-            due_ns = min(max(self._heard_ns + patience_ns, now_ns + 1), now_ns + _WAIT_NS)
-            watch = self._watch
-            self._timers.call_at(due_ns, lambda at_ns: self._look(watch, at_ns))
-
-    def _look(self, watch: int, now_ns: int) -> None:
-        if watch != self._watch:
-            return
-        patience_ns = self._watchdog_ns()
-        if not patience_ns or now_ns < self._heard_ns + patience_ns:
-            self._expect(now_ns)
-        else:
-            self.expire(now_ns)
+        self._watchdog.changed(now_ns)
 
     def expire(self, now_ns: int) -> None:
         """The outputs have stayed away too long."""
-        memory = self.controller.memory
-        memory[reg.WATCHDOG_STATUS] = 0
-        memory[reg.WATCHDOG_COUNT] = min(memory[reg.WATCHDOG_COUNT] + 1, 0xFF)
+        self._watchdog.count()
         self.force(State.SAFE_OP, WATCHDOG, now_ns)
 
     # -- mailbox ---------------------------------------------------------------------------------
