@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from config.schema.bus import Drive
+from config.schema.bus import Drive, EthercatDrive
 from config.schema.robot import Robot
+from drivers.errors import DriverError
 from drivers.setting import Kind, Setting
 
 CONTROLWORD = 0x60400010
@@ -30,7 +31,16 @@ INT16_MAX = 0x7FFF
 PER_MILLE = 1000
 
 
-def settings(robot: Robot, drive: Drive) -> tuple[Setting, ...]:
+def require_interpolation(drive: Drive | EthercatDrive, period_us: int) -> None:
+    """Raises `DriverError` for a 0x60C2 that is neither 0 nor the period of the tick."""
+    if drive.interpolation_ms * 1000 not in (0, period_us):
+        raise DriverError(
+            f"fieldbus.drive.interpolation_ms is {drive.interpolation_ms}; it must be 0 or the "
+            f"period of {period_us} us, or drives fault with 0x8250"
+        )
+
+
+def settings(robot: Robot, drive: Drive | EthercatDrive) -> tuple[Setting, ...]:
     """What an EPOS4 must hold before it is started, in the order in which it is written."""
     motor, options = robot.motor, drive.options
     return (

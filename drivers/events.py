@@ -63,6 +63,26 @@ EVENTS: dict[str, Meaning] = {
         "nobody on a channel answers",
         "its axes and cells are lost; frames not yet sent are dropped",
     ),
+    "frame_lost": Meaning("an EtherCAT frame did not come back in its tick", _AGES),
+    "stale_frame": Meaning("an EtherCAT frame of an earlier tick came back", _UNUSED),
+    "wrong_working_counter": Meaning(
+        "fewer slaves took part in an exchange than should", "its inputs are not used"
+    ),
+    "slave_silent": Meaning("a slave takes no part in any exchange", _LOST),
+    "slave_left_op": Meaning(
+        "a slave left OP, with its AL status code", "its axis is lost until it is in OP again"
+    ),
+    "slave_recovered": Meaning("a slave is in OP again", ""),
+    "slave_given_up": Meaning(
+        "a slave left OP more often than it is brought back", "it stays as it is until a reset"
+    ),
+    "drive_error": Meaning("a drive's error code (0x603F)", ""),
+    "clock_astray": Meaning(
+        "a slave's clock is away from the reference", "the exchange goes on; its SYNC0 is off"
+    ),
+    "frame_near_sync": Meaning(
+        "process data pass close to SYNC0", "a sample may be a tick older than counted"
+    ),
     "non_finite_torque": Meaning("control commanded a torque that is no number", "it gets 0"),
     "tracker_malformed": Meaning("a tracker datagram that cannot be believed", "not used"),
     "dropped": Meaning("more events than can be kept between two ticks", "counted"),

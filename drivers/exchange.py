@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from config.schema.bus import CELLS, ForceCell
+from config.schema.bus import CELLS, Amplifier, ForceCell
 from config.schema.control import Freshness
 from config.schema.robot import CABLES, Robot
 from drivers.cia402 import STATE_OF, Cia402Axis
@@ -35,7 +35,7 @@ class Exchange:
     def __init__(
         self,
         robot: Robot,
-        cell: ForceCell,
+        cell: ForceCell | Amplifier,
         freshness: Freshness,
         image: ProcessImage,
         events: EventLog,

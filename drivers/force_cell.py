@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from config.schema.bus import ForceCell
+from config.schema.bus import Amplifier, ForceCell
 from drivers.setting import Kind, Setting
 
 REAL32 = 0x61300120
@@ -21,7 +21,7 @@ def of_channel(entry: int, channel: int) -> int:
     return entry & ~0xFF00 | channel << 8
 
 
-def settings(cell: ForceCell, channels: int) -> tuple[Setting, ...]:
+def settings(cell: ForceCell | Amplifier, channels: int) -> tuple[Setting, ...]:
     """What a force cell must be and hold before it is started, each channel."""
     return tuple(
         setting
@@ -33,6 +33,6 @@ def settings(cell: ForceCell, channels: int) -> tuple[Setting, ...]:
     )
 
 
-def divisor(cell: ForceCell) -> float:
+def divisor(cell: ForceCell | Amplifier) -> float:
     """Process values per newton."""
     return 1.0 if REAL32 in cell.tpdo else float(10**cell.decimal_digits)

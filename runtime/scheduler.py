@@ -1,6 +1,7 @@
 """The fixed period: integer ticks on an absolute schedule, paced by a timer or by virtual time.
 
-Tick k is due at ``start + k * period``. A tick whose whole period passed before it could start is
+Tick k is due at ``start + k * period``, where a bus with a clock of its own may move ``start`` by a
+little each tick. A tick whose whole period passed before it could start is
 missed: it is counted and skipped, never made up by a burst.
 """
 
@@ -50,6 +51,9 @@ class Pacing(Protocol):
 
     async def until(self, due_ns: int) -> None: ...
 
+    def steer(self, due_ns: int) -> int:
+        """ns by which the tick that is due then, and all after it, are moved."""
+
     def close(self) -> None: ...
 
 
@@ -61,6 +65,10 @@ class VirtualPacing:
         arrived = loop.create_future()
         loop.call_at(due_ns * 1e-9, arrived.set_result, None)
         await arrived
+
+    def steer(self, due_ns: int) -> int:
+        del due_ns
+        return 0
 
     def close(self) -> None:
         pass
@@ -99,6 +107,10 @@ class TimerPacing:
             self._libc.clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, self._until, None)
             while self._now_ns() < due_ns:
                 pass
+
+    def steer(self, due_ns: int) -> int:
+        del due_ns
+        return 0
 
     def close(self) -> None:
         asyncio.get_running_loop().remove_reader(self._descriptor)
@@ -142,6 +154,10 @@ class Scheduler:
         blocked = self._disturbed(stopwatch.usage())
         wanted = self._tick + 1
         due = self.due_ns(wanted)
+        moved = self._pacing.steer(due)
+        if moved:
+            self._start_ns += moved
+            due += moved
         if finished_ns < due:
             await self._pacing.until(due)
         else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from config.schema.bus import CONTACT_CELL, CanopenBus
+from config.schema.bus import CONTACT_CELL, CanopenBus, parts
 from config.schema.root import Config
 from runtime.states import Fault
 
@@ -61,21 +61,29 @@ def describe(config: Config, fault: Fault, where: int, detail: str = "") -> str:
 
 
 def _axis(config: Config, axis: int) -> str:
-    bus = config.fieldbus
-    if isinstance(bus, CanopenBus):
-        for channel in bus.channels:
-            for drive in channel.drives:
-                if drive.axis == axis:
-                    return f"{channel.name}/{drive.node_id} (axis {axis})"
+    for bus in parts(config.fieldbus):
+        if isinstance(bus, CanopenBus):
+            for channel in bus.channels:
+                for drive in channel.drives:
+                    if drive.axis == axis:
+                        return f"{channel.name}/{drive.node_id} (axis {axis})"
+            continue
+        for number, slave in enumerate(bus.slaves, start=1):
+            if slave.axis == axis:
+                return f"{bus.interface}/{number} (axis {axis})"
     return f"axis {axis}"
 
 
 def _cell(config: Config, cell: int) -> str:
     name = "contact cell" if cell == CONTACT_CELL else f"cell {cell}"
-    bus = config.fieldbus
-    if isinstance(bus, CanopenBus):
-        for channel in bus.channels:
-            for node in channel.force_cells:
-                if cell in node.cells:
-                    return f"{channel.name}/{node.node_id} ({name})"
+    for bus in parts(config.fieldbus):
+        if isinstance(bus, CanopenBus):
+            for channel in bus.channels:
+                for node in channel.force_cells:
+                    if cell in node.cells:
+                        return f"{channel.name}/{node.node_id} ({name})"
+            continue
+        for number, slave in enumerate(bus.slaves, start=1):
+            if cell in slave.cells:
+                return f"{bus.interface}/{number} ({name})"
     return name

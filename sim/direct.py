@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from config.schema.bus import ForceCell as ForceCellConfig
 from config.schema.robot import CABLES
 from sim.devices.epos4 import Epos4
 from sim.devices.force_cell import ForceCell
@@ -24,10 +23,17 @@ class Devices(Protocol):
     def advance(self, to_ns: int) -> None: ...
 
 
+class Scale(Protocol):
+    """What the port needs to know of the cells' configuration, whatever bus they hang on."""
+
+    @property
+    def decimal_digits(self) -> int: ...
+
+
 class DirectPort:
     """Access to the devices in device units; process values are integers with decimal digits."""
 
-    def __init__(self, lab: Devices, cell: ForceCellConfig) -> None:
+    def __init__(self, lab: Devices, cell: Scale) -> None:
         self._lab = lab
         self._digits = bytes((cell.decimal_digits,))
         self._ready = False

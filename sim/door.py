@@ -21,6 +21,7 @@ from config.schema.faults import ClearFaults, Fault
 from sim.devices.epos4 import Epos4
 from sim.devices.force_cell import ForceCell
 from sim.errors import LabError
+from sim.ethercat import verbs
 from sim.lab import Lab
 
 REQUEST_BYTES = 65536
@@ -66,6 +67,8 @@ class Door:
             "kinds": (_Kinds, lambda _: {"kinds": self._kinds()}),
             "ping": (_Ping, lambda _: {}),
         }
+        if lab.segments:
+            self._verbs |= verbs.of(lab.segments, lab)
 
     def answer(self, datagram: bytes) -> bytes:
         """The reply to a request as it came; whatever the bytes are, there is one."""
@@ -120,6 +123,8 @@ class Door:
             "seed": lab.seed,
             "channels": lab.statistics()["channels"],
             "nodes": [self._node(*place) for place in lab.nodes],
+            "segments": verbs.segments(lab.segments),
+            "slaves": verbs.slaves(lab.segments),
             "faults": lab.faults(),
         }
 
@@ -164,18 +169,19 @@ class Door:
 
     def _where(self, kind: FaultKind) -> list[str]:
         lab = self._lab
+        on_can, on_ethercat = verbs.possible(kind.name)
         if not kind.has("node"):
-            return list(lab.channels)
+            return [*(lab.channels if on_can else ()), *(lab.segments if on_ethercat else ())]
         wanted: type[Any] = object
         if kind.name in _OF_DRIVES:
             wanted = Epos4
         elif kind.name in _OF_CELLS:
             wanted = ForceCell
-        return [
-            f"{channel}/{number}"
-            for (channel, number), node in lab.nodes.items()
-            if isinstance(node.device, wanted)
-        ]
+        places = [(*place, node.device) for place, node in lab.nodes.items() if on_can]
+        if on_ethercat:
+            for name, segment in lab.segments.items():
+                places += [(name, slave.number, slave.device) for slave in segment.slaves]
+        return [f"{name}/{number}" for name, number, device in places if isinstance(device, wanted)]
 
 
 def refusal(line: str) -> Reply:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, TypedDict
+from typing import Any, Protocol, TypedDict
 
 from config.schema.faults import (
     Babble,
@@ -30,6 +30,8 @@ from sim.devices.epos4_errors import ERRORS
 from sim.devices.force_cell import ForceCell
 from sim.devices.timers import Timers
 from sim.errors import LabError
+from sim.ethercat import faults as ethercat
+from sim.ethercat.segment import Segment
 from sim.plant.streams import Stream, generator
 
 _SECOND_NS = 1_000_000_000
@@ -46,8 +48,13 @@ class ActiveFault(TypedDict):
     since: float
 
 
+class _Playing(Protocol):
+    @property
+    def spent(self) -> bool: ...
+
+
 class _Lasting:
-    def __init__(self, fault: Fault, since_ns: int, end: _Ender, played: FrameFault | None) -> None:
+    def __init__(self, fault: Fault, since_ns: int, end: _Ender, played: _Playing | None) -> None:
         self.fault = fault
         self.since_ns = since_ns
         self.end = end
@@ -65,11 +72,13 @@ class Faults:
         self,
         channels: Mapping[str, FaultyChannel],
         nodes: Mapping[tuple[str, int], Node],
+        segments: Mapping[str, Segment],
         timers: Timers,
         seed: int,
     ) -> None:
         self._channels = channels
         self._nodes = nodes
+        self._segments = segments
         self._timers = timers
         # Each fault draws from a stream of its own: a channel's faults do not feel another's.
         self._draws = generator(seed, Stream.FAULTS)
@@ -80,9 +89,18 @@ class Faults:
 
     def check(self, fault: Fault) -> None:
         """Raises `LabError` if this lab cannot have the fault."""
+        segment = self._segments.get(fault.channel or "")
         if isinstance(fault, ClearFaults):
-            if fault.channel is not None:
+            if fault.channel is not None and segment is None:
                 self._channel(fault.channel)
+        elif segment is not None:
+            ethercat.check(segment, fault)
+        elif isinstance(fault, ethercat.ONLY_HERE):
+            self._channel(fault.channel)
+            raise LabError(
+                f"fault {fault.kind}: {fault.channel} is a CAN channel; there is "
+                "nothing like that on CAN"
+            )
         elif isinstance(fault, _OF_CHANNEL):
             self._channel(fault.channel)
         else:
@@ -105,7 +123,8 @@ class Faults:
     def _channel(self, name: str) -> FaultyChannel:
         found = self._channels.get(name)
         if found is None:
-            raise LabError(f"there is no channel {name!r}; there {_list(self._channels)}")
+            known = [*self._channels, *self._segments]
+            raise LabError(f"there is no channel {name!r}; there {_list(known)}")
         return found
 
     def _node(self, channel: str, node: int) -> Node:
@@ -123,10 +142,27 @@ class Faults:
         self.check(fault)
         if isinstance(fault, ClearFaults):
             self._clear(fault.channel)
+        elif fault.channel in self._segments:
+            self._strike_segment(self._segments[fault.channel], fault)
         elif isinstance(fault, _OF_CHANNEL):
             self._disturb(fault)
-        else:
+        elif not isinstance(fault, ethercat.ONLY_HERE):
             self._strike(fault)
+
+    def _strike_segment(self, segment: Segment, fault: ethercat.SegmentFault) -> None:
+        for kind in ethercat.undone_by(fault):
+            self._end_same(fault, kind)
+        end, played = ethercat.strike(segment, fault, self._draws, self._timers.now_ns)
+        if end is not None:
+            self._last(fault, end, played)
+
+    def _end_same(self, fault: Any, kind: type[Any]) -> None:
+        """End what lasts of this kind at the same place."""
+        place = (fault.channel, getattr(fault, "node", None))
+        for item in tuple(self._lasting):
+            there: Any = item.fault
+            if isinstance(there, kind) and (there.channel, getattr(there, "node", None)) == place:
+                self._end(item)
 
     def active(self) -> list[ActiveFault]:
         """The lasting faults, oldest first."""
@@ -180,7 +216,7 @@ class Faults:
 
     # -- how it ends -----------------------------------------------------------------------------
 
-    def _last(self, fault: Fault, end: _Ender, played: FrameFault | None = None) -> None:
+    def _last(self, fault: Fault, end: _Ender, played: _Playing | None = None) -> None:
         now_ns = self._timers.now_ns
         item = _Lasting(fault, now_ns, end, played)
         self._lasting.append(item)

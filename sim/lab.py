@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import CELLS, CanopenBus
+from config.schema.bus import CELLS, CanopenBus, DirectBus, EthercatBus, SeveralBuses
 from config.schema.faults import Fault, Replug, Unplug
 from config.schema.lab import LabScript
 from config.schema.robot import CABLES
@@ -30,6 +30,8 @@ from sim.devices.timers import Callback
 from sim.devices.tracker import Tracker
 from sim.direct import DirectPort
 from sim.errors import LabError
+from sim.ethercat.build import build_segment
+from sim.ethercat.segment import Segment
 from sim.faults import ActiveFault, Faults
 from sim.plant import Plant
 from sim.statistics import PERIOD_NS, LoadWindow, Statistics, channel_statistics
@@ -109,6 +111,8 @@ class Lab:
         self.samples = Samples(self.plant, config.robot.motor, lab.noise.force_cell, seed)
         self.channels: dict[str, FaultyChannel] = {}
         self.nodes: dict[tuple[str, int], Node] = {}
+        self.segments: dict[str, Segment] = {}
+        """EtherCAT segments, by the name of the master's interface"""
         self.drives: list[Epos4] = []
         self.cells: list[ForceCell] = []
         self._timers: list[tuple[int, int, Callback]] = []
@@ -122,7 +126,7 @@ class Lab:
         self.tracker = TrackerFeed(self, self._tracker)
         self._order: list[FaultyChannel] = []
         self._build(config, nodes)
-        self._faults = Faults(self.channels, self.nodes, self, seed)
+        self._faults = Faults(self.channels, self.nodes, self.segments, self, seed)
         for fault in script.faults:
             self._faults.check(fault)
         self.direct = DirectPort(self, config.fieldbus.force_cell)
@@ -136,20 +140,27 @@ class Lab:
             node.boot()
 
     def _build(self, config: Config, emulated: frozenset[tuple[str, int]] | None) -> None:
-        bus, lab = config.fieldbus, config.lab
+        lab, bus = config.lab, config.fieldbus
         assert lab is not None
         drive_ids = list(range(1, CABLES + 1))
-        amplifiers: list[tuple[tuple[int, ...], int]] = [
-            ((cell,), _FIRST_CELL + cell) for cell in range(CELLS)
-        ]
+        amplifiers: list[tuple[tuple[int, ...], int]] = []
         self._bitrate = 0
-        if isinstance(bus, CanopenBus):
-            self._bitrate = bus.bitrate
-            for channel in bus.channels:
-                for drive in channel.drives:
-                    drive_ids[drive.axis] = drive.node_id
-            found = (node for channel in bus.channels for node in channel.force_cells)
-            amplifiers = [(node.cells, node.node_id) for node in found]
+        buses = bus.buses if isinstance(bus, SeveralBuses) else (bus,)
+        for each in buses:
+            if isinstance(each, CanopenBus):
+                self._bitrate = each.bitrate
+                for channel in each.channels:
+                    for drive in channel.drives:
+                        drive_ids[drive.axis] = drive.node_id
+                    amplifiers += [(node.cells, node.node_id) for node in channel.force_cells]
+            elif isinstance(each, EthercatBus):
+                for number, slave in enumerate(each.slaves, start=1):
+                    if slave.axis is not None:
+                        drive_ids[slave.axis] = number
+                    else:
+                        amplifiers.append((slave.cells, number))
+            else:
+                amplifiers = [((cell,), _FIRST_CELL + cell) for cell in range(CELLS)]
         for axis, node_id in enumerate(drive_ids):
             brake = lab.plant.holding_brake
             self.drives.append(
@@ -160,10 +171,32 @@ class Lab:
             sensors[cells] = ForceCell(cells, node_id, self.samples, lab.noise.force_cell, self)
         self.cells = list(sensors.values())
         self._awaited = self.drives
-        if not isinstance(bus, CanopenBus):
+        if isinstance(bus, DirectBus):
             for device in self.drives:
                 device.set_operational(True)
             return
+        for each in buses:
+            if isinstance(each, CanopenBus):
+                self._build_channels(each, config, sensors, emulated)
+            elif isinstance(each, EthercatBus):
+                if self.segments:
+                    raise LabError(f"lab: emulates one EtherCAT segment, not {each.interface} too")
+                self.segments[each.interface] = build_segment(
+                    self, each, lab, self.drives, sensors, self.seed
+                )
+        nodes = [node.device for node in self.nodes.values()]
+        slaves = [slave.device for one in self.segments.values() for slave in one.slaves]
+        self._awaited = [device for device in (*nodes, *slaves) if isinstance(device, Epos4)]
+
+    def _build_channels(
+        self,
+        bus: CanopenBus,
+        config: Config,
+        sensors: dict[tuple[int, ...], ForceCell],
+        emulated: frozenset[tuple[str, int]] | None,
+    ) -> None:
+        lab = config.lab
+        assert lab is not None
         response_ns = round(lab.bus.drive_response_us * 1e3)
         for spec in bus.channels:
             built = FaultyChannel(
@@ -186,8 +219,6 @@ class Lab:
                     continue
                 node = Node(sensors[cell.cells], cell.node_id, built, self)
                 self.nodes[spec.name, cell.node_id] = node
-        devices = [node.device for node in self.nodes.values()]
-        self._awaited = [device for device in devices if isinstance(device, Epos4)]
 
     # -- doors -----------------------------------------------------------------------------------
 

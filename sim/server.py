@@ -1,4 +1,5 @@
-"""A lab in real time: its channels as Unix sockets, its tracker as UDP datagrams, and its door.
+"""A lab in real time: its channels as Unix sockets, its EtherCAT segment on a network interface,
+its tracker as UDP datagrams, and its door.
 
 The lab itself is lazy. The server brings it forward when a client sends, and when something is due
 that a client would notice; frames that end within ``lab.bus.coalesce_us`` go out in one packet.
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from config.places import LAB_DOOR
-from config.schema.bus import CanopenBus
+from config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
 from config.schema.root import Config
 from sim.can.bridge import Bridge
 from sim.can.bus import Channel, Port
@@ -30,6 +31,8 @@ from sim.can.packet import (
 from sim.door import Door
 from sim.door_socket import DoorSocket
 from sim.errors import LabError
+from sim.ethercat.port import SegmentPort
+from sim.ethercat.veth import close_pair, open_pair
 from sim.lab import Lab
 from sim.timer import WakeUp
 
@@ -49,12 +52,19 @@ class _Client:
 
 
 class _Server:
-    def __init__(self, lab: Lab, config: Config, directory: Path) -> None:
+    def __init__(
+        self, lab: Lab, config: Config, directory: Path, utc: Callable[[], int] | None
+    ) -> None:
         if config.lab is None:
             raise LabError(f"configuration {config.name} has no lab section")
+        self._utc = utc
+        self._end = config.lab.ethercat
+        self._ports: list[SegmentPort] = []
+        self._pairs: list[str] = []  # made here, and removed at the end
         self._lab = lab
         self._clock = lab.clock
-        self._bus = config.fieldbus
+        bus = config.fieldbus
+        self._buses = bus.buses if isinstance(bus, SeveralBuses) else (bus,)
         self._coalesce_ns = config.lab.bus.coalesce_us * 1000
         self._target = (config.tracker.address, config.tracker.port)
         self._loop = asyncio.get_running_loop()
@@ -83,18 +93,46 @@ class _Server:
             self._directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
             raise LabError(f"{self._directory} cannot be made: {error.strerror}") from error
-        bus, lab = self._bus, self._lab
-        inhabited = {name for name, _ in lab.nodes}
-        for name, channel in lab.channels.items():
-            if not isinstance(bus, CanopenBus) or bus.interface == OUR_INTERFACE:
-                self._listen(channel)
-            elif name in inhabited:
-                bridge = Bridge(lab, channel, bus.interface, bus.bitrate, self._arm)
-                self._bridges.append(bridge)
+        for bus in self._buses:
+            if isinstance(bus, CanopenBus):
+                self._open_channels(bus)
+            elif isinstance(bus, EthercatBus):
+                self._open_segment(bus)
         door = self._directory / LAB_DOOR
         _remove_stale(door, socket.SOCK_DGRAM)
         self._door = DoorSocket(
             Door(self._lab), door, lambda: self._lab.advance(self._clock()), self._work
+        )
+
+    def _open_channels(self, bus: CanopenBus) -> None:
+        lab = self._lab
+        inhabited = {name for name, _ in lab.nodes}
+        for spec in bus.channels:
+            channel = lab.channels[spec.name]
+            if bus.interface == OUR_INTERFACE:
+                self._listen(channel)
+            elif spec.name in inhabited:
+                bridge = Bridge(lab, channel, bus.interface, bus.bitrate, self._arm)
+                self._bridges.append(bridge)
+
+    def _open_segment(self, bus: EthercatBus) -> None:
+        end = self._end
+        assert end is not None  # or the lab would have no segment
+        pairs = [(bus.interface, end.interface)]
+        if bus.redundant_interface is not None:
+            if end.redundant_interface is None:
+                raise LabError(
+                    "lab.ethercat.redundant_interface is missing: the fieldbus has a "
+                    f"redundant_interface, {bus.redundant_interface}"
+                )
+            pairs.append((bus.redundant_interface, end.redundant_interface))
+        for master, ours in pairs:
+            if open_pair(master, ours):
+                self._pairs.append(ours)
+        interfaces = tuple(ours for _, ours in pairs)
+        segment = self._lab.segments[bus.interface]
+        self._ports.append(
+            SegmentPort(segment, interfaces, end.receive_buffer, self._clock, self._utc, self._arm)
         )
 
     def _listen(self, channel: Channel) -> None:
@@ -124,6 +162,10 @@ class _Server:
             self._leave(client)
         for bridge in self._bridges:
             bridge.close()
+        for port in self._ports:
+            port.close()
+        for ours in self._pairs:
+            close_pair(ours)
         self._tracker.close()
 
     def _accept(self, listener: socket.socket, channel: Channel) -> None:
@@ -190,6 +232,8 @@ class _Server:
         lab = self._lab
         now_ns = self._clock()
         # What was sent before this instant first, or the lab would be past it.
+        for port in self._ports:
+            port.receive_all()
         for client in tuple(self._clients):
             if client not in self._stalled:
                 self._receive(client)
@@ -253,13 +297,20 @@ def _remove_stale(path: Path, kind: socket.SocketKind = socket.SOCK_SEQPACKET) -
     raise LabError(f"a lab already runs at {path}; stop it, or choose another TONUS_RUNTIME_DIR")
 
 
-async def serve(lab: Lab, config: Config, runtime_dir: Path, ready: Callable[[], None]) -> None:
+async def serve(
+    lab: Lab,
+    config: Config,
+    runtime_dir: Path,
+    ready: Callable[[], None],
+    utc: Callable[[], int] | None = None,
+) -> None:
     """Serve until cancelled; ``ready`` is called when clients can connect.
 
-    The lab's clock has to be CLOCK_MONOTONIC in ns, as the running loop's is. Raises `LabError`.
+    The lab's clock has to be CLOCK_MONOTONIC in ns, as the running loop's is; ``utc`` tells what to
+    add to it for UTC, by which the kernel stamps frames of EtherCAT. Raises `LabError`.
     """
     lab.measure_latency()
-    server = _Server(lab, config, runtime_dir)
+    server = _Server(lab, config, runtime_dir, utc)
     try:
         await server.run(ready)
     finally:

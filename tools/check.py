@@ -12,11 +12,22 @@ from dataclasses import dataclass
 
 from config import Config, Scenario
 from config.busload import channel_load
-from config.schema.bus import CanopenBus, Channel, Drive, ForceCell
+from config.schema.bus import (
+    Amplifier,
+    CanopenBus,
+    Channel,
+    DirectBus,
+    Drive,
+    EthercatBus,
+    EthercatDrive,
+    ForceCell,
+    parts,
+)
 from drivers import epos4, force_cell
 from drivers.canopen import identifiers
 from drivers.canopen.pdo import Mapping, PdoError
 from drivers.canopen.process_data import drive_encoder
+from tools.check_ethercat import check_ethercat
 from tools.mechanics import Finding, mechanics
 
 __all__ = ["Finding", "check"]
@@ -34,20 +45,26 @@ class _Node:
 
 def check(config: Config, scenario: Scenario) -> list[Finding]:
     """Every rule's outcome, in a fixed order; nothing is started and nothing raises."""
-    bus = config.fieldbus
-    findings = list(_mappings(bus.drive, bus.force_cell))
-    if isinstance(bus, CanopenBus):
+    findings: list[Finding] = []
+    if isinstance(config.fieldbus, DirectBus):
+        findings += _mappings(config.fieldbus.drive, config.fieldbus.force_cell)
+    for bus in parts(config.fieldbus):
+        findings += _mappings(bus.drive, bus.force_cell)
+        if isinstance(bus, EthercatBus):
+            findings += check_ethercat(config, bus)
+            continue
         findings += _period(bus, config.control.rates.period_us)
         findings += _heartbeat(bus)
         findings += _channel_names(bus)
         for channel in bus.channels:
             findings += _load(bus, channel, config.control.rates.period_us)
             findings += _identifiers(bus, channel)
-        findings += _faults(bus, scenario)
+    if parts(config.fieldbus):
+        findings += _faults(config, scenario)
     return findings + list(mechanics(config, scenario))
 
 
-def _mappings(drive: Drive, cell: ForceCell) -> Iterator[Finding]:
+def _mappings(drive: Drive | EthercatDrive, cell: ForceCell | Amplifier) -> Iterator[Finding]:
     needed = "statusword 0x60410010, position 0x60640020 and torque 0x60770010"
     commands = "controlword 0x60400010 and target torque 0x60710010"
     try:
@@ -191,13 +208,17 @@ def _identifiers(bus: CanopenBus, channel: Channel) -> Iterator[Finding]:
     )
 
 
-def _faults(bus: CanopenBus, scenario: Scenario) -> Iterator[Finding]:
+def _faults(config: Config, scenario: Scenario) -> Iterator[Finding]:
     """A fault injected where there is nothing would never be seen."""
-    channels = {channel.name for channel in bus.channels}
-    nodes = {(channel.name, drive.node_id) for channel in bus.channels for drive in channel.drives}
-    nodes |= {
-        (channel.name, cell.node_id) for channel in bus.channels for cell in channel.force_cells
-    }
+    nodes: set[tuple[str, int]] = set()
+    for bus in parts(config.fieldbus):
+        if isinstance(bus, EthercatBus):
+            nodes |= {(bus.interface, number + 1) for number in range(len(bus.slaves))}
+            continue
+        for channel in bus.channels:
+            nodes |= {(channel.name, drive.node_id) for drive in channel.drives}
+            nodes |= {(channel.name, cell.node_id) for cell in channel.force_cells}
+    channels = {name for name, _ in nodes}
     for index, fault in enumerate(scenario.lab.faults):
         node = getattr(fault, "node", None)
         if node is not None:
@@ -211,5 +232,5 @@ def _faults(bus: CanopenBus, scenario: Scenario) -> Iterator[Finding]:
             there,
             f"scenario {scenario.name}: lab.faults.{index}",
             what + ("" if there else ", which is not there"),
-            "name a channel and a node id of the fieldbus",
+            "name a channel and a node of the fieldbus",
         )

@@ -98,7 +98,7 @@ async def work(
         freeze_collector()
         ready()
 
-    await serve(lab, config, runtime_dir(), answer)
+    await serve(lab, config, runtime_dir(), answer, clock.utc_offset_ns)
 
 
 async def _until_left_alone(job: dict[str, Any]) -> None:

@@ -23,11 +23,8 @@ from typing import Any
 import yaml
 
 from config.places import runtime_dir
-from config.schema.bus import DirectBus
 from config.schema.root import Config
 from config.schema.scenario import Scenario
-from drivers.canopen.master import CanopenFieldbus
-from drivers.direct import DirectFieldbus
 from drivers.fieldbus import Fieldbus, FrameTap, Progress
 from drivers.process_image import ProcessImage
 from drivers.tracker import TrackerInput, TrackerSource, UdpTracker
@@ -44,6 +41,7 @@ from runtime.taps import EventRing, FrameRing, KeyframeRing
 from runtime.topics import to_json
 from runtime.viewer import Scene
 from sim.lab import Lab
+from tools import fieldbuses
 from tools.cli.live import Live
 from tools.doctor import doctor
 from tools.errors import ToolError
@@ -122,8 +120,8 @@ class _Stage:
         self._events = EventRing.open(rings / "events.ring")
         self._keyframes = KeyframeRing.open(rings / "keyframes.ring")
         self._tap: FrameTap | None = None
-        if config.recording.raw_frames and not isinstance(config.fieldbus, DirectBus):
-            channels = [channel.name for channel in config.fieldbus.channels]
+        channels = fieldbuses.channels(config)
+        if config.recording.raw_frames and channels:
             frames = FrameRing.open(rings / "frames.ring", channels, ticks * FRAMES_PER_TICK)
             self._tap = frames.tap
         self._ticks = ticks
@@ -147,15 +145,12 @@ class _Stage:
 
         async def main() -> Outcome:
             lab = self._lab()
-            daemon = self._daemon(lab, clock.Stopwatch(running=False))
+            fieldbus = fieldbuses.build(order.config, self._image, lab, self._tap)
+            daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False))
+            pacing = fieldbuses.steering(fieldbus, order.pacing or VirtualPacing)
             draining = _every(DRAIN_S, recorder.drain)
             try:
-                return await daemon.run(
-                    order.pacing or VirtualPacing,
-                    order.say,
-                    self._begin,
-                    start_ns=order.start_ns,
-                )
+                return await daemon.run(pacing, order.say, self._begin, start_ns=order.start_ns)
             finally:
                 draining()
                 if lab is not None:
@@ -179,14 +174,16 @@ class _Stage:
         early, spin = realtime.early_wake_us * 1000, realtime.spin_us * 1000
 
         async def main() -> Outcome:
-            daemon = self._daemon(None, clock.Stopwatch(running=True))
+            fieldbus = fieldbuses.build(order.config, self._image, tap=self._tap)
+            daemon = self._daemon(fieldbus, None, clock.Stopwatch(running=True))
             self._latencies = daemon.latencies
             # Before the bring-up, since it takes longer than the drives wait for a heartbeat.
             self._hygiene = hygiene = Hygiene(realtime)
             self._cleanup.callback(hygiene.release)
             for grant in hygiene.grants:
                 order.say(str(grant))
-            pacing = order.pacing or partial(TimerPacing, early, spin)
+            usual = order.pacing or partial(TimerPacing, early, spin)
+            pacing = fieldbuses.steering(fieldbus, usual)
             return await daemon.run(pacing, order.say, self._begin)
 
         before = stolen_jiffies()
@@ -250,15 +247,8 @@ class _Stage:
         self._cleanup.callback(recorder.stop)
         return recorder
 
-    def _daemon(self, lab: Lab | None, stopwatch: clock.Stopwatch) -> Daemon:
+    def _daemon(self, fieldbus: Fieldbus, lab: Lab | None, stopwatch: clock.Stopwatch) -> Daemon:
         config, image = self._order.config, self._image
-        fieldbus: Fieldbus
-        if isinstance(config.fieldbus, DirectBus):
-            if lab is None:
-                raise ToolError("the direct fieldbus has no wires: it needs --virtual and a lab")
-            fieldbus = DirectFieldbus(config, image, lab.direct, clock.loop_clock())
-        else:
-            fieldbus = CanopenFieldbus(config, image, self._tap)
         source: TrackerSource
         if lab is not None:
             source = lab.tracker
@@ -301,6 +291,7 @@ class _Stage:
             "scenario": order.scenario.name,
             "schema_version": str(SCHEMA_VERSION),
             "seed": str(order.seed),
+            "pacing": fieldbuses.pacing_name(order.config, virtual=order.virtual),
             "time": "virtual" if order.virtual else "real",
         }
 

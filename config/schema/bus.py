@@ -13,6 +13,8 @@ CONTACT_CELL = CABLES
 """Row of the contact port's cell: the ninth, behind the eight cable cells."""
 CELLS = CABLES + 1
 AMPLIFIER_CHANNELS = 4
+EPOS4_PDO_ENTRIES = 12
+EPOS4_PDO_BYTES = 40
 _REAL32 = 0x6130
 """Cells that one node carries at most: as many 16-bit values as a frame holds."""
 CellNumber = Annotated[int, Field(ge=0, lt=CELLS)]
@@ -197,7 +199,220 @@ class DirectBus(Section):
     """time from the start of the tick to the sampling of every device"""
 
 
-Bus = Annotated[CanopenBus | DirectBus, Field(discriminator="kind")]
+class EthercatDevice(Section):
+    """What every slave of one kind is told at bring-up."""
+
+    identity: Identity
+    rpdo: tuple[MappingEntry, ...] = ()
+    tpdo: tuple[MappingEntry, ...]
+
+
+class EthercatDrive(EthercatDevice):
+    """EPOS4 on EtherCAT in cyclic synchronous torque."""
+
+    rpdo: tuple[MappingEntry, ...]
+    interpolation_ms: Annotated[int, Field(ge=0, le=100)]
+    """0x60C2: 0 for none, else the period of the tick"""
+    options: DriveOptions
+
+    @model_validator(mode="after")
+    def _fits_a_pdo(self) -> EthercatDrive:
+        for name in ("rpdo", "tpdo"):
+            entries = getattr(self, name)
+            size = sum(entry & 0xFF for entry in entries) / 8
+            if len(entries) > EPOS4_PDO_ENTRIES or size > EPOS4_PDO_BYTES:
+                raise ValueError(
+                    f"{name} maps {len(entries)} objects of {size:g} bytes, a PDO of the drive "
+                    f"holds {EPOS4_PDO_ENTRIES} of {EPOS4_PDO_BYTES}; map fewer"
+                )
+        return self
+
+
+class Amplifier(EthercatDevice):
+    """Strain gauge amplifier with CiA 404 objects; ``tpdo`` is what it maps of channel 1, and the
+    same of each further channel behind it."""
+
+    decimal_digits: Annotated[int, Field(ge=0, le=6)]
+    """0x6132: the integer process value is the force times ten to this power"""
+
+    def mapping(self, channels: int) -> tuple[int, ...]:
+        """What an amplifier of so many channels sends."""
+        return tuple(
+            entry & ~0xFF00 | channel << 8
+            for channel in range(1, channels + 1)
+            for entry in self.tpdo
+        )
+
+
+class Slave(Section):
+    """One slave of a segment: a drive (``axis: 3``) or an amplifier (``cells: [0, 1]``)."""
+
+    axis: Annotated[int, Field(ge=0, lt=CABLES)] | None = None
+    cells: Annotated[tuple[CellNumber, ...], Field(max_length=CELLS)] = ()
+    """the cell on each channel, in the order of the channels"""
+    identity: Identity | None = None
+    """where it differs from its kind's"""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Slave:
+        if (self.axis is None) == (not self.cells):
+            raise ValueError("a slave has either an axis or cells; give it one of the two")
+        return self
+
+
+class DistributedClocks(Section):
+    """SYNC0 in every slave at the period of the tick, and how the loop keeps its phase to it."""
+
+    pacing: Literal["distributed_clock", "timer"]
+    """what the loop's phase follows: the reference clock, or its own timer alone"""
+    shift_us: NonNegative
+    """SYNC0 after the start of the tick; the frame has to pass after it and before the next"""
+    frame_us: NonNegative
+    """when the frame passes in virtual time, where computing takes none; after ``shift_us``"""
+    settle_ns: Count
+    """largest difference of a slave's clock from the reference before the segment starts"""
+    settle_ms: Count
+    """time allowed for that"""
+    limit_ns: Count
+    """a slave's clock further away than this is told"""
+    guard_us: NonNegative
+    """a frame that passes closer to SYNC0 than this is told"""
+    proportional: Fraction
+    """share of the phase error that one tick takes back"""
+    integral: Fraction
+    """share of it that becomes part of the period"""
+    slew_ns: Count
+    """the most that one tick is moved"""
+
+
+class EthercatMaster(Section):
+    """What our side of a segment does. Ticks are those of the control loop."""
+
+    receive_timeout_us: Count
+    """how long a tick waits for a frame that should have been there before it began"""
+    watchdog_ms: Count
+    """sync manager watchdog: outputs missing for so long stop the drive"""
+    watch_ticks: Count
+    """how often every slave's state is read, outside the tick"""
+    state_policy: Literal["recover", "stop"]
+    """a slave that left OP is brought back at once, or left for a reset of the operator; either
+    way its axis or cells are lost meanwhile"""
+    attempts: Count
+    """times a slave is brought back before it is left alone until a reset"""
+    state_timeout_ms: Count
+    sdo_timeout_ms: Count
+
+
+class EthercatBus(Section):
+    kind: Literal["ethercat"]
+    interface: str
+    """network interface of the segment's first cable"""
+    redundant_interface: str | None = None
+    """of the cable back from its last slave, where there is one"""
+    master: EthercatMaster
+    clocks: DistributedClocks
+    drive: EthercatDrive
+    force_cell: Amplifier
+    slaves: Annotated[tuple[Slave, ...], Field(min_length=1)]
+    """in the order of the cable"""
+
+    @field_validator("slaves")
+    @classmethod
+    def _every_slave_once(cls, slaves: tuple[Slave, ...]) -> tuple[Slave, ...]:
+        _once("slave", *_rows(slaves), complete=True)
+        return slaves
+
+    def identity(self, slave: Slave) -> Identity:
+        """What a slave has to be."""
+        return slave.identity or (self.drive if not slave.cells else self.force_cell).identity
+
+
+class CanopenPart(CanopenBus):
+    """A CANopen bus with some of the devices."""
+
+    @field_validator("channels")
+    @classmethod
+    def _every_device_once(cls, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+        axes = [drive.axis for channel in channels for drive in channel.drives]
+        cells = [
+            cell for channel in channels for node in channel.force_cells for cell in node.cells
+        ]
+        _once("node", axes, cells, complete=False)
+        return channels
+
+
+class EthercatPart(EthercatBus):
+    """A segment with some of the devices."""
+
+    @field_validator("slaves")
+    @classmethod
+    def _every_slave_once(cls, slaves: tuple[Slave, ...]) -> tuple[Slave, ...]:
+        _once("slave", *_rows(slaves), complete=False)
+        return slaves
+
+
+class SeveralBuses(Section):
+    """Devices on more than one fieldbus, all exchanged in the same tick."""
+
+    kind: Literal["several"]
+    buses: Annotated[
+        tuple[Annotated[CanopenPart | EthercatPart, Field(discriminator="kind")], ...],
+        Field(min_length=1),
+    ]
+
+    @field_validator("buses")
+    @classmethod
+    def _every_device_once(
+        cls, buses: tuple[CanopenPart | EthercatPart, ...]
+    ) -> tuple[CanopenPart | EthercatPart, ...]:
+        axes: list[int] = []
+        cells: list[int] = []
+        for bus in buses:
+            more_axes, more_cells = devices(bus)
+            axes += more_axes
+            cells += more_cells
+        _once("device", axes, cells, complete=True)
+        return buses
+
+    @property
+    def force_cell(self) -> ForceCell | Amplifier:
+        """Of the first bus with cells."""
+        return next(bus.force_cell for bus in self.buses if devices(bus)[1])
+
+
+Bus = Annotated[CanopenBus | DirectBus | EthercatBus | SeveralBuses, Field(discriminator="kind")]
+
+
+def parts(bus: Bus) -> tuple[CanopenBus | EthercatBus, ...]:
+    """The buses with frames that a fieldbus consists of."""
+    if isinstance(bus, SeveralBuses):
+        return bus.buses
+    return () if isinstance(bus, DirectBus) else (bus,)
+
+
+def devices(bus: CanopenBus | EthercatBus) -> tuple[list[int], list[int]]:
+    """The axes and the cells that hang on a bus."""
+    if isinstance(bus, EthercatBus):
+        return _rows(bus.slaves)
+    axes = [drive.axis for channel in bus.channels for drive in channel.drives]
+    nodes = [node for channel in bus.channels for node in channel.force_cells]
+    return axes, [cell for node in nodes for cell in node.cells]
+
+
+def _rows(slaves: tuple[Slave, ...]) -> tuple[list[int], list[int]]:
+    axes = [slave.axis for slave in slaves if slave.axis is not None]
+    return axes, [cell for slave in slaves for cell in slave.cells]
+
+
+def _once(kind: str, axes: list[int], cells: list[int], *, complete: bool) -> None:
+    """Raises `ValueError` for an axis or a cell that is there twice, or missing."""
+    for what, found, wanted in (("axis", axes, CABLES), ("cell", cells, CELLS)):
+        twice = sorted({number for number in found if found.count(number) > 1})
+        if twice:
+            raise ValueError(f"{what} {twice[0]} has more than one {kind}; give it one")
+        missing = sorted(set(range(wanted)) - set(found))
+        if missing and complete:
+            raise ValueError(f"no {kind} for {what} {missing[0]}; add one")
 
 
 class Tracker(Section):

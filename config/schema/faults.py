@@ -9,10 +9,12 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
-from config.schema.base import Count, Fraction, NodeId, NonNegative, Positive, Section
+from config.schema.base import Count, Finite, Fraction, NodeId, NonNegative, Positive, Section
 
 Level = Literal["dominant", "recessive"]
 Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
+Unsigned = Annotated[int, Field(ge=0, le=0xFFFFFFFF)]
+SlaveState = Literal["init", "pre_op", "safe_op", "op"]
 
 
 LONGEST_S = 1e6
@@ -28,7 +30,7 @@ class _Fault(Section):
 
 class _OfChannel(_Fault):
     channel: str
-    """its name in the fieldbus"""
+    """its name in the fieldbus; of an EtherCAT segment the master's interface"""
 
 
 class _Lasting(_OfChannel):
@@ -38,7 +40,7 @@ class _Lasting(_OfChannel):
 
 class _OfNode(_OfChannel):
     node: NodeId
-    """its id on the channel"""
+    """its id on the channel; on EtherCAT its place along the cable, from 1"""
 
 
 class Unplug(_OfNode):
@@ -152,6 +154,86 @@ class Disconnect(_Lasting):
     kind: Literal["disconnect"]
 
 
+class _LastingOfNode(_OfNode):
+    duration: Annotated[Positive, Field(le=LONGEST_S)] | None = None
+    """s; without it until `clear`"""
+
+
+class PowerLoss(_LastingOfNode):
+    """A slave of an EtherCAT segment has no supply: its ports close, and those behind it are cut
+    off."""
+
+    kind: Literal["power_loss"]
+
+
+class CableBreak(_Lasting):
+    """An EtherCAT segment's cable breaks between two slaves."""
+
+    kind: Literal["cable_break"]
+    behind: Annotated[int, Field(ge=0)]
+    """so many slaves still answer"""
+
+
+class WrongIdentity(_LastingOfNode):
+    """Another slave of an EtherCAT segment is there than the one that should be."""
+
+    kind: Literal["wrong_identity"]
+    vendor: Unsigned | None = None
+    """in place of its own"""
+    product: Unsigned | None = None
+    """in place of its own"""
+    revision: Unsigned | None = None
+    """in place of its own"""
+
+
+class StateDrop(_OfNode):
+    """A slave of an EtherCAT segment falls to a state by itself, with an AL status code."""
+
+    kind: Literal["state_drop"]
+    state: SlaveState = "safe_op"
+    """to which it falls"""
+    code: Annotated[int, Field(ge=0, le=0xFFFF)] = 0x001B
+    """AL status code; 0: no error flag"""
+
+
+class StateRefusal(_LastingOfNode):
+    """A slave of an EtherCAT segment refuses a state."""
+
+    kind: Literal["state_refusal"]
+    state: SlaveState
+    """that it refuses"""
+    code: Annotated[int, Field(ge=1, le=0xFFFF)]
+    """AL status code with which it does"""
+
+
+class MailboxAbort(_OfNode):
+    """A slave of an EtherCAT segment aborts accesses to an object."""
+
+    kind: Literal["mailbox_abort"]
+    index: Annotated[int, Field(ge=0, le=0xFFFF)]
+    """of the object"""
+    subindex: Annotated[int, Field(ge=0, le=0xFF)] | None = None
+    """without it any"""
+    code: Unsigned = 0x08000000
+    """SDO abort code"""
+    times: Count = 1
+    """so often"""
+
+
+class WatchdogExpiry(_OfNode):
+    """The process data watchdog of a slave of an EtherCAT segment expires: SAFE-OP, code 0x001B."""
+
+    kind: Literal["watchdog"]
+
+
+class ClockDrift(_LastingOfNode):
+    """The clock of a slave of an EtherCAT segment runs off."""
+
+    kind: Literal["clock_drift"]
+    drift_ppm: Annotated[Finite, Field(ge=-1000, le=1000)]
+    """faster than the lab's time"""
+
+
 class ClearFaults(_Fault):
     """End every lasting fault of a channel, or of all."""
 
@@ -174,6 +256,14 @@ Fault = Annotated[
     | Babble
     | StuckBus
     | Disconnect
+    | PowerLoss
+    | CableBreak
+    | WrongIdentity
+    | StateDrop
+    | StateRefusal
+    | MailboxAbort
+    | WatchdogExpiry
+    | ClockDrift
     | ClearFaults,
     Field(discriminator="kind"),
 ]

@@ -174,6 +174,21 @@ class Timing(Section):
     """a controller in bus-off returns by itself after 128 times 11 recessive bits"""
 
 
+class Segment(Section):
+    """The lab's end of an EtherCAT segment, and what its slaves' clocks and cables are like."""
+
+    interface: str
+    """network interface the slaves answer on; with the master's it is the pair of a veth"""
+    redundant_interface: str | None = None
+    """the same for the cable back from the last slave, where the master has one"""
+    hop_ns: Count = 800
+    """one slave and the cable to the next, one way"""
+    clock_spread_ppm: NonNegative = 10.0
+    """each slave's clock runs off by up to this much either way, drawn once per seed"""
+    receive_buffer: Count = 2304
+    """bytes the interface holds for a lab that is late; a frame older than that is lost"""
+
+
 class PowerStage(Section):
     """What the emulated drives' hardware does. Its limits are the drives' own objects; here is
     where it lives and how far a value must come back before its error can be reset."""
@@ -202,6 +217,8 @@ class Lab(Section):
     noise: Noise
     cradle: Cradle
     bus: Timing
+    ethercat: Segment | None = None
+    """for a fieldbus of that kind"""
     drive: PowerStage = PowerStage()
     phantom: Phantom | None = None
 

@@ -63,12 +63,7 @@ class CanopenFieldbus:
         if not isinstance(config.fieldbus, CanopenBus):
             raise DriverError(f"fieldbus kind {config.fieldbus.kind} is not canopen")
         period_us = config.control.rates.period_us
-        interpolation_ms = config.fieldbus.drive.interpolation_ms
-        if interpolation_ms * 1000 not in (0, period_us):
-            raise DriverError(
-                f"fieldbus.drive.interpolation_ms is {interpolation_ms}; it must be 0 or the "
-                f"period of {period_us} us, or drives fault with 0x8250"
-            )
+        epos4.require_interpolation(config.fieldbus.drive, period_us)
         self.image = image
         self._config = config
         self._bus = bus = config.fieldbus
@@ -84,7 +79,7 @@ class CanopenFieldbus:
             config.control.freshness,
             image,
             self._events,
-            [places[axis] for axis in range(CABLES)],
+            [places.get(axis, self.channels[0]) for axis in range(CABLES)],
         )
         self._drive_rpdo = drive_encoder(Mapping.of(bus.drive.rpdo))
         self._period_us = period_us

@@ -16,6 +16,7 @@ class Stream(IntEnum):
     MISMATCH = 3
     TRACKER_ERRORS = 4
     FAULTS = 5
+    SEGMENT = 6
 
 
 def generator(seed: int, stream: Stream) -> np.random.Generator:

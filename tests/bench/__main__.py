@@ -10,18 +10,20 @@ from rich.console import Console
 from rich.table import Table
 
 from tests.bench.control import control
+from tests.bench.ethercat import ethercat
 from tests.bench.frames import frames
 from tests.bench.log import log
 from tests.bench.measure import Figure
 from tests.bench.process_data import process_data
 from tests.bench.realtime import realtime
+from tests.bench.segment import segment
 from tests.bench.whole import whole
 
 
 def main() -> None:
     figures: list[Figure] = []
     console = Console()
-    for bench in (control, process_data, frames, whole, log, realtime):
+    for bench in (control, process_data, frames, segment, ethercat, whole, log, realtime):
         console.print(f"measuring {bench.__name__} ...")
         figures += bench()
     table = Table("what", "value", "peer", "peer's value", "ratio", "note")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from config import load
@@ -13,8 +14,13 @@ SECONDS = 10.0
 
 
 def whole() -> list[Figure]:
-    """A load test on CAN with every frame emulated, and without frames."""
-    return [_virtual("config/can.yaml"), _virtual("config/direct.yaml")]
+    """A load test on CAN and on EtherCAT with every frame emulated, and without frames."""
+    can = _virtual("config/can.yaml")
+    return [
+        can,
+        replace(_virtual("config/ethercat.yaml"), peer="on CAN", peer_value=can.value),
+        _virtual("config/direct.yaml"),
+    ]
 
 
 def _virtual(path: str) -> Figure:

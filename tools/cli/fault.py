@@ -19,7 +19,7 @@ from rich.table import Table
 from config.faults import KINDS, FaultField, FaultKind
 from tools.lab_door import ask
 
-_HEXADECIMAL = ("code", "identifier")
+_HEXADECIMAL = ("code", "identifier", "index", "vendor", "product", "revision")
 _SOCKET = click.Option(
     ["--socket", "path"],
     type=click.Path(path_type=Path),
@@ -146,7 +146,8 @@ def _show(console: Console, told: dict[str, Any]) -> None:
         table.add_column(key.replace("_", " "), justify="right")
     for name, channel in told["channels"].items():
         table.add_row(escape(name), *(_cell(channel.get(key)) for key in plain))
-    console.print(table)
+    if told["channels"]:
+        console.print(table)
     table = Table(
         "node", "device", "NMT", "state", "error", "cable", title="Nodes", title_justify="left"
     )
@@ -159,11 +160,39 @@ def _show(console: Console, told: dict[str, Any]) -> None:
             f"0x{node['error']:04X}" if node["error"] else "",
             "" if node["plugged"] else "unplugged",
         )
-    console.print(table)
+    if told["nodes"]:
+        console.print(table)
+    if told["slaves"]:
+        _show_slaves(console, told)
     for lasting in told["faults"]:
         fields = dict(lasting["fault"])
         words = _words(fields.pop("kind"), fields)
         console.print(escape(f"{words}: since {lasting['since']:.3f} s"), style="red")
+
+
+def _show_slaves(console: Console, told: dict[str, Any]) -> None:
+    for name, segment in told["segments"].items():
+        counts = " ".join(f"{key} {value}" for key, value in segment.items() if key != "f")
+        orders = " ".join(f"{key}={value}" for key, value in segment["f"].items() if value)
+        console.print(escape(f"{name}: {counts} {orders}".rstrip()))
+    table = Table(
+        *("slave", "device", "AL state", "AL status", "drive", "error", "clock", "cable"),
+        title="Slaves",
+        title_justify="left",
+    )
+    for slave in told["slaves"]:
+        cable = "" if slave["reachable"] else "cut off" if slave["powered"] else "no supply"
+        table.add_row(
+            escape(f"{slave['channel']}/{slave['slave'] + 1}"),
+            slave["device"],
+            slave["state_name"] + (" + ERROR" if slave["error"] else ""),
+            f"0x{slave['code']:04X}" if slave["code"] else "",
+            slave.get("drive_state", ""),
+            f"0x{slave['drive_error']:04X}" if slave.get("drive_error") else "",
+            f"{slave['clock_difference_ns']} ns",
+            cable,
+        )
+    console.print(table)
 
 
 def _is_plain(channels: dict[str, Any], key: str) -> bool:

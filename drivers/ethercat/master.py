@@ -1,0 +1,485 @@
+"""The EtherCAT fieldbus: bring-up, the exchange of each tick, and the watch over the slaves.
+
+Tick k collects the frame that tick k-1 published. SYNC0 comes shortly after each tick began and the
+frame passes after it, so that frame carries what was sampled at SYNC0 k-1, and what it brings acts
+at SYNC0 k: a value sampled in tick k-1 is read in tick k, and the torque computed from it acts in
+tick k+1. The same two ticks as on CAN.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from config.schema.bus import DistributedClocks, EthercatBus
+from config.schema.robot import CABLES
+from config.schema.root import Config
+from drivers import epos4
+from drivers.canopen import emcy
+from drivers.errors import BringUpError, DriverError
+from drivers.ethercat.al import ERROR, AlState
+from drivers.ethercat.slave import Slave, decoder, encoder, slaves
+from drivers.ethercat.status import SlaveStatus
+from drivers.ethercat.watch import Watch, Watched
+from drivers.ethercat.wire import Found, Wire
+from drivers.events import EventLog
+from drivers.exchange import Exchange
+from drivers.fieldbus import BusEvent, Progress
+from drivers.process_image import ProcessImage
+
+Clock = Callable[[], int]
+OpenWire = Callable[[EthercatBus, Clock], Wire]
+_POLL_S = 1e-3
+_FITS_TICKS = 4
+"""The reference clock in a frame may be off by so much: a frame can leave late, and indices repeat
+after 16."""
+_ASK_AGAIN = 50
+"""Polls after which a change of state is asked for again: the frame may have been lost."""
+_REMEMBERED = 64
+_FAREWELL = 3
+"""Frames with zeros at the end: one may be lost."""
+
+
+@dataclass
+class LostFrames:
+    """How often a frame did not come back, and how long ticks waited for it."""
+
+    count: int = 0
+    waited_ns: int = 0
+    longest_ns: int = 0
+
+
+class EthercatFieldbus:
+    """A `Fieldbus` on a `Wire`.
+
+    Until the first `collect` a task exchanges process data each millisecond, which is what keeps
+    the slaves in OP; from then on the ticks do.
+    """
+
+    def __init__(
+        self, config: Config, image: ProcessImage, open_wire: OpenWire, clock: Clock | None = None
+    ) -> None:
+        """``clock`` gives ns and is the running loop's by default. Raises `DriverError` for a PDO
+        mapping or an interpolation period that control cannot work with."""
+        if not isinstance(config.fieldbus, EthercatBus):
+            raise DriverError(f"fieldbus kind {config.fieldbus.kind} is not ethercat")
+        self._bus = bus = config.fieldbus
+        period_us = config.control.rates.period_us
+        epos4.require_interpolation(bus.drive, period_us)
+        self.image = image
+        self.channels: tuple[str, ...] = ()
+        self.lost = LostFrames()
+        self._period_ns = config.control.rates.period_ns
+        self._open_wire = open_wire
+        self._clock = clock
+        self._slaves = slaves(bus, config.robot)
+        self._events = EventLog()
+        places = {each.axis: each.where for each in self._slaves if each.axis is not None}
+        self._exchange = exchange = Exchange(
+            config.robot,
+            bus.force_cell,
+            config.control.freshness,
+            image,
+            self._events,
+            [places.get(axis, bus.interface) for axis in range(CABLES)],
+        )
+        self._axes = [each for each in self._slaves if each.axis is not None]
+        self._cell_rows = [cell for each in self._slaves for cell in each.cells]
+        self._decoders = [decoder(each, exchange) for each in self._slaves]
+        self._encoders = [
+            (each.axis, encoder(each)) for each in self._axes if each.axis is not None
+        ]
+        self._idle = [bytes(each.sizes.outputs) for each in self._slaves]
+        self._outputs = list(self._idle)
+        self._expected = sum(each.counts for each in self._slaves)
+        self._watch = Watch(bus, exchange, self._events)
+        self._wire: Wire | None = None
+        self._now: Clock = _loop_clock
+        self._pump_task: asyncio.Task[None] | None = None
+        self._ticking = False
+        self._found = 0
+        self._sent_tick: int | None = None
+        self._sent_ns = 0
+        self._ahead_ns: int | None = None
+        self._known_ahead_ns: int | None = None
+        self._phase_ns = 0
+        self._pulses: deque[int] = deque(maxlen=_REMEMBERED)
+        """SYNC0's number less the tick's: the least is that of a frame that was on time"""
+        self._shift_ns = round(bus.clocks.shift_us * 1e3)
+        self._codes = [0] * CABLES
+        self._next_look = 0
+        self._look_now = False
+
+    # -- bring-up ---------------------------------------------------------------------------
+
+    async def start(self, progress: Progress) -> None:
+        """Raises `BringUpError`, one line that names every slave that failed and why."""
+        self._exchange.forget()
+        self._now = self._clock or _clock_of_the_loop()
+        self._wire = wire = self._open_wire(self._bus, self._now)
+        started = False
+        try:
+            self._identify(await wire.scan(), progress)
+            progress(f"configuring {len(self._slaves)} slaves on {self._bus.interface}")
+            for slave in self._slaves:
+                try:
+                    await slave.configure(wire.objects(slave.number))
+                except DriverError as error:
+                    raise BringUpError(
+                        f"bring-up failed: {slave.where} ({slave.title}): {error}"
+                    ) from error
+            ahead_ns = await wire.align_clocks()
+            self._phase_ns = self._phase_of(ahead_ns)
+            await wire.map([each.sizes for each in self._slaves], self._bus.master.watchdog_ms)
+            for slave in self._slaves:
+                await wire.start_sync(slave.number, self._period_ns, self._phase_ns)
+            await self._reach(AlState.SAFEOP)
+            self._ahead_ns = self._known_ahead_ns = None
+            self._pump_task = asyncio.get_running_loop().create_task(self._pump())
+            progress("in SAFEOP, waiting for the clocks")
+            await self._settle()
+            await self._reach(AlState.OP)
+            self._watch.begin(self._slaves)
+            progress(f"{len(self._slaves)} slaves on {self._bus.interface} are in OP")
+            started = True
+        finally:
+            if not started:
+                await self.stop()
+        self._events.take()
+
+    def _identify(self, found: list[Found], progress: Progress) -> None:
+        """Every slave has to be the device the configuration has in its place."""
+        self._found = len(found)
+        problems = []
+        if len(found) != len(self._slaves):
+            problems.append(f"{len(found)} slaves answer, configured are {len(self._slaves)}")
+        for slave, there in zip(self._slaves, found, strict=False):
+            problem = slave.identify(there)
+            if problem:
+                problems.append(f"{slave.where} ({slave.title}) {problem}")
+        if not problems:
+            return
+        progress("what answers on the cable, in its order:")
+        for number, there in enumerate(found, start=1):
+            progress(f"  {self._bus.interface}/{number} {there}")
+        raise BringUpError("bring-up failed: " + "; ".join(problems))
+
+    def _phase_of(self, ahead_ns: int) -> int:
+        return (ahead_ns + self._shift_ns) % self._period_ns
+
+    async def _reach(self, state: AlState) -> None:
+        """Ask every slave for ``state`` and wait until all are there. Raises `BringUpError`."""
+        assert self._wire is not None
+        wire, loop = self._wire, asyncio.get_running_loop()
+        behind: list[tuple[Slave, SlaveStatus | None]] = [(slave, None) for slave in self._slaves]
+        end = loop.time() + self._bus.master.state_timeout_ms * 1e-3
+        found: list[SlaveStatus | None] = [None] * len(self._slaves)
+        for poll in itertools.count():
+            if poll % _ASK_AGAIN == 0:
+                wire.control({slave.number: state for slave, _ in behind})
+            wire.look()
+            await asyncio.sleep(_POLL_S)
+            found = wire.looked() or found
+            behind = [
+                (slave, status)
+                for slave, status in zip(self._slaves, found, strict=True)
+                if status is None or status.state != state or status.error
+            ]
+            if not behind:
+                return
+            refused = any(status is not None and status.error for _, status in behind)
+            if refused or loop.time() >= end:
+                told = "; ".join(
+                    f"{slave.where} ({slave.title}): {status or 'no answer'}"
+                    for slave, status in behind
+                )
+                raise BringUpError(f"bring-up failed: {state.name} was not reached: {told}")
+
+    async def _settle(self) -> None:
+        """Wait until every slave's clock is close to the reference. Raises `BringUpError`."""
+        assert self._wire is not None
+        clocks, loop = self._bus.clocks, asyncio.get_running_loop()
+        end = loop.time() + clocks.settle_ms * 1e-3
+        while True:
+            self._wire.look()
+            await asyncio.sleep(_POLL_S)
+            found = self._wire.looked()
+            if found is None or None in found:
+                away = None
+            else:
+                away = max(abs(status.difference_ns) for status in found if status is not None)
+                if away <= clocks.settle_ns and self._ahead_ns is not None:
+                    return
+            if loop.time() >= end:
+                seen = "no answer" if away is None else f"{away} ns apart"
+                raise BringUpError(
+                    f"bring-up failed: the slaves' clocks did not settle within "
+                    f"{clocks.settle_ms} ms: {seen}, allowed are {clocks.settle_ns} ns"
+                )
+
+    async def _pump(self) -> None:
+        while True:
+            self._receive(None)
+            self._send(self._idle, None)
+            await asyncio.sleep(_POLL_S)
+
+    # -- the tick ---------------------------------------------------------------------------
+
+    def collect(self, tick: int) -> None:
+        wire = self._wire
+        assert wire is not None
+        if not self._ticking:
+            self._begin_ticking(tick)
+        if self._receive(self._sent_tick) and self._sent_tick is not None:
+            self._take_inputs(wire.inputs, self._sampled_in(tick, self._sent_tick))
+        self._sent_tick = None
+        found = wire.looked()
+        if found is not None:
+            self._watch.see(found, wire)
+        self._exchange.fill(tick)
+
+    def publish(self, tick: int) -> None:
+        assert self._wire is not None
+        controlwords, torques = self._exchange.commands()
+        outputs = self._outputs
+        for slave, (axis, encode) in zip(self._axes, self._encoders, strict=True):
+            outputs[slave.number] = encode(controlwords[axis], torques[axis])
+        self._send(outputs, tick)
+        if tick >= self._next_look or self._look_now:
+            self._next_look = tick + self._bus.master.watch_ticks
+            self._look_now = False
+            self._wire.look()
+
+    @property
+    def clocks(self) -> DistributedClocks:
+        return self._bus.clocks
+
+    @property
+    def leads(self) -> bool:
+        """The loop's phase is to follow this segment's reference clock."""
+        return self._bus.clocks.pacing == "distributed_clock"
+
+    def phase_error_ns(self, due_ns: int) -> int | None:
+        """How much later a tick is due than it should be for SYNC0 to come ``shift_us`` after it,
+        within half a period either way; None unless the last frame came back."""
+        if self._ahead_ns is None:
+            return None
+        period = self._period_ns
+        late = due_ns + self._ahead_ns + self._shift_ns - self._phase_ns
+        return (late + period // 2) % period - period // 2
+
+    def _send(self, outputs: list[bytes], tick: int | None) -> None:
+        assert self._wire is not None
+        self._sent_ns = self._wire.send(outputs)
+        self._sent_tick = tick
+
+    def _receive(self, tick: int | None) -> bool:
+        """Take the frame that was sent; True if its inputs are those of every slave."""
+        wire = self._wire
+        assert wire is not None
+        began = self._now()
+        counter = wire.receive()
+        if not self._sent_ns:
+            return False
+        where = self._bus.interface
+        if counter is None:
+            self._lose(self._now() - began, tick)
+            return False
+        if not self._clock_fits(wire.reference_ns):
+            if tick is not None:
+                text = "a frame came back that an earlier tick had sent"
+                self._events.counted("stale_frame", where, text)
+            return False
+        if counter != self._expected:
+            self._look_now = True
+            if tick is not None:
+                text = f"working counter {counter}, expected is {self._expected}"
+                self._events.counted("wrong_working_counter", where, text)
+            return False
+        return True
+
+    def _lose(self, waited_ns: int, tick: int | None) -> None:
+        self._ahead_ns = None
+        if tick is None:
+            return
+        lost = self.lost
+        lost.count += 1
+        lost.waited_ns += waited_ns
+        lost.longest_ns = max(lost.longest_ns, waited_ns)
+        self._look_now = True
+        text = f"the frame of tick {tick} did not come back within {waited_ns / 1000:.0f} us"
+        self._events.counted("frame_lost", self._bus.interface, text)
+
+    def _clock_fits(self, reference_ns: int | None) -> bool:
+        """Whether the reference clock in a frame is that of when it was sent. Frame indices repeat
+        every 16, so an answer that is late by as many looks like the one that is awaited."""
+        if reference_ns is None:
+            return True
+        ahead = reference_ns - self._sent_ns
+        known = self._known_ahead_ns
+        if known is not None and abs(ahead - known) > _FITS_TICKS * self._period_ns:
+            return False
+        self._ahead_ns = self._known_ahead_ns = ahead
+        self._guard(reference_ns)
+        return True
+
+    def _sampled_in(self, tick: int, sent: int) -> int:
+        """The tick whose SYNC0 took the sample in the frame that ``sent`` published. It is another
+        one when the host held us up between the two: the frame then passed late."""
+        reference_ns = self._wire.reference_ns if self._wire is not None else None
+        if reference_ns is None:
+            return sent
+        pulse = (reference_ns - self._phase_ns) // self._period_ns
+        self._pulses.append(pulse - sent)
+        return min(pulse - min(self._pulses), tick - 1)
+
+    def _guard(self, reference_ns: int) -> None:
+        """A frame that passes together with SYNC0 carries one sample or the next, nobody knows."""
+        if not self._ticking:
+            return
+        after = (reference_ns - self._phase_ns) % self._period_ns
+        guard = self._bus.clocks.guard_us * 1e3
+        where = self._bus.interface
+        if guard <= after <= self._period_ns - guard:
+            self._events.end("frame_near_sync", where)
+        else:
+            text = f"the frame passed {after / 1000:.0f} us after SYNC0"
+            self._events.begin("frame_near_sync", where, text)
+
+    def _take_inputs(self, inputs: list[bytes], sampled: int) -> None:
+        exchange = self._exchange
+        for decode, data in zip(self._decoders, inputs, strict=True):
+            decode(data)
+        ticks = exchange.axis_tick
+        for slave in self._axes:
+            assert slave.axis is not None
+            ticks[slave.axis] = sampled
+        for cell in self._cell_rows:
+            exchange.cell_tick[cell] = sampled
+        if exchange.error_codes != self._codes:
+            self._tell_errors()
+
+    def _tell_errors(self) -> None:
+        codes = self._exchange.error_codes
+        for slave in self._axes:
+            assert slave.axis is not None
+            code = codes[slave.axis]
+            if code and code != self._codes[slave.axis]:
+                text = f"{slave.title}: 0x{code:04X}: {emcy.words(code, drive=True)}"
+                self._events.counted("drive_error", slave.where, text, kind=code)
+        self._codes = list(codes)
+
+    def _begin_ticking(self, tick: int) -> None:
+        self._ticking = True
+        self._stop_pump()
+        self._next_look = tick
+        self._pulses.clear()
+        # What the pump sent last is nobody's sample.
+        self._sent_tick = None
+
+    # -- beside the tick --------------------------------------------------------------------
+
+    def take_events(self) -> list[BusEvent]:
+        return self._events.take()
+
+    async def sdo_read(self, axis: int, index: int, subindex: int) -> bytes:
+        assert self._wire is not None
+        return await self._wire.objects(self._of_axis(axis).number).read(index, subindex)
+
+    async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
+        assert self._wire is not None
+        await self._wire.objects(self._of_axis(axis).number).write(index, subindex, data)
+
+    def _of_axis(self, axis: int) -> Slave:
+        return next(slave for slave in self._slaves if slave.axis == axis)
+
+    async def recover(self) -> None:
+        """Slaves that lost everything are configured anew, and with them all clocks are set; then
+        every slave that is not in OP goes there."""
+        wire = self._wire
+        assert wire is not None
+        waiting = [watched for watched in self._watch.watched if watched.left]
+        anew = [watched for watched in waiting if watched.lost_everything]
+        for watched in self._watch.watched:
+            self._watch.forgive(watched)
+        for watched in anew:
+            slave = watched.slave
+            try:
+                await wire.reconfigure(slave.number)
+                await slave.configure(wire.objects(slave.number))
+                await wire.remap(slave.number)
+            except DriverError as error:
+                waiting.remove(watched)
+                self._give_up(watched, error)
+        if any(watched in waiting for watched in anew):
+            await self._set_clocks(wire)
+        for watched in waiting:
+            await self._bring_back(watched)
+
+    async def _set_clocks(self, wire: Wire) -> None:
+        try:
+            self._phase_ns = self._phase_of(await wire.align_clocks())
+            for slave in self._slaves:
+                await wire.start_sync(slave.number, self._period_ns, self._phase_ns)
+        except DriverError as error:
+            self._events.add("recovery_failed", self._bus.interface, f"clocks: {error}")
+        # The frame that is under way still carries the old time.
+        self._known_ahead_ns, self._sent_ns = None, 0
+        self._pulses.clear()
+
+    async def _bring_back(self, watched: Watched) -> None:
+        assert self._wire is not None
+        why = watched.left
+        loop = asyncio.get_running_loop()
+        end = loop.time() + self._bus.master.state_timeout_ms * 1e-3
+        while watched.left:
+            if loop.time() >= end:
+                self._give_up(watched, f"stays in {watched.status or 'silence'}")
+                return
+            self._watch.bring_back(watched, self._wire)
+            self._look_now = True
+            await asyncio.sleep(3 * _POLL_S)
+        slave = watched.slave
+        self._events.add("recovered", slave.where, f"{slave.title} ({why}) is in OP again")
+
+    def _give_up(self, watched: Watched, why: object) -> None:
+        slave = watched.slave
+        self._events.add("recovery_failed", slave.where, f"{slave.title}: {why}")
+
+    async def stop(self) -> None:
+        """Power off, then all slaves to PREOP by way of SAFEOP; safe at any point."""
+        wire = self._wire
+        if wire is None:
+            return
+        self._stop_pump()
+        self._ticking = False
+        if self._watch.watched:
+            for _ in range(_FAREWELL):
+                self._receive(None)
+                self._send(self._idle, None)
+                await asyncio.sleep(_POLL_S)
+            self._receive(None)
+        there = self._slaves[: self._found]
+        wire.control({slave.number: AlState.PREOP | ERROR for slave in there})
+        await asyncio.sleep(_POLL_S)
+        wire.close()
+        self._wire = None
+        self._watch.begin([])
+
+    def _stop_pump(self) -> None:
+        if self._pump_task is not None:
+            self._pump_task.cancel()
+            self._pump_task = None
+
+
+def _loop_clock() -> int:
+    raise AssertionError("the clock is known when a loop runs")
+
+
+def _clock_of_the_loop() -> Clock:
+    loop = asyncio.get_running_loop()
+    now_ns: Clock | None = getattr(loop, "now_ns", None)
+    return now_ns or (lambda: round(loop.time() * 1e9))

@@ -1,0 +1,169 @@
+"""One slave of the segment: what it must be and hold, and its process data against the exchange."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from config.schema.bus import EthercatBus, Identity
+from config.schema.robot import Robot
+from drivers import epos4, force_cell
+from drivers.canopen.pdo import Mapping, PdoError
+from drivers.canopen.process_data import Encode, drive_encoder
+from drivers.errors import DriverError
+from drivers.ethercat.wire import Found, Sizes
+from drivers.exchange import Exchange
+from drivers.setting import ObjectAccess, Setting, apply
+
+Decode = Callable[[bytes], None]
+ERROR_CODE = 0x603F0010
+
+RX_ASSIGNMENT, TX_ASSIGNMENT = 0x1C12, 0x1C13
+_RX_MAPPING, _TX_MAPPING = 0x1600, 0x1A00
+
+
+class SlaveError(DriverError):
+    """A slave is not the device it should be, or holds something else than it was told."""
+
+
+@dataclass(frozen=True)
+class Slave:
+    """Its place on the cable, from 0, its rows in the process image, and its process data."""
+
+    number: int
+    where: str
+    """for people, counted from 1: tonus0/3"""
+    title: str
+    identity: Identity
+    settings: tuple[Setting, ...]
+    rx: tuple[int, ...]
+    """mapping words of its outputs"""
+    tx: tuple[int, ...]
+    sizes: Sizes
+    axis: int | None = None
+    cells: tuple[int, ...] = ()
+
+    @property
+    def counts(self) -> int:
+        """What it adds to the working counter: 1 for inputs delivered, 2 for outputs taken."""
+        return (1 if self.tx else 0) + (2 if self.rx else 0)
+
+    def identify(self, found: Found) -> str:
+        """What is wrong with the device that was found; "" for nothing."""
+        wanted = self.identity
+        for name, value in (("vendor", wanted.vendor), ("product", wanted.product)):
+            there = getattr(found, name)
+            if there != value:
+                return f"is another device: {name} 0x{there:08X}, not 0x{value:08X}"
+        if found.revision < wanted.minimum_revision:
+            return (
+                f"firmware too old: revision 0x{found.revision:08X}, "
+                f"at least 0x{wanted.minimum_revision:08X} is needed"
+            )
+        return ""
+
+    async def configure(self, access: ObjectAccess) -> None:
+        """Settings, then PDO mapping and assignment, all read back. Raises `DriverError`."""
+        await apply(access, self.settings)
+        if self.rx:
+            await _assign(access, RX_ASSIGNMENT, _RX_MAPPING, self.rx)
+        await _assign(access, TX_ASSIGNMENT, _TX_MAPPING, self.tx)
+
+
+def slaves(bus: EthercatBus, robot: Robot) -> list[Slave]:
+    """The segment as it is configured. Raises `PdoError` for a mapping control cannot work with."""
+    built = []
+    drive = epos4.settings(robot, bus.drive)
+    for number, each in enumerate(bus.slaves):
+        where = f"{bus.interface}/{number + 1}"
+        identity = bus.identity(each)
+        if each.axis is not None:
+            rx, tx = bus.drive.rpdo, bus.drive.tpdo
+            title, settings = f"drive of axis {each.axis}", drive
+        else:
+            rx, tx = (), bus.force_cell.mapping(len(each.cells))
+            title = f"amplifier of cell {' '.join(map(str, each.cells))}"
+            settings = force_cell.settings(bus.force_cell, len(each.cells))
+        sizes = Sizes(Mapping.of(rx).layout.size, Mapping.of(tx).layout.size)
+        built.append(
+            Slave(number, where, title, identity, settings, rx, tx, sizes, each.axis, each.cells)
+        )
+    return built
+
+
+async def _assign(
+    access: ObjectAccess, assignment: int, mapping: int, entries: tuple[int, ...]
+) -> None:
+    """Map ``entries`` into the first PDO and make it the only one. CiA 301's order: the counts
+    are 0 while what they count is changed."""
+    await access.write(assignment, 0, b"\0")
+    await access.write(mapping, 0, b"\0")
+    for subindex, entry in enumerate(entries, start=1):
+        await access.write(mapping, subindex, entry.to_bytes(4, "little"))
+    await access.write(mapping, 0, bytes((len(entries),)))
+    await access.write(assignment, 1, mapping.to_bytes(2, "little"))
+    await access.write(assignment, 0, b"\1")
+    wanted = [(mapping, 0, len(entries)), (assignment, 0, 1), (assignment, 1, mapping)]
+    wanted += [(mapping, subindex, entry) for subindex, entry in enumerate(entries, start=1)]
+    for index, subindex, value in wanted:
+        found = int.from_bytes(await access.read(index, subindex), "little")
+        if found != value:
+            raise SlaveError(
+                f"0x{index:04X}:{subindex} reads 0x{found:X}, not 0x{value:X} as written"
+            )
+
+
+def encoder(slave: Slave) -> Encode:
+    """Raises `PdoError`."""
+    return drive_encoder(Mapping.of(slave.rx))
+
+
+def decoder(slave: Slave, exchange: Exchange) -> Decode:
+    """What takes a slave's inputs into the exchange. Raises `PdoError`."""
+    mapping = Mapping.of(slave.tx)
+    if slave.axis is None:
+        return _cells(mapping, slave.cells, exchange)
+    return _drive(mapping, slave.axis, exchange)
+
+
+def _drive(mapping: Mapping, axis: int, exchange: Exchange) -> Decode:
+    unpack = mapping.layout.unpack
+    status_at = mapping.position(epos4.STATUSWORD)
+    position_at = mapping.position(epos4.POSITION_ACTUAL)
+    torque_at = mapping.position(epos4.TORQUE_ACTUAL)
+    error_at = mapping.position(ERROR_CODE) if ERROR_CODE in mapping.entries else None
+    statuswords, positions, torques = exchange.statuswords, exchange.positions, exchange.torques
+    codes = exchange.error_codes
+
+    def decode(data: bytes) -> None:
+        values = unpack(data)
+        statuswords[axis] = values[status_at]
+        positions[axis] = values[position_at]
+        torques[axis] = values[torque_at]
+        if error_at is not None:
+            codes[axis] = values[error_at]
+
+    return decode
+
+
+def _cells(mapping: Mapping, rows: tuple[int, ...], exchange: Exchange) -> Decode:
+    unpack = mapping.layout.unpack
+    places = []
+    for channel, row in enumerate(rows, start=1):
+        forms = [force_cell.of_channel(entry, channel) for entry in force_cell.PROCESS_VALUES]
+        value = next((entry for entry in forms if entry in mapping.entries), None)
+        if value is None:
+            raise PdoError(f"the amplifier maps no process value of channel {channel}")
+        status = force_cell.of_channel(force_cell.STATUS, channel)
+        status_at = mapping.position(status) if status in mapping.entries else None
+        places.append((row, mapping.position(value), status_at))
+    cells, states = exchange.cells, exchange.cell_status
+
+    def decode(data: bytes) -> None:
+        values = unpack(data)
+        for row, value_at, status_at in places:
+            cells[row] = values[value_at]
+            if status_at is not None:
+                states[row] = values[status_at]
+
+    return decode

@@ -1,0 +1,353 @@
+"""The SOEM master, through pysoem, as a `Wire` on a network interface.
+
+SOEM waits for frames on a socket with a receive timeout of 1 us, which the kernel rounds up to its
+own tick: a frame that is lost holds it for 4 to 8 ms, whatever timeout it was given. So its socket
+is made non-blocking here, and SOEM polls it until its own timer has run out.
+
+States are read, and AL control is written, with frames of our own through a second socket that
+nobody waits on: pysoem has no call for either that leaves the interpreter lock alone. The kernel
+sorts the answers by index.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+from config.schema.bus import EthercatBus
+from drivers.canopen.abort_codes import NO_SUCH_OBJECT
+from drivers.errors import BringUpError, DriverError, SdoAbortError, SdoError, SdoTimeoutError
+from drivers.ethercat.al import AlState, name
+from drivers.ethercat.port import PacketPort, packet_sockets, select
+from drivers.ethercat.slave import RX_ASSIGNMENT, TX_ASSIGNMENT
+from drivers.ethercat.status import SlaveStatus, StatusFrames
+from drivers.ethercat.wire import FIRST_STATION, Found, Sizes
+from drivers.setting import ObjectAccess
+
+Result = TypeVar("Result")
+
+_SYSTEM = 0x0910
+_REGISTER_TIMEOUT_US = 2000
+_STATION_REGISTER = 0x0010
+_TRIES = 3
+
+
+class SoemMaster:
+    """A `Wire` on pysoem.
+
+    Everything that may wait runs in one thread beside the loop, with the interpreter lock released
+    where pysoem can.
+    """
+
+    def __init__(self, bus: EthercatBus, clock: Callable[[], int]) -> None:
+        """Raises `BringUpError` where pysoem is not installed."""
+        try:
+            import pysoem
+        except ImportError as error:
+            raise BringUpError(
+                "EtherCAT needs pysoem, which is not installed; add it with: "
+                "pip install 'tonus[ethercat]'"
+            ) from error
+        self._soem: Any = pysoem
+        self._bus = bus
+        self._clock = clock
+        self._timeout_us = bus.master.receive_timeout_us
+        self._thread: ThreadPoolExecutor | None = None
+        self._master: Any = None
+        self._slaves: list[Any] = []
+        self._port: PacketPort | None = None
+        self._status: StatusFrames | None = None
+        self._clocked = False
+        self.inputs: list[bytes] = []
+        self.reference_ns: int | None = None
+
+    async def _beside(self, action: Callable[[], Result]) -> Result:
+        if self._thread is None:
+            self._thread = _thread_below_this()
+        return await asyncio.get_running_loop().run_in_executor(self._thread, action)
+
+    # -- bring-up ---------------------------------------------------------------------------
+
+    async def scan(self) -> list[Found]:
+        self._open()
+        return await self._beside(self._scan)
+
+    def _open(self) -> None:
+        bus, soem = self._bus, self._soem
+        before = packet_sockets()
+        master = soem.Master()
+        interfaces = [bus.interface]
+        if bus.redundant_interface is not None:
+            interfaces.append(bus.redundant_interface)
+        for interface in interfaces:
+            if interface not in {there for _, there in socket.if_nameindex()}:
+                raise BringUpError(
+                    f"bring-up failed: there is no network interface {interface}; "
+                    "see docs/ethercat.md for how to make or name one"
+                )
+        try:
+            master.open(*interfaces)
+        except ConnectionError as error:
+            raise BringUpError(
+                f"bring-up failed: {bus.interface} cannot be opened: {error}; raw sockets need "
+                "root or CAP_NET_RAW"
+            ) from error
+        self._master = master
+        for descriptor, target in packet_sockets().items():
+            if before.get(descriptor) != target:
+                os.set_blocking(descriptor, False)
+                with socket.socket(fileno=os.dup(descriptor)) as each:
+                    select(each, ours=False)
+        self._port = PacketPort(bus.interface)
+
+    def _scan(self) -> list[Found]:
+        soem, master = self._soem, self._master
+        master.sdo_read_timeout = master.sdo_write_timeout = self._bus.master.sdo_timeout_ms * 1000
+        master.always_release_gil = True
+        # A try takes 2 ms; SOEM's own limit leaves no second one for a frame that was lost.
+        soem.settings.timeouts.ret = _TRIES * _REGISTER_TIMEOUT_US
+        count = master.config_init()
+        if count <= 0:
+            raise BringUpError(f"bring-up failed: nobody answers on {self._bus.interface}")
+        # From here on: before, it would leave the slaves in INIT.
+        master.manual_state_change = True
+        self._slaves = list(master.slaves)
+        master.state_check(soem.PREOP_STATE, self._bus.master.state_timeout_ms * 1000)
+        master.read_state()
+        for number, slave in enumerate(self._slaves):
+            if slave.state != AlState.PREOP:
+                raise BringUpError(
+                    f"bring-up failed: {self._bus.interface}/{number + 1} stays in "
+                    f"{name(slave.state & 0xF)}, asked for PREOP: AL status "
+                    f"0x{slave.al_status:04X} {soem.al_status_code_to_string(slave.al_status)}"
+                )
+        assert self._port is not None
+        stations = [FIRST_STATION + number for number in range(count)]
+        self._status = StatusFrames(self._port, stations)
+        return [Found(each.man, each.id, each.rev, each.name) for each in self._slaves]
+
+    def objects(self, slave: int) -> ObjectAccess:
+        return _Objects(self, slave)
+
+    async def read_object(self, slave: int, index: int, subindex: int) -> bytes:
+        """As `ObjectAccess`, of one slave."""
+        read = self._slaves[slave].sdo_read
+        return await self._sdo(index, subindex, lambda: bytes(read(index, subindex)))
+
+    async def write_object(self, slave: int, index: int, subindex: int, data: bytes) -> None:
+        """As `ObjectAccess`, of one slave."""
+        write = self._slaves[slave].sdo_write
+        await self._sdo(index, subindex, lambda: write(index, subindex, data))
+
+    async def _sdo(self, index: int, subindex: int, access: Callable[[], Result]) -> Result:
+        """SOEM keeps the errors of one call for the next, and an emergency counts as one: neither
+        is an answer to what was asked. So it is asked again, as after a frame that was lost: these
+        reads and writes may happen twice. Raises `SdoError`."""
+        soem, where = self._soem, f"0x{index:04X}:{subindex}"
+        last: Exception | None = None
+        for _ in range(_TRIES):
+            try:
+                return await self._beside(access)
+            except soem.SdoError as error:
+                raise SdoAbortError(error.abort_code, f"{where}: {error.desc}") from error
+            except (soem.Emergency, soem.MailboxError, soem.PacketError, soem.WkcError) as error:
+                last = error
+        if isinstance(last, soem.WkcError):
+            raise SdoTimeoutError(f"{where}: no answer in its mailbox") from last
+        raise SdoError(f"{where}: {last}") from last
+
+    async def align_clocks(self) -> int:
+        return await self._beside(self._align_clocks)
+
+    def _align_clocks(self) -> int:
+        if not self._master.config_dc():
+            raise BringUpError(
+                f"bring-up failed: no slave on {self._bus.interface} has a distributed clock"
+            )
+        self._clocked = True
+        ahead = []
+        for _ in range(_TRIES):
+            before = self._clock()
+            system = int.from_bytes(self._register(0, _SYSTEM, 8), "little")
+            after = self._clock()
+            ahead.append((after - before, system - (before + after) // 2))
+        # The quickest answer says it best.
+        return min(ahead)[1]
+
+    def _register(self, slave: int, register: int, size: int) -> bytes:
+        read = self._slaves[slave]._fprd
+        return bytes(
+            self._again(
+                slave,
+                f"register 0x{register:04X} cannot be read",
+                lambda: read(register, size, _REGISTER_TIMEOUT_US),
+            )
+        )
+
+    def _set_watchdog(self, slave: int, watchdog_ms: int) -> None:
+        its = self._slaves[slave]
+        self._again(
+            slave,
+            "its watchdog cannot be set",
+            lambda: its.set_watchdog("processdata", watchdog_ms),
+        )
+
+    def _again(self, slave: int, what: str, access: Callable[[], Result]) -> Result:
+        """A register access, once more when its frame was lost. Raises `BringUpError`."""
+        last: Exception | None = None
+        for _ in range(_TRIES):
+            try:
+                return access()
+            except self._soem.WkcError as error:
+                last = error
+        raise BringUpError(f"{self._bus.interface}/{slave + 1}: {what}") from last
+
+    async def map(self, sizes: Sequence[Sizes], watchdog_ms: int) -> None:
+        await self._beside(lambda: self._map(sizes, watchdog_ms))
+
+    def _map(self, sizes: Sequence[Sizes], watchdog_ms: int) -> None:
+        soem, master = self._soem, self._master
+        try:
+            master.config_map()
+        except soem.ConfigMapError as error:
+            told = "; ".join(
+                self._words(each) for each in error.error_list if not self._harmless(each, sizes)
+            )
+            if told:
+                raise BringUpError(
+                    f"bring-up failed: process data cannot be mapped: {told}"
+                ) from error
+        expected = 0
+        for number, (slave, wanted) in enumerate(zip(self._slaves, sizes, strict=True)):
+            there = Sizes(len(slave.output), len(slave.input))
+            expected += bool(wanted.inputs) + 2 * bool(wanted.outputs)
+            if there != wanted:
+                raise BringUpError(
+                    f"bring-up failed: {self._bus.interface}/{number + 1} has {there.outputs} + "
+                    f"{there.inputs} bytes of process data, configured are {wanted.outputs} + "
+                    f"{wanted.inputs}"
+                )
+            if wanted.outputs:
+                self._set_watchdog(number, watchdog_ms)
+        if master.expected_wkc != expected:
+            raise BringUpError(
+                f"bring-up failed: SOEM expects a working counter of {master.expected_wkc}, "
+                f"these slaves give {expected}"
+            )
+        self.inputs = [bytes(each.inputs) for each in sizes]
+        self._watchdog_ms = watchdog_ms
+
+    def _harmless(self, error: Any, sizes: Sequence[Sizes]) -> bool:
+        """SOEM asks every slave for both assignments; one without outputs has no 0x1C12."""
+        if not isinstance(error, self._soem.SdoError) or error.abort_code != NO_SUCH_OBJECT:
+            return False
+        size = sizes[error.slave_pos - 1]
+        absent = {RX_ASSIGNMENT: not size.outputs, TX_ASSIGNMENT: not size.inputs}
+        return absent.get(error.index, False)
+
+    def _words(self, error: Any) -> str:
+        if not isinstance(error, self._soem.SdoError):
+            return str(error)
+        return (
+            f"{self._bus.interface}/{error.slave_pos}: 0x{error.index:04X}:{error.subindex}: "
+            f"abort 0x{error.abort_code:08X}: {error.desc}"
+        )
+
+    async def start_sync(self, slave: int, period_ns: int, phase_ns: int) -> None:
+        await self._beside(lambda: self._slaves[slave].dc_sync(True, period_ns, phase_ns))
+
+    async def reconfigure(self, slave: int) -> None:
+        await self._beside(lambda: self._reconfigure(slave))
+
+    def _reconfigure(self, slave: int) -> None:
+        """SOEM finds a slave that lost its address by the order of the cable and its identity, and
+        gives it that address back."""
+        its = self._slaves[slave]
+        timeout_us = self._bus.master.state_timeout_ms * 1000
+        if not its.recover(timeout_us // _TRIES):
+            raise DriverError("does not answer")
+        state = its.reconfig(timeout_us // _TRIES)
+        if state & 0xF not in (AlState.PREOP, AlState.SAFEOP):
+            raise DriverError(f"stays in {name(state & 0xF)}")
+        its.state = AlState.PREOP
+        its.write_state()
+        if its.state_check(AlState.PREOP, timeout_us // _TRIES) & 0xF != AlState.PREOP:
+            raise DriverError("does not go to PREOP")
+
+    async def remap(self, slave: int) -> None:
+        await self._beside(lambda: self._remap(slave))
+
+    def _remap(self, slave: int) -> None:
+        """`reconfig` has written sync managers and FMMUs; the watchdog is ours."""
+        its = self._slaves[slave]
+        if len(its.output):
+            self._set_watchdog(slave, self._watchdog_ms)
+
+    # -- the tick ---------------------------------------------------------------------------
+
+    def send(self, outputs: Sequence[bytes]) -> int:
+        for slave, data in zip(self._slaves, outputs, strict=True):
+            if data:
+                slave.output = data
+        sent_ns = self._clock()
+        self._master.send_processdata()
+        return sent_ns
+
+    def receive(self) -> int | None:
+        counter: int = self._master.receive_processdata(self._timeout_us)
+        if counter < 0:
+            return None
+        self.reference_ns = self._master.dc_time if self._clocked else None
+        self.inputs = [slave.input for slave in self._slaves]
+        return counter
+
+    def look(self) -> None:
+        if self._status is not None:
+            self._status.look()
+
+    def looked(self) -> list[SlaveStatus | None] | None:
+        return self._status.looked() if self._status is not None else None
+
+    def control(self, words: Mapping[int, int]) -> None:
+        if self._status is not None:
+            self._status.control(words)
+
+    def close(self) -> None:
+        if self._thread is not None:
+            self._thread.shutdown(wait=True)
+        if self._port is not None:
+            self._port.close()
+        if self._master is not None:
+            self._master.close()
+
+
+def _thread_below_this() -> ThreadPoolExecutor:
+    """A thread that this one can interrupt and ordinary processes cannot: SOEM gives a frame 2 ms
+    to come back. A real-time process hands its priority to no thread by itself."""
+    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+    priority = max(os.sched_getparam(0).sched_priority - 1, 1)
+
+    def begin() -> None:
+        if policy in (os.SCHED_FIFO, os.SCHED_RR):
+            # Refused only where it would have been refused to the caller.
+            with contextlib.suppress(PermissionError):
+                os.sched_setscheduler(0, policy, os.sched_param(priority))
+
+    return ThreadPoolExecutor(1, thread_name_prefix="soem", initializer=begin)
+
+
+class _Objects:
+    def __init__(self, master: SoemMaster, slave: int) -> None:
+        self._master = master
+        self._slave = slave
+
+    async def read(self, index: int, subindex: int) -> bytes:
+        return await self._master.read_object(self._slave, index, subindex)
+
+    async def write(self, index: int, subindex: int, data: bytes) -> None:
+        await self._master.write_object(self._slave, index, subindex, data)

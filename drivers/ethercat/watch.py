@@ -1,0 +1,118 @@
+"""Who is in OP and who is not: the states of all slaves, and the way back into it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from config.schema.bus import EthercatBus
+from drivers.ethercat.al import ERROR, AlState
+from drivers.ethercat.slave import Slave
+from drivers.ethercat.status import SlaveStatus
+from drivers.ethercat.wire import Wire
+from drivers.events import EventLog
+from drivers.exchange import Exchange
+
+_NEXT = {AlState.PREOP: AlState.SAFEOP, AlState.SAFEOP: AlState.OP}
+
+
+@dataclass
+class Watched:
+    """A slave and what was seen of it."""
+
+    slave: Slave
+    left: str = ""
+    """why it is not believed; "" while it is in OP"""
+    attempts: int = 0
+    """times it was brought back since the last reset"""
+    status: SlaveStatus | None = None
+
+    @property
+    def lost_everything(self) -> bool:
+        """Silent, or restarted: it knows neither its address nor its process data."""
+        return self.status is None or self.status.state in (AlState.INIT, AlState.BOOT)
+
+
+class Watch:
+    """Tells of every slave that left OP, keeps control from believing it, and brings it back."""
+
+    def __init__(self, bus: EthercatBus, exchange: Exchange, events: EventLog) -> None:
+        self.watched: list[Watched] = []
+        self._recovers = bus.master.state_policy == "recover"
+        self._attempts = bus.master.attempts
+        self._limit_ns = bus.clocks.limit_ns
+        self._exchange = exchange
+        self._events = events
+
+    def begin(self, slaves: list[Slave]) -> None:
+        self.watched = [Watched(slave) for slave in slaves]
+
+    @property
+    def complete(self) -> bool:
+        """Every slave is in OP."""
+        return not any(each.left for each in self.watched)
+
+    def see(self, found: list[SlaveStatus | None], wire: Wire) -> None:
+        """The answer to a look at all slaves."""
+        for watched, status in zip(self.watched, found, strict=True):
+            if status != watched.status or watched.left:
+                self._judge(watched, status, wire)
+
+    def forgive(self, watched: Watched) -> None:
+        """An operator's reset: as many attempts as at the start."""
+        watched.attempts = 0
+        self._events.end("slave_given_up", watched.slave.where)
+
+    def _judge(self, watched: Watched, status: SlaveStatus | None, wire: Wire) -> None:
+        watched.status = status
+        slave = watched.slave
+        if status is None:
+            text = f"{slave.title} takes no part in any exchange"
+            self._leave(watched, "it is silent")
+            self._events.begin("slave_silent", slave.where, text)
+            return
+        self._events.end("slave_silent", slave.where)
+        self._look_at_the_clock(slave, status)
+        if status.operational:
+            if watched.left:
+                watched.left = ""
+                self._trust(watched, good=True)
+                self._events.end("slave_left_op", slave.where)
+                self._events.counted("slave_recovered", slave.where, f"{slave.title} is in OP")
+            return
+        if status.error or not watched.left:
+            self._leave(watched, str(status))
+            text = f"{slave.title} is in {status}"
+            self._events.begin("slave_left_op", slave.where, text)
+        if self._recovers:
+            self.bring_back(watched, wire)
+
+    def bring_back(self, watched: Watched, wire: Wire) -> None:
+        """One step towards OP. A slave in INIT has lost what it was told: it needs more."""
+        status, slave = watched.status, watched.slave
+        if status is None or status.state not in (*_NEXT, AlState.OP):
+            return
+        if status.error:
+            if watched.attempts >= self._attempts:
+                text = f"{slave.title} left OP {watched.attempts + 1} times"
+                self._events.begin("slave_given_up", slave.where, text)
+                return
+            watched.attempts += 1
+            wire.control({slave.number: status.state | ERROR})
+        elif status.state in _NEXT:
+            wire.control({slave.number: _NEXT[AlState(status.state)]})
+
+    def _leave(self, watched: Watched, why: str) -> None:
+        watched.left = why
+        self._trust(watched, good=False)
+
+    def _trust(self, watched: Watched, *, good: bool) -> None:
+        """Cells need no mark: in SAFEOP they are still measured, below it the counter is wrong."""
+        if watched.slave.axis is not None:
+            self._exchange.untrusted[watched.slave.axis] = not good
+
+    def _look_at_the_clock(self, slave: Slave, status: SlaveStatus) -> None:
+        if abs(status.difference_ns) <= self._limit_ns:
+            self._events.end("clock_astray", slave.where)
+        else:
+            text = f"{slave.title}: {status.difference_ns} ns from the reference clock"
+            self._events.begin("clock_astray", slave.where, text)

@@ -1,0 +1,105 @@
+"""Devices on more than one fieldbus: all are collected, and published to, in the same tick."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.schema.bus import EthercatBus, SeveralBuses, devices
+from config.schema.root import Config
+from drivers.errors import DriverError
+from drivers.fieldbus import BusEvent, Fieldbus, Progress
+from drivers.process_image import AxisCommand, ProcessImage
+
+Build = Callable[[Config, ProcessImage], Fieldbus]
+"""Makes the fieldbus of a configuration with one bus, on an image of its own."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    fieldbus: Fieldbus
+    axes: list[int]
+    cells: list[int]
+
+
+class SeveralFieldbuses:
+    """A `Fieldbus` of fieldbuses, each with some of the axes and cells.
+
+    Each part has a process image of its own, of which only its own rows are used. A bus whose
+    master moves its devices' sampling to the loop (CANopen's SYNC) and one whose devices have
+    clocks (EtherCAT's SYNC0) sample within the same tick; by how much apart is configuration.
+    """
+
+    def __init__(self, config: Config, image: ProcessImage, build: Build) -> None:
+        """Raises `DriverError` for a part that control cannot work with."""
+        if not isinstance(config.fieldbus, SeveralBuses):
+            raise DriverError(f"fieldbus kind {config.fieldbus.kind} is not several")
+        self.image = image
+        self._parts = []
+        # A segment's frame goes out after the others: in virtual time it passes later in the tick.
+        for bus in sorted(config.fieldbus.buses, key=lambda each: isinstance(each, EthercatBus)):
+            axes, cells = devices(bus)
+            part = build(config.model_copy(update={"fieldbus": bus}), ProcessImage())
+            part.image.commands["command"] = AxisCommand.DISABLE
+            self._parts.append(_Part(part, axes, cells))
+        self.channels: tuple[str, ...] = tuple(
+            name for part in self._parts for name in part.fieldbus.channels
+        )
+        self._of_axis = {axis: part.fieldbus for part in self._parts for axis in part.axes}
+
+    async def start(self, progress: Progress) -> None:
+        """One after the other; if one fails, those before it are stopped. Raises `DriverError`."""
+        started: list[Fieldbus] = []
+        try:
+            for part in self._parts:
+                started.append(part.fieldbus)
+                await part.fieldbus.start(progress)
+            started = []
+        finally:
+            for fieldbus in reversed(started):
+                await fieldbus.stop()
+
+    def collect(self, tick: int) -> None:
+        image = self.image
+        for part in self._parts:
+            part.fieldbus.collect(tick)
+            theirs = part.fieldbus.image
+            _copy(theirs.axes, image.axes, part.axes)
+            _copy(theirs.cells, image.cells, part.cells)
+
+    def publish(self, tick: int) -> None:
+        for part in self._parts:
+            _copy(self.image.commands, part.fieldbus.image.commands, part.axes)
+            part.fieldbus.publish(tick)
+
+    def take_events(self) -> list[BusEvent]:
+        events: list[BusEvent] = []
+        for part in self._parts:
+            events += part.fieldbus.take_events()
+        return events
+
+    async def sdo_read(self, axis: int, index: int, subindex: int) -> bytes:
+        return await self._of_axis[axis].sdo_read(axis, index, subindex)
+
+    async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
+        await self._of_axis[axis].sdo_write(axis, index, subindex, data)
+
+    async def recover(self) -> None:
+        await asyncio.gather(*(part.fieldbus.recover() for part in self._parts))
+
+    async def stop(self) -> None:
+        for part in self._parts:
+            await part.fieldbus.stop()
+
+    @property
+    def parts(self) -> Sequence[Fieldbus]:
+        return [part.fieldbus for part in self._parts]
+
+
+def _copy(source: NDArray[np.void], target: NDArray[np.void], rows: list[int]) -> None:
+    if rows:
+        target[rows] = source[rows]

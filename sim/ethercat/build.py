@@ -1,0 +1,66 @@
+"""A configuration's EtherCAT segment, with the lab's devices behind its slaves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from config.schema.bus import EthercatBus
+from config.schema.lab import Lab as LabConfig
+from sim.devices.device import Device
+from sim.devices.epos4 import Epos4
+from sim.devices.force_cell import ForceCell
+from sim.devices.timers import Timers
+from sim.errors import LabError
+from sim.ethercat.identity import EPOS4, Kind, amplifier
+from sim.ethercat.segment import Lab, Segment
+from sim.ethercat.slave import Slave
+from sim.plant.streams import Stream, generator
+
+_PPM = 1e-6
+_ORIGINS_NS = 10_000_000_000
+"""Clocks show anything up to this at switch-on."""
+
+
+class _TimedLab(Lab, Timers, Protocol):
+    """What a segment and its slaves need of a lab."""
+
+
+def build_segment(
+    lab: _TimedLab,
+    bus: EthercatBus,
+    config: LabConfig,
+    drives: Sequence[Epos4],
+    cells: Mapping[tuple[int, ...], ForceCell],
+    seed: int,
+) -> Segment:
+    """Raises `LabError` without a lab's end of the segment."""
+    end = config.ethercat
+    if end is None:
+        raise LabError(
+            "lab.ethercat is missing: it names the interface the slaves answer on; "
+            "see config/lab.yaml"
+        )
+    draws = generator(seed, Stream.SEGMENT)
+    ring = bus.redundant_interface is not None
+    segment = Segment(bus.interface, lab, hop_ns=end.hop_ns, ring=ring)
+    segment.disturbance.draws = draws.spawn(1)[0]
+    spread = end.clock_spread_ppm * _PPM
+    for slave in bus.slaves:
+        device: Device
+        if slave.axis is not None:
+            device, kind = drives[slave.axis], EPOS4
+        else:
+            device, kind = cells[slave.cells], amplifier(len(slave.cells))
+        drift = float(draws.uniform(-spread, spread))
+        origin = int(draws.integers(_ORIGINS_NS))
+        _attach(segment, device, kind, lab, drift, origin)
+    return segment
+
+
+def _attach(
+    segment: Segment, device: Device, kind: Kind, timers: Timers, drift: float, origin: int
+) -> None:
+    segment.attach(
+        lambda number: Slave(device, kind, number, segment, timers, drift=drift, origin=origin)
+    )

@@ -1,0 +1,464 @@
+"""A segment: slaves on one cable, and the frames that go through them.
+
+A frame's processing takes no time of its own; each slave sees it ``hop_ns`` after the one before,
+and on the way back again, which is what the distributed clocks measure.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from sim.devices.timers import Callback
+from sim.ethercat import registers as reg
+from sim.ethercat.controller import READ, WRITE
+from sim.ethercat.disturbance import Disturbance, Fate
+from sim.ethercat.frames import (
+    COUNTER_BYTES,
+    DATAGRAM,
+    HEAD_BYTES,
+    LENGTH_BITS,
+    MORE,
+    PASSED,
+    Command,
+    is_ethercat,
+)
+from sim.ethercat.plan import Part, compile_plan, copy_bits
+from sim.ethercat.slave import Slave
+
+_COUNTER = struct.Struct("<H")
+_TIME = struct.Struct("<Q")
+_SOURCE = 6
+_TOGETHER_NS = 1000
+"""SYNC0 of slaves within this time is one instant: a drive's current loop takes 40 us."""
+_LONGEST_NS = 1_000_000_000
+"""A pulse that is further away is looked for again by then: no timer waits for years."""
+_LINK = 0x0001 | 0x0010 | 0x0200 | 0x5000
+"""DL status: a working slave with a link at port 0, ports 2 and 3 closed"""
+_LINK_BEHIND, _CLOSED_BEHIND = 0x0820, 0x0400
+_LOST_LINKS = 0x311
+_READS = (Command.APRD, Command.FPRD, Command.BRD)
+_WAYS = {Command.LRD: READ, Command.LWR: WRITE, Command.LRW: READ | WRITE}
+_PLANS = 64
+"""How many are remembered; a master in order uses a few."""
+
+
+class Lab(Protocol):
+    """What a segment needs of its lab; see `sim.lab.Lab`."""
+
+    @property
+    def now_ns(self) -> int: ...
+
+    def advance(self, to_ns: int) -> None: ...
+
+    def call_at(self, at_ns: int, callback: Callback) -> None: ...
+
+
+@dataclass
+class Counts:
+    """What has gone through."""
+
+    frames: int = 0
+    datagrams: int = 0
+    malformed: int = 0
+    lost: int = 0
+    late: int = 0
+    duplicated: int = 0
+    corrupted: int = 0
+
+
+class Segment:
+    """``exchange`` is all a master needs. ``ring``: the far end leads to a second port (1)."""
+
+    def __init__(self, name: str, lab: Lab, *, hop_ns: int, ring: bool = False) -> None:
+        self.name = name
+        self.slaves: list[Slave] = []
+        self.ring = ring
+        self.counts = Counts()
+        self.disturbance = Disturbance()
+        self._lab = lab
+        self._hop_ns = hop_ns
+        self._breaks: set[int] = set()  # each before the slave of this place, from 0
+        self._reach: tuple[list[Slave], list[Slave]] = ([], [])
+        self._plans: dict[tuple[int, int, int, int], list[Part]] = {}
+        self._touched: dict[int, Slave] = {}
+        self._mail = 0
+        self._sync = 0  # timers of an older arrangement are stale
+        self._late: list[tuple[int, int, bytes]] = []
+        self.awaits: Callable[[], None] | None = None
+        """called when an answer comes later than `exchange` returns; it is then in `poll`"""
+
+    def attach(self, make: Callable[[int], Slave]) -> Slave:
+        """Add a slave at the far end; ``make`` is given its number, from 1."""
+        slave = make(len(self.slaves) + 1)
+        self.slaves.append(slave)
+        self._rewire()
+        return slave
+
+    # -- what slaves tell ------------------------------------------------------------------------
+
+    def remapped(self) -> None:
+        self._plans.clear()
+
+    def exchanged(self, slave: Slave) -> None:
+        self._touched[slave.number] = slave
+
+    def mailbox_passed(self, *, read: bool) -> None:
+        self._mail |= 1 if read else 2
+
+    def resynchronised(self) -> None:
+        self._arm()
+
+    # -- frames ----------------------------------------------------------------------------------
+
+    def exchange(self, frame: bytes, at_ns: int, port: int = 0) -> bytes | None:
+        """The answer to a full Ethernet frame that comes in at ``at_ns``, None if none comes back
+        in time. It leaves by `exit` of the port. Anything else than an EtherCAT frame is dropped.
+        """
+        answer = self.answer(frame, at_ns, port)
+        self.settle()
+        return answer
+
+    def answer(self, frame: bytes, at_ns: int, port: int = 0) -> bytes | None:
+        """As `exchange`, but slaves without SYNC0 act only when `settle` is called: an answer on a
+        wire need not wait for them."""
+        lab = self._lab
+        lab.advance(at_ns)
+        now_ns = lab.now_ns
+        counts = self.counts
+        counts.frames += 1
+        if not is_ethercat(frame):
+            counts.malformed += 1
+            return None
+        disturbance = self.disturbance
+        fate = disturbance.fate() if disturbance.active else Fate.PASSES
+        if fate is Fate.LOST:
+            counts.lost += 1
+            return None
+        if fate is Fate.CORRUPTED:
+            self._corrupt(disturbance.where)
+            return None
+        self._mail = 0
+        answer = bytes(self._process(bytearray(frame), now_ns, port))
+        if self._mail and disturbance.active and disturbance.takes_answer(self._mail):
+            counts.lost += 1
+            return None
+        if fate is Fate.LATE:
+            counts.late += 1
+            self._later(answer, now_ns + disturbance.delay_ns, port)
+            return None
+        if fate is Fate.TWICE:
+            counts.duplicated += 1
+            self._later(answer, now_ns, port)
+        return answer
+
+    def settle(self) -> None:
+        """Let the slaves that work without SYNC0 act on the frame: first take inputs, then apply
+        outputs."""
+        if not self._touched:
+            return
+        now_ns = self._lab.now_ns
+        touched, self._touched = self._touched, {}
+        for slave in touched.values():
+            slave.latch(now_ns)
+        for slave in touched.values():
+            slave.act(now_ns)
+
+    def exit(self, port: int) -> int:
+        """Where a frame that came in at a port comes out."""
+        return 1 - port if self.ring and not self._cuts() else port
+
+    def poll(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """Answers that were late or came twice and are there by now: port and frame."""
+        due = [(port, frame) for at_ns, port, frame in self._late if at_ns <= now_ns]
+        if due:
+            self._late = [entry for entry in self._late if entry[0] > now_ns]
+        return due
+
+    def _later(self, answer: bytes, at_ns: int, port: int) -> None:
+        self._late.append((at_ns, self.exit(port), answer))
+        self._late.sort(key=lambda entry: entry[0])
+        # A timer of the lab's, so that its server wakes for it.
+        self._lab.call_at(at_ns, lambda _: self.awaits() if self.awaits else None)
+
+    def _corrupt(self, where: int) -> None:
+        """A frame whose check sequence is wrong: the slave behind the bad cable counts it, nobody
+        acts on it, and the master's interface throws it away."""
+        self.counts.corrupted += 1
+        if where < len(self.slaves):
+            memory = self.slaves[where].controller.memory
+            memory[reg.RECEIVE_ERRORS] = min(memory[reg.RECEIVE_ERRORS] + 1, 0xFF)
+
+    def _process(self, frame: bytearray, now_ns: int, port: int) -> bytearray:
+        slaves = self._reach[port]
+        if port and not self._cuts():
+            return frame  # the other way round nobody touches it
+        if slaves:
+            frame[_SOURCE] |= PASSED
+        end = min(HEAD_BYTES + ((frame[14] | frame[15] << 8) & LENGTH_BITS), len(frame))
+        at, more = HEAD_BYTES, True
+        counts = self.counts
+        while more:
+            if at + DATAGRAM.size + COUNTER_BYTES > end:
+                counts.malformed += 1
+                break
+            command, _, place, offset, length, _ = DATAGRAM.unpack_from(frame, at)
+            size = length & LENGTH_BITS
+            data = at + DATAGRAM.size
+            after = data + size
+            if after + COUNTER_BYTES > end:
+                counts.malformed += 1
+                break
+            more = bool(length & MORE)
+            counts.datagrams += 1
+            added = 0
+            if not size:
+                pass
+            elif command in _WAYS:
+                added = self._logical(
+                    slaves, command, place | offset << 16, frame, data, size, now_ns
+                )
+            elif command == Command.FRMW and offset == reg.SYSTEM_TIME and size == _TIME.size:
+                added = self._pass_time(slaves, place, frame, data, now_ns)
+            elif Command.NOP < command <= Command.FRMW:
+                added = self._physical(slaves, command, place, offset, frame, data, size, now_ns)
+                if command in _COUNTING:
+                    moved = place + len(slaves) & 0xFFFF
+                    frame[at + 2], frame[at + 3] = moved & 0xFF, moved >> 8
+            if added:
+                total = (frame[after] | frame[after + 1] << 8) + added
+                frame[after], frame[after + 1] = total & 0xFF, total >> 8 & 0xFF
+            at = after + COUNTER_BYTES
+        return frame
+
+    def _pass_time(
+        self, slaves: list[Slave], station: int, frame: bytearray, data: int, now_ns: int
+    ) -> int:
+        """FRMW of the system time, which comes with every cycle. Slaves before the reference see
+        what the master has sent, so a master takes the first for it."""
+        value = _TIME.unpack_from(frame, data)[0]
+        added = 0
+        for slave in slaves:
+            if slave.controller.answers_to(station):
+                value = slave.system_time(now_ns)
+                added += 1
+            else:
+                if value:
+                    slave.compare(value, now_ns)
+                added += 1
+        _TIME.pack_into(frame, data, value)
+        return added
+
+    def _physical(
+        self,
+        slaves: list[Slave],
+        command: int,
+        place: int,
+        offset: int,
+        frame: bytearray,
+        data: int,
+        size: int,
+        now_ns: int,
+    ) -> int:
+        """What the slaves add to the working counter."""
+        end = data + size
+        added = 0
+        broadcast = command in (Command.BRD, Command.BWR, Command.BRW)
+        positions = command in (Command.APRD, Command.APWR, Command.APRW, Command.ARMW)
+        multiple = command in (Command.ARMW, Command.FRMW)
+        for number, slave in enumerate(slaves):
+            controller = slave.controller
+            if broadcast:
+                meant = True
+            elif positions:
+                meant = place + number & 0xFFFF == 0
+            else:
+                meant = controller.answers_to(place)
+            if not (meant or multiple):
+                continue
+            reads = meant and command not in (Command.APWR, Command.FPWR, Command.BWR)
+            writes = not meant if multiple else command not in _READS
+            given = bytes(frame[data:end]) if writes else b""
+            found = controller.read(offset, size, now_ns) if reads else None
+            if found is not None:
+                # A broadcast collects, and so does a slave that adds its answer to what comes.
+                frame[data:end] = _either(frame[data:end], found) if broadcast else found
+                added += 1
+            if writes and controller.write(offset, given, now_ns):
+                added += 2 if reads else 1
+        return added
+
+    def _logical(
+        self,
+        slaves: list[Slave],
+        command: int,
+        start: int,
+        frame: bytearray,
+        data: int,
+        size: int,
+        now_ns: int,
+    ) -> int:
+        key = (command, start, size, len(slaves))
+        plan = self._plans.get(key)
+        if plan is None:
+            if len(self._plans) >= _PLANS:
+                self._plans.clear()
+            plan = self._plans[key] = compile_plan(slaves, _WAYS[Command(command)], start, size)
+        added = 0
+        for part in plan:
+            slave = part.slave
+            memory = slave.controller.memory
+            # Bytes may be mapped both ways, in the frame and in the slave: each way takes what was
+            # there before.
+            writes = part.writes
+            given = [frame[data + at : data + at + count] for at, _, count in writes]
+            if part.bit_writes or part.bit_reads or part.registers:
+                _slowly(part, frame, data, size, now_ns)
+            for at, place, count in part.reads:
+                frame[data + at : data + at + count] = memory[place : place + count]
+            for (_, place, count), piece in zip(writes, given, strict=True):
+                memory[place : place + count] = piece
+            if part.outputs:
+                slave.outputs_written(now_ns)
+            elif part.inputs:
+                slave.inputs_read(now_ns)
+            added += part.counter
+        return added
+
+    # -- SYNC0 -----------------------------------------------------------------------------------
+
+    def _arm(self) -> None:
+        """Wait for the next SYNC0 of any slave."""
+        self._sync += 1
+        number, now_ns = self._sync, self._lab.now_ns
+        times = []
+        for slave in self.slaves:
+            sync = slave.sync
+            if sync.active:
+                at_ns = slave.clock.when(sync.next, now_ns)
+                if at_ns < now_ns - sync.cycle:
+                    sync.stop()  # the time was set past it
+                else:
+                    times.append(at_ns)
+        if times:
+            at_ns = min(max(min(times), now_ns + 1), now_ns + _LONGEST_NS)
+            self._lab.call_at(at_ns, lambda at: self._pulse(number, at))
+
+    def _pulse(self, number: int, now_ns: int) -> None:
+        if number != self._sync:
+            return
+        limit = now_ns + _TOGETHER_NS
+        due = [
+            slave
+            for slave in self.slaves
+            if slave.sync.active and slave.clock.when(slave.sync.next, now_ns) <= limit
+        ]
+        for slave in due:
+            slave.latch(now_ns)
+        for slave in due:
+            slave.pulse(now_ns)
+        self._arm()
+
+    # -- the cable -------------------------------------------------------------------------------
+
+    def cut(self, place: int) -> None:
+        """Break the cable before the slave of this place, from 0: only so many answer."""
+        self._breaks.add(place)
+        self._rewire()
+
+    def mend(self, place: int | None = None) -> None:
+        """Put one break right, or all."""
+        self._breaks -= {place} if place is not None else set(self._breaks)
+        self._rewire()
+
+    def switch(self, place: int, *, on: bool) -> None:
+        """Take the power of a slave, or give it back; its ports are closed without. Raises
+        `LabError`."""
+        slave = self.slaves[place]
+        if on and not slave.powered:
+            slave.switch_on()
+        elif not on:
+            slave.switch_off()
+        self._rewire()
+
+    def _cuts(self) -> set[int]:
+        """Where frames turn back."""
+        cuts = {place for place in self._breaks if place < len(self.slaves)}
+        for place, slave in enumerate(self.slaves):
+            if not slave.powered:
+                cuts |= {place, place + 1}
+        return cuts
+
+    def reachable(self, place: int) -> bool:
+        """Whether a master's frames come to a slave."""
+        slave = self.slaves[place]
+        return slave in self._reach[0] or (self.ring and slave in self._reach[1])
+
+    def _rewire(self) -> None:
+        """Work out whom frames reach, and let the slaves see their links."""
+        slaves, cuts = self.slaves, self._cuts()
+        near = slaves[: min(cuts)] if cuts else list(slaves)
+        far = slaves[max(cuts) :] if cuts and self.ring else []
+        self._reach = (near, far)
+        self._plans.clear()
+        last = len(slaves) - 1
+        for place, slave in enumerate(slaves):
+            memory = slave.controller.memory
+            linked = place + 1 not in cuts and (place < last or self.ring)
+            if memory[reg.STATUS_DL] & 0x20 and not linked:
+                memory[_LOST_LINKS] = min(memory[_LOST_LINKS] + 1, 0xFF)
+            word = _LINK | (_LINK_BEHIND if linked else _CLOSED_BEHIND)
+            memory[reg.STATUS_DL], memory[reg.STATUS_DL + 1] = word & 0xFF, word >> 8
+        for group in (near, far):
+            self._measure(group)
+
+    def _measure(self, group: list[Slave]) -> None:
+        hop_ns, last = self._hop_ns, len(group) - 1
+        for number, slave in enumerate(group):
+            slave.arrival_ns = number * hop_ns
+            slave.return_ns = (2 * last - number) * hop_ns if number < last else None
+
+
+_COUNTING = frozenset(
+    (
+        Command.APRD,
+        Command.APWR,
+        Command.APRW,
+        Command.ARMW,
+        Command.BRD,
+        Command.BWR,
+        Command.BRW,
+    )
+)
+"""Commands whose address field counts the slaves."""
+
+
+def _either(one: bytes | bytearray, other: bytes) -> bytes:
+    return bytes(a | b for a, b in zip(one, other, strict=True))
+
+
+def _slowly(part: Part, frame: bytearray, data: int, size: int, now_ns: int) -> None:
+    """Single bits, and registers."""
+    memory = part.slave.controller.memory
+    given = frame[data : data + size]
+    _through(part, frame, data, now_ns)
+    if part.bit_reads:
+        found = frame[data : data + size]
+        copy_bits(memory, found, ((to, where) for where, to in part.bit_reads))
+        frame[data : data + size] = found
+    if part.bit_writes:
+        copy_bits(given, memory, part.bit_writes)
+
+
+def _through(part: Part, frame: bytearray, data: int, now_ns: int) -> None:
+    """Copies of registers, which do more than memory does."""
+    controller = part.slave.controller
+    for way, (at, place, count) in part.registers:
+        if way == WRITE:
+            controller.write(place, bytes(frame[data + at : data + at + count]), now_ns)
+        else:
+            found = controller.read(place, count, now_ns)
+            if found is not None:
+                frame[data + at : data + at + count] = found

@@ -1,0 +1,127 @@
+"""The main job over pysoem: daemon, lab and recorder as processes, a veth pair between them.
+
+Skipped, with the reason, where pysoem is missing or the host allows no such pair.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from loop import QUICK
+
+from config import load
+from tools.errors import ToolError
+from tools.lab_door import ask
+from tools.log import Log
+from tools.log import open as open_log
+
+pytest.importorskip("pysoem", reason="pysoem is not installed: the extra ethercat")
+pytestmark = pytest.mark.realtime
+
+SECONDS = 4.0
+LOST = 5
+STOLEN_TICKS = 5
+"""A host that takes more than this from a run is no place for it."""
+
+
+def _obstacle() -> str:
+    """Why there can be no pair of interfaces here; empty: there can."""
+    if shutil.which("ip") is None:
+        return "there is no ip command"
+    return "" if os.geteuid() == 0 else "a pair of network interfaces needs root"
+
+
+def _configuration(folder: Path) -> Path:
+    """The shipped one with interfaces of this test's own and a quicker sequence."""
+    number = os.getpid() % 10000
+    overrides = QUICK | {
+        "fieldbus.interface": f"te{number}",
+        "lab.ethercat.interface": f"tf{number}",
+        "tracker.port": 47831,
+    }
+    config, _ = load("config/ethercat.yaml", scenario="hold", overrides=overrides)
+    path = folder / "segment.yaml"
+    path.write_text(yaml.safe_dump(config.model_dump(mode="json")))
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Log, str]:
+    """A run in which some frames were lost, one at a time."""
+    reason = _obstacle()
+    if reason:
+        pytest.skip(reason)
+    folder = tmp_path_factory.mktemp("segment")
+    runtime = folder / "runtime"
+    path = _configuration(folder)
+    command = [sys.executable, "-m", "tools.cli", "run", str(path), "--scenario", "hold"]
+    command += ["--duration", str(SECONDS), "--out", str(folder)]
+    over = threading.Event()
+
+    def lose() -> None:
+        """Once the daemon ticks; a lab that is not there yet or any more is no matter."""
+        for _ in range(LOST):
+            if over.wait(1.0):
+                return
+            try:
+                ask({"op": "fault", "f": {"drop": 1}}, runtime / "lab.sock")
+            except ToolError:
+                continue
+
+    environment = {**os.environ, "TONUS_RUNTIME_DIR": str(runtime)}
+    thread = threading.Timer(6.0, lose)
+    thread.start()
+    try:
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=120, check=False
+        )
+    finally:
+        over.set()
+        thread.cancel()
+        thread.join()
+    said = done.stdout + done.stderr
+    assert (folder / "summary.json").exists(), said
+    summary = json.loads((folder / "summary.json").read_text())
+    if summary["missed_by_host"] > STOLEN_TICKS:
+        pytest.skip(f"the host took {summary['missed_by_host']} ticks from the run")
+    return summary, open_log(folder / "run.mcap"), said
+
+
+def test_the_main_job_is_done_over_pysoem(finished: tuple[dict[str, Any], Log, str]) -> None:
+    summary, log, said = finished
+    assert summary["state"] == "STANDBY", said
+    assert not summary["faults"]
+    assert summary["missed_ticks"] == 0
+    assert log.metadata["pacing"] == "distributed clock on timer"
+
+
+def test_no_working_counter_was_wrong(finished: tuple[dict[str, Any], Log, str]) -> None:
+    names = {event.name for event in finished[1].events()}
+    assert not names & {"wrong_working_counter", "stale_frame", "slave_left_op", "slave_silent"}
+
+
+def test_a_lost_frame_costs_its_timeout_and_no_tick(
+    finished: tuple[dict[str, Any], Log, str],
+) -> None:
+    """SOEM by itself holds the tick for 4 ms and more."""
+    lost = [event for event in finished[1].events() if event.name == "frame_lost"]
+    assert lost
+    waited = [float(re.findall(r"within (\d+) us", event.text)[0]) for event in lost]
+    assert sorted(waited)[len(waited) // 2] < 1000.0
+
+
+def test_the_pair_of_interfaces_is_gone_afterwards(
+    finished: tuple[dict[str, Any], Log, str],
+) -> None:
+    del finished
+    assert not Path(f"/sys/class/net/te{os.getpid() % 10000}").exists()

@@ -1,0 +1,94 @@
+"""From a configuration to its fieldbus, and to what paces a run on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from config.schema.bus import CanopenBus, DirectBus, EthercatBus, SeveralBuses, parts
+from config.schema.root import Config
+from drivers.canopen.master import CanopenFieldbus
+from drivers.direct import DirectFieldbus
+from drivers.ethercat.deterministic import DeterministicMaster
+from drivers.ethercat.master import EthercatFieldbus
+from drivers.ethercat.soem import SoemMaster
+from drivers.ethercat.wire import Wire
+from drivers.fieldbus import Fieldbus, FrameTap
+from drivers.process_image import ProcessImage
+from drivers.several import SeveralFieldbuses
+from runtime import clock
+from runtime.scheduler import Pacing
+from runtime.steering import SteeredPacing
+from sim.lab import Lab
+from tools.errors import ToolError
+
+
+def channels(config: Config) -> list[str]:
+    """The CAN channels of a configuration, in the order in which their frames are numbered."""
+    return [
+        channel.name
+        for bus in parts(config.fieldbus)
+        if isinstance(bus, CanopenBus)
+        for channel in bus.channels
+    ]
+
+
+def build(
+    config: Config, image: ProcessImage, lab: Lab | None = None, tap: FrameTap | None = None
+) -> Fieldbus:
+    """``lab`` is one in this process and this loop, whose buses are then used. Raises `ToolError`
+    and `DriverError`."""
+    bus = config.fieldbus
+    if isinstance(bus, SeveralBuses):
+        names = channels(config)
+
+        def part(theirs: Config, rows: ProcessImage) -> Fieldbus:
+            first = channels(theirs)
+            return build(theirs, rows, lab, _numbered(tap, names.index(first[0]) if first else 0))
+
+        return SeveralFieldbuses(config, image, part)
+    if isinstance(bus, DirectBus):
+        if lab is None:
+            raise ToolError("the direct fieldbus has no wires: it needs --virtual and a lab")
+        return DirectFieldbus(config, image, lab.direct, clock.loop_clock())
+    if isinstance(bus, CanopenBus):
+        return CanopenFieldbus(config, image, tap)
+    return EthercatFieldbus(config, image, _wire(lab))
+
+
+def _wire(lab: Lab | None) -> Callable[[EthercatBus, Callable[[], int]], Wire]:
+    """SOEM on an interface; a lab of this process answers our own master."""
+    if lab is None:
+        return SoemMaster
+    segments = lab.segments
+    return lambda bus, now_ns: DeterministicMaster(bus, segments[bus.interface].exchange, now_ns)
+
+
+def _numbered(tap: FrameTap | None, first: int) -> FrameTap | None:
+    """The same tap for a bus whose channels are not the first."""
+    if tap is None or not first:
+        return tap
+    return lambda at_ns, channel, identifier, data, ours: tap(
+        at_ns, first + channel, identifier, data, ours
+    )
+
+
+def steering(fieldbus: Fieldbus, pacing: Callable[[], Pacing]) -> Callable[[], Pacing]:
+    """``pacing``, steered where the configuration lets a bus' clocks lead; the first one's."""
+    found = [fieldbus]
+    if isinstance(fieldbus, SeveralFieldbuses):
+        found = list(fieldbus.parts)
+    for each in found:
+        if isinstance(each, EthercatFieldbus) and each.leads:
+            clocks = each.clocks
+            return lambda: SteeredPacing(pacing(), each, clocks)
+    return pacing
+
+
+def pacing_name(config: Config, *, virtual: bool) -> str:
+    """What paces a run, for its log."""
+    leads = any(
+        isinstance(bus, EthercatBus) and bus.clocks.pacing == "distributed_clock"
+        for bus in parts(config.fieldbus)
+    )
+    timer = "virtual time" if virtual else "timer"
+    return f"distributed clock on {timer}" if leads else timer
