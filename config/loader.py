@@ -60,6 +60,11 @@ def load_scenario(name: str, overrides: Overrides | None = None) -> Scenario:
     return _scenario(name, f"scenario {name}", 0, "", overrides)
 
 
+def scenario_names() -> list[str]:
+    """Every scenario that comes with the package."""
+    return sorted(ours.stem for ours in (HERE / "scenarios").glob("*.yaml"))
+
+
 def _scenario(
     name: str, file: str, line: int, key: str, overrides: Overrides | None = None
 ) -> Scenario:
@@ -69,9 +74,8 @@ def _scenario(
         path = HERE / "scenarios" / f"{name}.yaml"
         shown = f"config/scenarios/{path.name}"
     if not is_file(path):
-        known = sorted(ours.stem for ours in (HERE / "scenarios").glob("*.yaml"))
         problem = f"there is no scenario {reprlib.repr(name)}"
-        raise ConfigError(file, line, key, problem, _choose(path.stem, known))
+        raise ConfigError(file, line, key, problem, _choose(path.stem, scenario_names()))
     document = read(path, shown)
     for dotted_key, value in (overrides or {}).items():
         _override(document, dotted_key, value)

@@ -47,9 +47,9 @@ def place(config: Config, fault: Fault, where: int) -> str:
     if where < 0:
         return ""
     if fault in _OF_A_DRIVE:
-        return _axis(config, where)
+        return axis_name(config, where)
     if fault in _OF_A_CELL:
-        return _cell(config, where)
+        return cell_name(config, where)
     return ""
 
 
@@ -60,7 +60,8 @@ def describe(config: Config, fault: Fault, where: int, detail: str = "") -> str:
     return f"{text} ({detail})" if detail else text
 
 
-def _axis(config: Config, axis: int) -> str:
+def axis_name(config: Config, axis: int) -> str:
+    """Channel, node and axis of a drive."""
     bus = config.fieldbus
     if isinstance(bus, CanopenBus):
         for channel in bus.channels:
@@ -70,7 +71,8 @@ def _axis(config: Config, axis: int) -> str:
     return f"axis {axis}"
 
 
-def _cell(config: Config, cell: int) -> str:
+def cell_name(config: Config, cell: int) -> str:
+    """Channel, node and cell of a force sensor."""
     name = "contact cell" if cell == CONTACT_CELL else f"cell {cell}"
     bus = config.fieldbus
     if isinstance(bus, CanopenBus):

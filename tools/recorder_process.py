@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import select
 import signal
 import subprocess
@@ -24,6 +25,7 @@ from runtime.realtime import prepare
 from runtime.recorder import Recorder
 from runtime.taps import Level
 from tools.cli.live import Live
+from tools.event_lines import EventLines, for_journal
 
 _QUIT = b"q"
 _DRAIN_PERIOD_S = 0.05
@@ -58,9 +60,10 @@ def start(
     *,
     priority: int = 0,
     live_duration_s: float | None = None,
+    tell_events: bool = False,
 ) -> RecorderProcess:
     """Start a recorder for the rings in ``ring_dir``. With ``live_duration_s`` it also shows the
-    live line on standard output."""
+    live line on standard output, with ``tell_events`` a line for each event."""
     job = {
         "recording": recording.model_dump(mode="json"),
         "metadata": metadata,
@@ -70,6 +73,7 @@ def start(
         "utc_offset_ns": utc_offset_ns,
         "priority": priority,
         "live_duration_s": live_duration_s,
+        "tell_events": tell_events,
     }
     path = ring_dir / "recorder.json"
     path.write_text(json.dumps(job, sort_keys=True), encoding="utf-8")
@@ -93,14 +97,19 @@ def run(ring_dir: Path, out: Path, job: dict[str, Any]) -> None:
         job["utc_offset_ns"],
         live.update if live else None,
     )
+    lines = EventLines(ring_dir, journal=for_journal(os.environ)) if job["tell_events"] else None
     daemon = sys.stdin.fileno()
     while not select.select([daemon], [], [], _DRAIN_PERIOD_S)[0]:
         recorder.drain()
+        if lines is not None:
+            lines.tell()
     if sys.stdin.buffer.read(1) != _QUIT:
         recorder.drain()
         recorder.event(
             Level.FATAL, "daemon_lost", "daemon", "the daemon ended without a word; recorded so far"
         )
+    if lines is not None:
+        lines.tell()
     recorder.finish()
     if live is not None:
         live.close()

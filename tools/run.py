@@ -30,19 +30,23 @@ from drivers.fieldbus import Fieldbus, FrameTap, Progress
 from drivers.process_image import ProcessImage
 from drivers.tracker import TrackerInput, TrackerSource, UdpTracker
 from runtime import clock
+from runtime.control_door import ControlDoor
+from runtime.control_socket import ControlSocket, ControlSocketError
 from runtime.daemon import Daemon, Outcome
-from runtime.operator import Script
+from runtime.notify import Notifier
+from runtime.operator import Console, Script
 from runtime.realtime import Grant, freeze_collector, prepare, stolen_jiffies, thaw_collector
 from runtime.recorder import Recorder
 from runtime.rehearsal import rehearse
 from runtime.ring import RingWriter
 from runtime.scheduler import TimerPacing, VirtualPacing
 from runtime.signals import CYCLE, SCHEMA_VERSION, TOPICS
-from runtime.taps import EventRing, FrameRing, KeyframeRing
+from runtime.taps import EventRing, FrameRing, KeyframeRing, Level
 from runtime.topics import to_json
 from sim.lab import Lab
 from tools.cli.live import Live
 from tools.errors import ToolError
+from tools.event_lines import EventLines, for_journal
 from tools.lab_process import LabProcess, start_lab
 from tools.recorder_process import RecorderProcess, start
 from tools.truth import TruthRing
@@ -66,6 +70,12 @@ class Order:
     live: bool = True
     start_ns: int = 0
     """on the loop's clock, no tick before; so that runs of unlike bring-up can be compared"""
+    serve: bool = False
+    """wait for commands at the control socket, instead of playing the scenario by a script"""
+    others: tuple[Scenario, ...] = ()
+    """what an operator may choose instead of `scenario`"""
+    socket: Path | None = None
+    """of control, instead of the configuration's"""
 
 
 @dataclass
@@ -86,23 +96,55 @@ class Result:
 
 def run(order: Order) -> Result:
     """Run to the end. Raises `DriverError` when a bus cannot be brought up."""
+    with ExitStack() as first:
+        # Before anything of another daemon's could be touched.
+        control = _control_socket(order)
+        if control is not None:
+            first.callback(control.close)
+        return _run(order, control)
+
+
+def _control_socket(order: Order) -> ControlSocket | None:
+    """Held from here on; in virtual time only where people are to be served."""
+    if order.virtual and not order.serve:
+        return None
+    settings = order.config.operation.socket
+    path = order.socket or Path(settings.path)
+    try:
+        return ControlSocket(path if order.socket else runtime_dir() / path, settings)
+    except ControlSocketError as error:
+        raise ToolError(str(error)) from error
+
+
+def _run(order: Order, control: ControlSocket | None) -> Result:
     log = order.out / "run.mcap"
     _make(order.out, "choose another with --out")
     log.unlink(missing_ok=True)
     if not rehearse(order.config, order.scenario):
         raise ToolError("the control cycle does not reach ACTIVE even with an obedient robot")
     with _ring_directory() as rings, ExitStack() as cleanup:
-        stage = _Stage(order, rings, log, cleanup)
+        stage = _Stage(order, rings, log, cleanup, control)
         return stage.virtual() if order.virtual else stage.real()
 
 
 class _Stage:
     """The parts of one run, and the order in which they come and go."""
 
-    def __init__(self, order: Order, rings: Path, log: Path, cleanup: ExitStack) -> None:
+    def __init__(
+        self,
+        order: Order,
+        rings: Path,
+        log: Path,
+        cleanup: ExitStack,
+        control: ControlSocket | None,
+    ) -> None:
         config = order.config
+        self._control, self._notifier = control, Notifier({} if order.virtual else os.environ)
+        self._live = order.live and not order.serve
         self._order, self._rings, self._log, self._cleanup = order, rings, log, cleanup
-        self._script = Script(order.scenario.duration)
+        patience = config.operation.self_test.patience_s
+        script = None if order.serve else Script(order.scenario.duration, patience)
+        self._console = Console(script)
         self._image = ProcessImage()
         ticks = int(config.recording.ring_s / config.control.rates.period)
         meta = {"kind": "record", "topics": to_json(TOPICS)}
@@ -117,10 +159,12 @@ class _Stage:
         self._ticks = ticks
         self._began = 0.0
         self._grants: list[Grant] = []
+        self._daemon_made: Daemon | None = None
 
     def virtual(self) -> Result:
         order = self._order
-        live = Live(order.scenario.duration) if order.live else None
+        live = Live(order.scenario.duration) if self._live else None
+        lines = EventLines(self._rings, journal=for_journal(os.environ)) if order.serve else None
         recorder = Recorder(
             self._rings,
             self._log,
@@ -134,13 +178,20 @@ class _Stage:
         async def main() -> Outcome:
             lab = self._lab()
             daemon = self._daemon(lab, clock.Stopwatch(running=False))
-            draining = _every(DRAIN_S, recorder.drain)
+
+            def drain() -> None:
+                recorder.drain()
+                if lines is not None:
+                    lines.tell()
+
+            draining = _every(DRAIN_S, drain)
             try:
                 return await daemon.run(
                     VirtualPacing, order.say, self._begin, start_ns=order.start_ns
                 )
             finally:
                 draining()
+                drain()
                 if lab is not None:
                     lab.close()
 
@@ -179,6 +230,7 @@ class _Stage:
                 outcome = clock.run(main(), virtual=False)
             seconds = clock.wall_seconds() - self._began
         finally:
+            self._notifier.stopping()
             thaw_collector()
             recorder.stop()
             if lab is not None:
@@ -188,6 +240,7 @@ class _Stage:
         return Result(outcome, self._log, seconds, steal, self._grants)
 
     def _begin(self) -> None:
+        self._notifier.ready()
         self._began = clock.wall_seconds()
 
     def _lab(self) -> Lab | None:
@@ -223,7 +276,8 @@ class _Stage:
             self._attachments(),
             clock.utc_offset_ns(),
             priority=order.config.realtime.recorder_priority,
-            live_duration_s=order.scenario.duration if order.live else None,
+            live_duration_s=order.scenario.duration if self._live else None,
+            tell_events=order.serve,
         )
         self._cleanup.callback(recorder.stop)
         return recorder
@@ -243,30 +297,55 @@ class _Stage:
         else:
             source = UdpTracker(config.tracker.address, config.tracker.port)
             self._cleanup.callback(source.close)
-        return Daemon(
+        order = self._order
+        daemon = self._daemon_made = Daemon(
             config,
-            self._order.scenario,
+            order.scenario,
             fieldbus,
             TrackerInput(image, source),
-            self._script,
+            self._console,
             ring=self._cycles,
             events=self._events.write,
             stopwatch=stopwatch,
             keyframes=self._keyframes.write,
+            others=order.others,
         )
+        control, beat, sequence = self._control, self._notifier.beat, daemon.cycle.sequence
+        if control is not None:
+            catalogue = (order.scenario, *order.others)
+            control.open_to(ControlDoor(config, daemon, self._console, catalogue, str(self._log)))
+            poll = control.poll
+
+            def serve(due_ns: int) -> None:
+                poll(due_ns)
+                beat(due_ns, sequence.state)
+
+            daemon.service = serve
+        return daemon
 
     @contextmanager
     def _signals(self) -> Iterator[None]:
-        """The first SIGINT or SIGTERM asks for a controlled stop, the second disables at once."""
-        kept = {
-            number: signal.signal(number, lambda *_: self._script.stop())
-            for number in (signal.SIGINT, signal.SIGTERM)
-        }
+        """The first SIGINT or SIGTERM asks for a controlled stop, the second disables at once.
+        SIGHUP, a terminal that is gone, is a stop too, except of a daemon that serves."""
+        ends = [signal.SIGINT, signal.SIGTERM]
+        kept = {signal.SIGHUP: signal.signal(signal.SIGHUP, lambda *_: self._hang_up())}
+        for number in ends:
+            kept[number] = signal.signal(number, lambda which, _: self._end(which))
         try:
             yield
         finally:
             for number, handler in kept.items():
                 signal.signal(number, handler)
+
+    def _end(self, number: int) -> None:
+        self._console.stop(f"signal {signal.Signals(number).name}")
+
+    def _hang_up(self) -> None:
+        if not self._order.serve:
+            self._end(signal.SIGHUP)
+        elif self._daemon_made is not None:
+            text = "SIGHUP: nothing to do; the configuration is read at the start only"
+            self._daemon_made.note(Level.INFO, "signal", text)
 
     def _metadata(self, host: dict[str, str]) -> dict[str, str]:
         order = self._order
@@ -284,9 +363,14 @@ class _Stage:
 
     def _attachments(self) -> dict[str, bytes]:
         order = self._order
+        others = {}
+        if order.others:
+            scenarios = [each.model_dump(mode="json") for each in order.others]
+            others["catalogue.yaml"] = _yaml({"scenarios": scenarios})
         return {
             "config.yaml": _yaml(order.config.model_dump(mode="json")),
             "scenario.yaml": _yaml(order.scenario.model_dump(mode="json")),
+            **others,
         }
 
 
