@@ -1,8 +1,8 @@
 """The daemon's control socket: a Unix stream socket, one JSON object a line.
 
-It is looked at once after each tick and does one bounded thing then: let one client in, or take one
-message. Nothing here waits, and no client can make it do more. Who is at the other end the kernel
-says; one daemon holds a socket at a time, and what a killed one left is taken over.
+It is looked at once after each tick and does one bounded thing then: let one client in, and take
+one message. Nothing here waits, and no client can make it do more. Who is at the other end the
+kernel says; one daemon holds a socket at a time, and what a killed one left is taken over.
 """
 
 from __future__ import annotations
@@ -178,13 +178,14 @@ class ControlSocket:
         _, descriptor = min(turns)
         if descriptor == self._listener.fileno():
             self._listener_turn = self._look
-            self._accept()
+            self._accept(door)
         else:
             client = self._clients[descriptor]
             client.turn = self._look
             self._hear(client, door)
 
-    def _accept(self) -> None:
+    def _accept(self, door: Door) -> None:
+        """Let one in, and hear it if it has spoken already: an emergency stop does not wait."""
         try:
             connection, _ = self._listener.accept()
         except OSError:  # it was gone before it was let in
@@ -207,6 +208,7 @@ class ControlSocket:
             self._drop(min(self._clients.values(), key=lambda each: each.turn))
         self._clients[connection.fileno()] = client
         self._poller.register(connection, select.EPOLLIN)
+        self._hear(client, door)
 
     def _hear(self, client: _Client, door: Door) -> None:
         """At most one message, from what is there."""

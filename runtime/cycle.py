@@ -91,8 +91,7 @@ class ControlCycle:
         )
         self._referencing = Referencing(robot, control.sequence, Kinematics(robot.geometry))
         self.sequence = Sequence(control, self._sensing, self._referencing, self._envelope)
-        references = (reference, *others)
-        self._guide = Guide(robot, control.sequence, control.envelope, references, period)
+        self._guide = Guide(robot, control.sequence, control.envelope, reference, period, others)
         self._estimator = PoseEstimator(robot, control.estimator, tracker, self._kinematics, period)
         self._controller = CONTROLLERS[control.controller](robot, control)
         ratio = self._controller.damping_ratio

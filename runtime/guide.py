@@ -4,13 +4,12 @@ scenario chosen in HOLD begins, once started, with the way home."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.control import Envelope
-from config.schema.control import Sequence as SequenceSettings
+from config.schema.control import Envelope, Sequence
 from config.schema.robot import Robot
 from config.schema.scenario import Reference
 from runtime.reference import Move, Sample, trajectory
@@ -25,16 +24,17 @@ class Guide:
     def __init__(
         self,
         robot: Robot,
-        sequence: SequenceSettings,
+        sequence: Sequence,
         envelope: Envelope,
-        references: Sequence[Reference],
+        reference: Reference,
         period: float,
+        others: Iterable[Reference] = (),
     ) -> None:
-        """``references`` can be chosen from; the first one is to begin with."""
+        """``others`` can be chosen instead of ``reference``, by their numbers from 1 on."""
         self._sequence, self._period = sequence, period
         self._slew = sequence.reference_slew * period
         self._cruise = envelope.speed_limit * envelope.speed_warning
-        self._trajectories = tuple(trajectory(reference) for reference in references)
+        self._trajectories = tuple(trajectory(each) for each in (reference, *others))
         self.chosen = 0
         """number of the scenario in force"""
         self._home, self._rest = np.array(robot.home), np.array(robot.rest)

@@ -6,7 +6,7 @@ from config.schema.bus import CONTACT_CELL, CanopenBus
 from config.schema.root import Config
 from runtime.states import Fault
 
-_TEXT = {
+TEXT = {
     Fault.NONE: "no fault",
     Fault.DRIVE_LOST: "the drive stopped answering",
     Fault.DRIVE_FAULT: "the drive left Operation Enabled by itself",
@@ -56,7 +56,7 @@ def place(config: Config, fault: Fault, where: int) -> str:
 def describe(config: Config, fault: Fault, where: int, detail: str = "") -> str:
     """One line: where, what and why."""
     at = place(config, fault, where)
-    text = f"{at}: {_TEXT[fault]}" if at else _TEXT[fault]
+    text = f"{at}: {TEXT[fault]}" if at else TEXT[fault]
     return f"{text} ({detail})" if detail else text
 
 
