@@ -1,4 +1,4 @@
-"""A daemon in virtual time on a robot of stone, operated tick by tick through its control socket."""
+"""A daemon in virtual time on a robot of stone, operated tick by tick at its control socket."""
 
 from __future__ import annotations
 

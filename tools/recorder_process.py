@@ -10,23 +10,30 @@ daemon is gone. Either way what is left in the rings is recorded and the file fi
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import select
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from config.schema.control import Recording
 from runtime.realtime import prepare
-from runtime.recorder import Recorder
+from runtime.recorder import Recorder, Watch
+from runtime.ring import RingReader
 from runtime.taps import Level
 from tools.cli.live import Live
+from tools.errors import ToolError
 from tools.event_lines import EventLines, for_journal
 
+JOB = "recorder.json"
+"""what a recorder is to do, beside its rings"""
 _QUIT = b"q"
 _DRAIN_PERIOD_S = 0.05
 
@@ -74,8 +81,9 @@ def start(
         "priority": priority,
         "live_duration_s": live_duration_s,
         "tell_events": tell_events,
+        "out": str(out),
     }
-    path = ring_dir / "recorder.json"
+    path = ring_dir / JOB
     path.write_text(json.dumps(job, sort_keys=True), encoding="utf-8")
     command = [sys.executable, "-m", "tools.recorder_process", str(ring_dir), str(out), str(path)]
     # A group of its own: Ctrl-C is for the daemon, which then decides when the recording ends.
@@ -88,15 +96,7 @@ def run(ring_dir: Path, out: Path, job: dict[str, Any]) -> None:
     prepare(priority=job["priority"], processor=None, lock_memory=False)
     duration = job["live_duration_s"]
     live = Live(duration) if duration is not None else None
-    recorder = Recorder(
-        ring_dir,
-        out,
-        Recording.model_validate(job["recording"]),
-        job["metadata"],
-        {name: base64.b64decode(text) for name, text in job["attachments"].items()},
-        job["utc_offset_ns"],
-        live.update if live else None,
-    )
+    recorder = _recorder(ring_dir, out, job, live.update if live else None)
     lines = EventLines(ring_dir, journal=for_journal(os.environ)) if job["tell_events"] else None
     daemon = sys.stdin.fileno()
     while not select.select([daemon], [], [], _DRAIN_PERIOD_S)[0]:
@@ -115,11 +115,65 @@ def run(ring_dir: Path, out: Path, job: dict[str, Any]) -> None:
         live.close()
 
 
+def salvage(ring_dir: Path) -> Path | None:
+    """Record what a recorder that was killed left in its rings; gives the file, or None where
+    nothing is left. Raises `ToolError` while that recorder is still at work."""
+    job_file = ring_dir / JOB
+    if not job_file.exists():
+        return None
+    with _hold(ring_dir) as held:
+        if not held:
+            raise ToolError(f"{ring_dir}: its recorder is still at work; wait a moment")
+        if not any(_unread(path) for path in ring_dir.glob("*.ring")):
+            return None
+        job = json.loads(job_file.read_text(encoding="utf-8"))
+        recorder = _recorder(ring_dir, Path(job["out"]), job)
+        text = "the recorder ended without a word; this is what it left in the rings"
+        recorder.event(Level.ERROR, "recorder_lost", "recorder", text)
+        recorder.finish()
+    return recorder.path
+
+
+def _unread(path: Path) -> bool:
+    reader = RingReader.open(path)
+    try:
+        return reader.cursor < reader.published
+    finally:
+        reader.close()
+
+
+@contextmanager
+def _hold(ring_dir: Path) -> Iterator[bool]:
+    """Whether these rings are ours alone; the lock goes with the process, however it ends."""
+    with (ring_dir / "recorder.lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+            return
+        yield True
+
+
+def _recorder(
+    ring_dir: Path, out: Path, job: dict[str, Any], watch: Watch | None = None
+) -> Recorder:
+    return Recorder(
+        ring_dir,
+        out,
+        Recording.model_validate(job["recording"]),
+        job["metadata"],
+        {name: base64.b64decode(text) for name, text in job["attachments"].items()},
+        job["utc_offset_ns"],
+        watch,
+    )
+
+
 def main() -> None:
     """The process that `start` starts."""
     ring_dir, out, job = (Path(argument) for argument in sys.argv[1:4])
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    run(ring_dir, out, json.loads(job.read_text(encoding="utf-8")))
+    with _hold(ring_dir):
+        run(ring_dir, out, json.loads(job.read_text(encoding="utf-8")))
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ from runtime import clock
 from runtime.control_door import ControlDoor
 from runtime.control_socket import ControlSocket, ControlSocketError
 from runtime.daemon import Daemon, Outcome
+from runtime.errors import DaemonError
 from runtime.notify import Notifier
 from runtime.operator import Console, Script
 from runtime.realtime import Grant, freeze_collector, prepare, stolen_jiffies, thaw_collector
@@ -48,7 +49,7 @@ from tools.cli.live import Live
 from tools.errors import ToolError
 from tools.event_lines import EventLines, for_journal
 from tools.lab_process import LabProcess, start_lab
-from tools.recorder_process import RecorderProcess, start
+from tools.recorder_process import RecorderProcess, salvage, start
 from tools.truth import TruthRing
 
 DRAIN_S = 0.2
@@ -122,7 +123,7 @@ def _run(order: Order, control: ControlSocket | None) -> Result:
     log.unlink(missing_ok=True)
     if not rehearse(order.config, order.scenario):
         raise ToolError("the control cycle does not reach ACTIVE even with an obedient robot")
-    with _ring_directory() as rings, ExitStack() as cleanup:
+    with _ring_directory(order.say) as rings, ExitStack() as cleanup:
         stage = _Stage(order, rings, log, cleanup, control)
         return stage.virtual() if order.virtual else stage.real()
 
@@ -232,7 +233,9 @@ class _Stage:
         finally:
             self._notifier.stopping()
             thaw_collector()
-            recorder.stop()
+            if recorder.stop():
+                left = salvage(self._rings)
+                order.say(f"the recorder was killed; what it left is in {left}")
             if lab is not None:
                 lab.stop()
         stolen, total = (now - then for now, then in zip(stolen_jiffies(), before, strict=True))
@@ -375,19 +378,31 @@ class _Stage:
 
 
 @contextmanager
-def _ring_directory() -> Iterator[Path]:
-    """A place for the rings of this run; what a killed run left behind is cleared away."""
+def _ring_directory(say: Progress) -> Iterator[Path]:
+    """A place for the rings of this run; what a killed run left behind is recorded first where
+    nobody did, and then cleared away."""
     base = runtime_dir()
     _make(base, "set TONUS_RUNTIME_DIR to a folder of your own")
     for old in base.glob("run-*"):
         if not Path("/proc", old.name.removeprefix("run-")).exists():
-            shutil.rmtree(old, ignore_errors=True)
+            _clear(old, say)
     rings = base / f"run-{os.getpid()}"
     rings.mkdir()
     try:
         yield rings
     finally:
         shutil.rmtree(rings, ignore_errors=True)
+
+
+def _clear(old: Path, say: Progress) -> None:
+    try:
+        file = salvage(old)
+    except (ToolError, DaemonError, OSError) as error:
+        say(f"left by an earlier run and kept: {error}")
+        return
+    if file is not None:
+        say(f"left by an earlier run and now recorded: {file}")
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def _make(folder: Path, remedy: str) -> None:
