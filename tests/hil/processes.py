@@ -94,9 +94,10 @@ class Running:
             self.process.send_signal(signal.SIGTERM)
         return self.process.wait(seconds)
 
-    def kill(self) -> None:
+    def kill(self) -> bool:
+        """Whether it was killed: a starved host may have ended the run in a fault before."""
         self.process.kill()
-        self.process.wait()
+        return self.process.wait() == -signal.SIGKILL
 
 
 def whole(path: Path) -> bool:

@@ -38,11 +38,12 @@ def test_a_killed_daemon_loses_no_cycle_and_the_next_start_works(tmp_path: Path)
         reader = running.reader()
         wait_for(lambda reader=reader: reader.published > 0)  # type: ignore[misc]
         clock.pause(moment)
-        running.kill()
+        killed = running.kill()
         published = reader.published
         wait_for(lambda log=running.log: whole(log))  # type: ignore[misc]
         nothing_missing(published, running.log)
-        assert any(event.name == "daemon_lost" for event in open_log(running.log).events())
+        told = any(event.name == "daemon_lost" for event in open_log(running.log).events())
+        assert told is killed
     _the_next_start_works(tmp_path, 47821)
 
 

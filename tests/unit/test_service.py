@@ -43,14 +43,17 @@ def test_the_unit_asks_for_what_the_daemon_needs_and_offers() -> None:
     assert "AF_CAN" in unit["RestrictAddressFamilies"][0]
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
+ANALYZE = shutil.which("systemd-analyze")
+
+
+@pytest.mark.skipif(ANALYZE is None, reason="no systemd here")
 def test_systemd_finds_nothing_wrong_with_it(tmp_path: Path) -> None:
     unit = tmp_path / "tonus.service"
     # Paths and a user of this machine: the rest is what is judged.
     text = UNIT.read_text().replace("/opt/tonus/bin/tonus", sys.executable)
     unit.write_text(text.replace("User=tonus\nGroup=tonus", "User=root\nGroup=root"))
     result = subprocess.run(
-        ["systemd-analyze", "verify", "--man=no", str(unit)],
+        [str(ANALYZE), "verify", "--man=no", str(unit)],
         capture_output=True,
         text=True,
         check=False,
