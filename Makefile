@@ -7,7 +7,7 @@ STAMP := $(VENV)/.ready
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test bench fuzz lint check-types lock clean
+.PHONY: setup run test bench fuzz kill soak lint check-types lock clean
 
 setup: $(STAMP)
 
@@ -40,6 +40,18 @@ bench: setup
 fuzz: setup
 	$(BIN)/python -m tests.fuzz --frames $(FUZZ_FRAMES) --seed $(FUZZ_SEED)
 	$(BIN)/python -m tests.fuzz --frames $(FUZZ_FRAMES) --seed $(FUZZ_SEED) --against master
+
+# kill -9 of daemon, recorder and lab, KILLS times each at random moments; about a quarter of an
+# hour for 50.
+KILLS ?= 50
+KILLS_SEED ?= $(shell date +%s)
+kill: setup
+	TONUS_KILLS=$(KILLS) TONUS_KILLS_SEED=$(KILLS_SEED) $(BIN)/python -m pytest -v tests/hil/test_kills.py
+
+# Half an hour of simulated time; ten minutes or so.
+SOAK_MINUTES ?= 30
+soak: setup
+	$(BIN)/python -m tests.soak --minutes $(SOAK_MINUTES)
 
 lock: setup
 	$(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-index-url \

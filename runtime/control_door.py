@@ -65,7 +65,7 @@ VERBS: dict[str, Verb] = {
 
 STATUS: dict[str, tuple[str, str]] = {
     "config": ("string", "name of the configuration"),
-    "controller": ("string", ""),
+    "controller": ("string", "name of the controller"),
     "served": ("boolean", "waits for commands; false: a script gives them"),
     "state": ("string", "of the state machine (states.md)"),
     "meaning": ("string", "that state in words"),

@@ -51,7 +51,9 @@ class ControlClient:
             try:
                 came = self._socket.recv(_REPLY_BYTES)
             except TimeoutError as error:
-                raise ToolError(f"the daemon at {self.path} is silent; is it stopped?") from error
+                raise ToolError(
+                    f"the daemon at {self.path} is silent; it is starting still, or it was stopped"
+                ) from error
             except OSError as error:
                 raise ToolError(f"the daemon at {self.path} is gone ({error.strerror})") from error
             if not came:

@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TextIO
 
+import numpy as np
+from numpy.typing import NDArray
+
 from runtime.ring import RingReader
 from runtime.taps import EVENT, Level
 
@@ -33,7 +36,8 @@ class EventLines:
     def __init__(self, rings: Path, *, journal: bool, stream: TextIO | None = None) -> None:
         self._path, self._journal = rings / EVENT_RING, journal
         self._stream = stream or sys.stdout
-        self._reader: RingReader | None = None
+        # Now, before the recorder moves the cursor on.
+        self._reader = RingReader.open(self._path) if self._path.exists() else None
 
     def tell(self) -> None:
         """Print what is new."""
@@ -41,8 +45,11 @@ class EventLines:
             if not self._path.exists():
                 return
             self._reader = RingReader.open(self._path)
-        _, payload = self._reader.drain(_AT_ONCE)
-        for record in payload.view(EVENT).reshape(-1):
+        while len(payload := self._reader.drain(_AT_ONCE)[1]):
+            self._print(payload.view(EVENT).reshape(-1))
+
+    def _print(self, records: NDArray[np.void]) -> None:
+        for record in records:
             level = Level(int(record["level"]))
             name, where, text = (record[key].decode() for key in ("name", "where", "text"))
             place = f" {where}" if where and where not in text else ""

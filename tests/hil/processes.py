@@ -41,7 +41,7 @@ def configuration(folder: Path, port: int) -> Path:
     return path
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+def wait_for(condition: Callable[[], bool], seconds: float = 120.0) -> None:
     for _ in range(int(seconds / _STEP_S)):
         if condition():
             return
@@ -64,6 +64,7 @@ class Running:
             stdout=self.text.open("w"),
             stderr=subprocess.STDOUT,
         )
+        self._reader: RingReader | None = None
         self.rings = folder / "runtime" / f"run-{self.process.pid}"
 
     @property
@@ -72,10 +73,13 @@ class Running:
 
     def reader(self) -> RingReader:
         """Of the cycles; it goes on reading when the file is gone."""
+        if self._reader is not None:
+            return self._reader
         path = self.rings / "cycle.ring"
         wait_for(lambda: path.exists() or self.process.poll() is not None)
         assert path.exists(), self.text.read_text()
-        return RingReader.open(path)
+        self._reader = RingReader.open(path)
+        return self._reader
 
     def part(self, module: str) -> int:
         """Process id of a helper."""
