@@ -6,10 +6,9 @@ judged by the cycle itself, between arming and the first motion.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-
-import numpy as np
 
 from config.schema.bus import CONTACT_CELL
 from config.schema.root import Config
@@ -18,9 +17,9 @@ from runtime.cycle import ControlCycle
 from runtime.words import axis_name, cell_name
 
 _DISABLED = (
-    AxisState.SWITCH_ON_DISABLED,
-    AxisState.READY_TO_SWITCH_ON,
-    AxisState.SWITCHED_ON,
+    int(AxisState.SWITCH_ON_DISABLED),
+    int(AxisState.READY_TO_SWITCH_ON),
+    int(AxisState.SWITCHED_ON),
 )
 
 
@@ -77,34 +76,36 @@ class SelfTest:
         return [f"{found.item}: {found.text}" for found in self.findings if not found.ok]
 
     def _drives(self, image: ProcessImage) -> Iterator[str]:
-        for axis, row in enumerate(image.axes):
-            state, name = AxisState(int(row["state"])), axis_name(self._config, axis)
-            if row["age"] > self._fresh:
-                yield f"{name} does not answer"
+        ages, states = image.axes["age"].tolist(), image.axes["state"].tolist()
+        for axis, (age, state) in enumerate(zip(ages, states, strict=True)):
+            if age > self._fresh:
+                yield f"{axis_name(self._config, axis)} does not answer"
             elif state not in _DISABLED:
-                error = int(row["error_code"])
-                yield f"{name} is in {state.name}{f', error 0x{error:04X}' if error else ''}"
+                error = int(image.axes["error_code"][axis])
+                said = f"{AxisState(state).name}{f', error 0x{error:04X}' if error else ''}"
+                yield f"{axis_name(self._config, axis)} is in {said}"
 
     def _cells(self, image: ProcessImage) -> Iterator[str]:
-        for cell, row in enumerate(image.cells):
-            name = cell_name(self._config, cell)
-            if row["age"] > self._fresh:
-                yield f"{name} does not answer"
-            elif row["status"]:
-                yield f"{name} reports status {int(row['status'])}"
+        ages, statuses = image.cells["age"].tolist(), image.cells["status"].tolist()
+        for cell, (age, status) in enumerate(zip(ages, statuses, strict=True)):
+            if age > self._fresh:
+                yield f"{cell_name(self._config, cell)} does not answer"
+            elif status:
+                yield f"{cell_name(self._config, cell)} reports status {status}"
 
     def _tared(self, cycle: ControlCycle) -> str:
-        low, high = float(cycle.tare.min()), float(cycle.tare.max())
-        return f"offsets of {low:.2f} to {high:.2f} N are taken out"
+        offsets = cycle.tare.tolist()
+        return f"offsets of {min(offsets):.2f} to {max(offsets):.2f} N are taken out"
 
     def _tare(self, cycle: ControlCycle) -> Iterator[str]:
         limit = self._config.control.sequence.tare_limit
-        for cell in np.flatnonzero(~(np.abs(cycle.tare) <= limit)):
-            yield f"{cell_name(self._config, int(cell))} has an offset of {cycle.tare[cell]:.1f} N"
+        for cell, offset in enumerate(cycle.tare.tolist()):
+            if not abs(offset) <= limit:
+                yield f"{cell_name(self._config, cell)} has an offset of {offset:.1f} N"
 
     def _tensions(self, cycle: ControlCycle) -> Iterator[str]:
         limit = self._settings.slack_tension
-        for cell, force in enumerate(cycle.forces):
+        for cell, force in enumerate(cycle.forces.tolist()):
             if not abs(force) <= limit:
                 name = cell_name(self._config, cell)
                 rest = "with nothing against it" if cell == CONTACT_CELL else "with its drive off"
@@ -119,7 +120,7 @@ class SelfTest:
         elif delay > oldest:
             yield f"its last pose is {delay:.1f} s old"
         else:
-            far = float(np.linalg.norm(seen["position"] - np.array(robot.rest)))
+            far = math.dist(seen["position"].tolist(), robot.rest)
             if not far <= self._config.control.sequence.referencing_distance:
                 yield f"sees the platform {far * 1e3:.0f} mm from its cradle"
 
