@@ -27,7 +27,7 @@ ALLOWED_KB_PER_MTICK = 4096
 
 
 class Memory:
-    """Resident size (kB) of this process, sampled beside a run."""
+    """Memory of this process alone (kB), sampled beside a run; the rings are files and stay out."""
 
     def __init__(self) -> None:
         self.samples: list[int] = []
@@ -45,7 +45,7 @@ class Memory:
     def _sample(self) -> None:
         while not self._over.wait(SAMPLE_S):
             status = Path("/proc/self/status").read_text(encoding="ascii")
-            self.samples.append(int(status.split("VmRSS:")[1].split()[0]))
+            self.samples.append(int(status.split("RssAnon:")[1].split()[0]))
 
     def growth_kb(self) -> float:
         """Trend of the second and later quarters, over their length."""
@@ -69,7 +69,8 @@ def judge(result: Result, memory: Memory, seconds: float) -> list[tuple[str, boo
     )
     growth = memory.growth_kb()
     allowed = ALLOWED_KB_PER_MTICK * (1.0 - WARM) * outcome.ticks / 1e6 + 1024
-    quarters = [memory.samples[int(share * (len(memory.samples) - 1))] for share in (WARM, 0.5, 1)]
+    last = len(memory.samples) - 1
+    tenths = [memory.samples[round(share * last / 10)] >> 10 for share in range(11)] if last else []
     expected = round(seconds * 1000)
     return [
         ("ends well", outcome.fault is Fault.NONE, outcome.reason),
@@ -84,8 +85,8 @@ def judge(result: Result, memory: Memory, seconds: float) -> list[tuple[str, boo
         (
             "memory",
             growth <= allowed,
-            f"{' '.join(f'{kb >> 10}' for kb in quarters)} MiB at a quarter, half and the end; "
-            f"trend {growth:.0f} kB, {allowed:.0f} allowed",
+            f"{' '.join(map(str, tenths))} MiB, tenth by tenth; trend after a quarter "
+            f"{growth:.0f} kB, {allowed:.0f} allowed",
         ),
     ]
 
