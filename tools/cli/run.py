@@ -84,17 +84,29 @@ def run(
         socket=socket,
     )
     result = carry_out(order)
-    summary = _summary(order, result)
-    files = [result.log, out / "summary.json"]
-    if not serve:
-        files.append(out / "overview.png")
-        overview(open_log(result.log), settings, files[-1])
-    if as_json:
-        click.echo(json.dumps(summary, indent=2))
+    if serve:
+        _tell_served(result, as_json=as_json)
     else:
-        _tell(summary, result, files)
+        summary = _summary(order, result)
+        picture = out / "overview.png"
+        overview(open_log(result.log), settings, picture)
+        if as_json:
+            click.echo(json.dumps(summary, indent=2))
+        else:
+            _tell(summary, result, [result.log, out / "summary.json", picture])
     good = result.outcome.fault is Fault.NONE and not result.outcome.obstacle
     raise click.exceptions.Exit(0 if good else 1)
+
+
+def _tell_served(result: Result, *, as_json: bool) -> None:
+    """Days of operation are not summed up: what is wanted of them `tonus log` finds."""
+    outcome = result.outcome
+    if as_json:
+        ended = {"state": outcome.state.name, "reason": outcome.reason, "ticks": outcome.ticks}
+        click.echo(json.dumps(ended | {"log": str(result.log)}, indent=2))
+        return
+    click.echo(f"  {'log':<15} {result.log}, {outcome.ticks} ticks")
+    click.echo(f"{outcome.state.name}: {outcome.reason}")
 
 
 def _others(
