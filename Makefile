@@ -8,7 +8,7 @@ MINUTES ?= 10
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test bench bench-realtime load paper fuzz lint check-types lock clean
+.PHONY: setup run test bench bench-realtime load paper fuzz kill soak lint check-types lock clean
 
 setup: $(STAMP)
 
@@ -54,6 +54,18 @@ fuzz: setup
 	$(BIN)/python -m tests.fuzz --frames $(FUZZ_FRAMES) --seed $(FUZZ_SEED)
 	$(BIN)/python -m tests.fuzz --frames $(FUZZ_FRAMES) --seed $(FUZZ_SEED) --against master
 	$(BIN)/python -m tests.fuzz --frames $(FUZZ_FRAMES) --seed $(FUZZ_SEED) --against segment
+
+# kill -9 of daemon, recorder and lab, KILLS times each at random moments; about a quarter of an
+# hour for 50.
+KILLS ?= 50
+KILLS_SEED ?= $(shell date +%s)
+kill: setup
+	TONUS_KILLS=$(KILLS) TONUS_KILLS_SEED=$(KILLS_SEED) $(BIN)/python -m pytest -v tests/hil/test_kills.py
+
+# Half an hour of simulated time; ten minutes or so.
+SOAK_MINUTES ?= 30
+soak: setup
+	$(BIN)/python -m tests.soak --minutes $(SOAK_MINUTES)
 
 lock: setup
 	$(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-index-url \

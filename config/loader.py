@@ -87,6 +87,11 @@ def load_protocol() -> Protocol:
     return _validate(read(HERE / "protocol.yaml", "config/protocol.yaml"), Protocol)
 
 
+def scenario_names() -> list[str]:
+    """Every scenario that comes with the package."""
+    return sorted(ours.stem for ours in (HERE / "scenarios").glob("*.yaml"))
+
+
 def _scenario(
     name: str, file: str, line: int, key: str, overrides: Overrides | None = None
 ) -> Scenario:

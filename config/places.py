@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+CONTROL_SOCKET = "tonus.sock"
+"""A running daemon's control socket, unless its configuration names another."""
 LAB_DOOR = "lab.sock"
 """A running lab's door, among its sockets."""
 

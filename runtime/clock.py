@@ -154,6 +154,11 @@ def wall_seconds() -> float:
     return time.monotonic()
 
 
+def pause(seconds: float) -> None:
+    """For a command that looks again in a moment; nothing that ticks may call it."""
+    time.sleep(seconds)
+
+
 def _zero() -> int:
     return 0
 

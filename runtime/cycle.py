@@ -10,6 +10,7 @@ reproduce every output bit for bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from types import SimpleNamespace
 
 import numpy as np
@@ -34,12 +35,14 @@ from runtime.referencing import Referencing
 from runtime.sensing import Sensing
 from runtime.sequence import Sequence
 from runtime.signals import CycleRecord, Solver
-from runtime.states import Operator, State
+from runtime.states import ARMED, Operator, State
 from runtime.stiffness import LawTerms
 from runtime.tension import TensionLoop
 
 Array = NDArray[np.float64]
 _NOBODY = np.zeros(CABLES, dtype=bool)
+_SELECT_BIT = 24
+"""of the checksum's start, so that a tick without a choice has the checksum it always had"""
 
 
 @njit(cache=True)
@@ -134,8 +137,14 @@ class ControlCycle:
     """Everything the robot does in a millisecond."""
 
     def __init__(
-        self, robot: Robot, control: Control, tracker: Tracker, reference: Reference
+        self,
+        robot: Robot,
+        control: Control,
+        tracker: Tracker,
+        reference: Reference,
+        others: Iterable[Reference] = (),
     ) -> None:
+        """``others`` can be chosen instead of ``reference``, by their numbers from 1 on."""
         period = control.rates.period
         self._robot, self._control, self._period = robot, control, period
         self.record = CycleRecord()
@@ -146,7 +155,7 @@ class ControlCycle:
         )
         self._referencing = Referencing(robot, control.sequence, Kinematics(robot.geometry))
         self.sequence = Sequence(control, self._sensing, self._referencing, self._envelope)
-        self._guide = Guide(robot, control.sequence, control.envelope, reference, period)
+        self._guide = Guide(robot, control.sequence, control.envelope, reference, period, others)
         self._estimator = PoseEstimator(robot, control.estimator, tracker, self._kinematics, period)
         self._controller = CONTROLLERS[control.controller](robot, control)
         ratio = self._controller.damping_ratio
@@ -170,11 +179,16 @@ class ControlCycle:
         self._accepted = False
         self._finite = True
 
-    def step(self, image: ProcessImage, tick: int, operator: Operator) -> CycleRecord:
+    def step(
+        self, image: ProcessImage, tick: int, operator: Operator, select: int = 0
+    ) -> CycleRecord:
         """One tick: reads ``image.axes``, ``image.cells`` and ``image.tracker``, writes
-        ``image.commands`` and the record."""
+        ``image.commands`` and the record. ``select``: number of a scenario plus one, to be played
+        from its beginning; heeded while `selectable`."""
         sensing, sequence = self._sensing, self.sequence
         sensing.step(image, tick)
+        if select and self.selectable:
+            self._guide.select(select - 1)
         if sequence.step(image, tick, operator, finite=self._finite):
             self._enter(sequence.state)
         image.commands["command"] = sequence.axis_command
@@ -200,9 +214,25 @@ class ControlCycle:
                 sensing.usable & sequence.carrying,
                 self._desired_drums if sequence.regulating else None,
             )
-        self._write_inputs(image, tick, operator)
+        self._write_inputs(image, tick, operator, select)
         self._write_results(image, estimate)
         return self.record
+
+    @property
+    def selectable(self) -> bool:
+        """Another scenario may be chosen: nothing moves, and nothing will until a START."""
+        state = self.sequence.state
+        return state not in ARMED or (state is State.HOLD and self._guide.standing)
+
+    @property
+    def tare(self) -> Array:
+        """(9,) N subtracted from the cells' readings."""
+        return self._sensing.tare
+
+    @property
+    def forces(self) -> Array:
+        """(9,) N, tared and filtered."""
+        return np.asarray(self._sensing.filter.value)
 
     def _enter(self, state: State) -> None:
         self._finite = True
@@ -332,17 +362,22 @@ class ControlCycle:
         follows = self._controller.follows_platform or self.sequence.descending
         return self._drum_rate if follows else desired_rate
 
-    def _write_inputs(self, image: ProcessImage, tick: int, operator: Operator) -> None:
+    def _write_inputs(
+        self, image: ProcessImage, tick: int, operator: Operator, select: int
+    ) -> None:
         record, sensing, sequence = self.record, self._sensing, self.sequence
         record.timing.tick[...] = tick
         state = record.state
         state.elapsed[...] = sequence.elapsed
         state.scenario_time[...] = self._guide.time
-        state.inputs[...] = image.checksum(tick * len(Operator) + operator)
+        said = tick * len(Operator) + operator
+        state.inputs[...] = image.checksum(said ^ select << _SELECT_BIT)
         state.fault[...] = sequence.fault
         state.fault_where[...] = sequence.where
         state.state[...] = sequence.state
         state.operator[...] = operator
+        state.select[...] = select
+        state.scenario[...] = self._guide.chosen
         write_measured(
             record.data,
             image.axes,

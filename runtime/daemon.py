@@ -8,7 +8,7 @@ All that is slow (bring-up, files, people) lies before, after or outside the tic
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -25,6 +25,7 @@ from runtime.keyframe import Flat, Keyframe
 from runtime.operator import Commander
 from runtime.overruns import Overruns
 from runtime.scheduler import Misses, Pacing, Scheduler
+from runtime.self_test import SelfTest
 from runtime.sequence import MOVING
 from runtime.signals import Consistency, Grade
 from runtime.states import ARMED, Fault, Operator, State
@@ -33,12 +34,18 @@ from runtime.words import describe, place, reaction
 
 _NOTICEABLE_S = 0.5
 """Slowing at the start and at the end takes a tenth of a second; more was the envelope."""
+_SERVICE_PERIOD_S = 0.02
+"""between two looks at the control socket while the bus is brought up"""
 _CONSISTENCY = {
     Consistency.GOOD: "lengths, tensions and tracker fit together again",
     Consistency.CABLES: "the cable lengths contradict each other or the motion",
     Consistency.TRACKER: "the tracker's poses are not believed",
     Consistency.SINGULAR: "the cables hardly determine the pose",
 }
+
+
+def _nobody(due_ns: int) -> None:
+    """Nobody is to be served."""
 
 
 class TrackerDoor(Protocol):
@@ -80,6 +87,8 @@ class Outcome:
     misses: Misses
     overrun: bool = False
     """it was stopped because ticks were missed"""
+    obstacle: str = ""
+    """why the robot was never armed; empty if it was, or nobody asked"""
 
 
 class Latencies:
@@ -104,11 +113,22 @@ class Daemon:
         events: EventSink,
         stopwatch: Stopwatch,
         keyframes: KeyframeSink | None = None,
+        others: Sequence[Scenario] = (),
     ) -> None:
+        """``others``: scenarios that may be chosen instead, by their numbers from 1 on."""
         self._config = config
         self._fieldbus, self._tracker, self._commander = fieldbus, tracker, commander
         self._ring, self._events, self._stopwatch = ring, events, stopwatch
-        self.cycle = ControlCycle(config.robot, config.control, config.tracker, scenario.reference)
+        references = [other.reference for other in others]
+        self.cycle = ControlCycle(
+            config.robot, config.control, config.tracker, scenario.reference, references
+        )
+        self.self_test = SelfTest(config)
+        self.scheduler: Scheduler | None = None
+        """there is one once the bus is up"""
+        self.service: Callable[[int], None] = _nobody
+        """called with the due time (ns) after each tick, and now and then before the first: people
+        are served then, in bounded time"""
         self._duration = scenario.duration
         self._keyframes, self._keyframe = keyframes, Keyframe(self.cycle)
         self._keyframe_ticks = round(config.recording.keyframe_s / config.control.rates.period)
@@ -122,6 +142,8 @@ class Daemon:
         self._grade = Grade.GREEN
         self._fault = Fault.NONE
         self._short = False
+        self._refused = ""
+        self._who = self._resetting_for = ""
         self._consistency, self._learnt = Consistency.GOOD, 0
         self._tracker_tick, self._tracker_silent = 0, False
         patience = config.tracker.maximum_age_ms * 1e-3 / config.control.rates.period
@@ -142,10 +164,14 @@ class Daemon:
         Raises a `DriverError` when the bus cannot be brought up; a fault in operation is an
         outcome, not an exception.
         """
+        serving = asyncio.get_running_loop().create_task(self._serve_meanwhile())
         try:
-            await self._fieldbus.start(progress)
+            try:
+                await self._fieldbus.start(progress)
+            finally:
+                serving.cancel()
             ready()
-            scheduler = self._schedule(pacing(), start_ns)
+            scheduler = self.scheduler = self._schedule(pacing(), start_ns)
             try:
                 ticks = await self._tick_until_done(scheduler)
             finally:
@@ -161,12 +187,15 @@ class Daemon:
             ticks,
             scheduler.misses,
             self._overruns.stopped,
+            self._commander.obstacle,
         )
 
     def _verdict(self) -> str:
         """What became of the scenario when nothing went wrong."""
         if self._overruns.stopped:
             return "stopped because ticks were missed, as realtime.overrun asks for"
+        if self._commander.obstacle:
+            return f"not armed: {self._commander.obstacle}"
         if self._commander.interrupted:
             return "stopped by the operator"
         played, asked = float(self.cycle.record.state.scenario_time), self._duration
@@ -176,6 +205,12 @@ class Daemon:
                 f"time is up at {played:.1f} of {asked:.1f} s: the envelope held the scenario back"
             )
         return "scenario completed"
+
+    async def _serve_meanwhile(self) -> None:
+        while self.service is not _nobody:
+            self._due_ns = now_ns()
+            self.service(self._due_ns)
+            await asyncio.sleep(_SERVICE_PERIOD_S)
 
     def _schedule(self, pacing: Pacing, start_ns: int) -> Scheduler:
         """The first tick is due on a whole period, at least one from now."""
@@ -198,7 +233,7 @@ class Daemon:
         self._tracker.collect(now_ns())
         collected = wall()
         command = self._command(tick, scheduler)
-        record = cycle.step(fieldbus.image, tick, command)
+        record = cycle.step(fieldbus.image, tick, command, self._commander.select)
         computed = wall()
         fieldbus.publish(tick)
         published = wall()
@@ -209,6 +244,8 @@ class Daemon:
         if self._keyframes is not None:
             self._keep_state(tick, self._keyframes)
         self._report(tick, command)
+        self._look(tick)
+        self.service(due_ns)
 
     def _keep_state(self, tick: int, keyframes: KeyframeSink) -> None:
         """A keyframe now and then, in two ticks: both halves at once would overrun one."""
@@ -244,9 +281,27 @@ class Daemon:
             latencies.cycle.add(published - began)
             latencies.slack.add(slack)
 
+    def _look(self, tick: int) -> None:
+        """The self-test, as long as the robot is not armed."""
+        if self.cycle.sequence.state is not State.STANDBY:
+            self.self_test.forget()
+            return
+        age = self.self_test.age(tick)
+        if age is None or age >= self.self_test.interval:
+            self.self_test.look(self._fieldbus.image, self.cycle, tick)
+
+    @property
+    def recovering(self) -> bool:
+        """A reset waits for devices that are being brought back."""
+        return self._recovery is not None
+
+    def note(self, level: Level, name: str, text: str) -> None:
+        """An event of those who operate the daemon."""
+        self._emit(int(self.cycle.record.timing.tick), level, name, "", text)
+
     def _command(self, tick: int, scheduler: Scheduler) -> Operator:
         """What the operator says, or the overrun policy in their place."""
-        said = self._operator()
+        said = self._operator(tick)
         if not scheduler.skipped:
             return said
         command = self._overruns.answer(scheduler.skipped, self.cycle.sequence.state, said)
@@ -259,13 +314,22 @@ class Daemon:
             self._emit(tick, Level.WARNING, "overrun", "scheduler", text)
         return command
 
-    def _operator(self) -> Operator:
-        """What the operator says. A reset in FAULT waits, while ticks go on, until the bus has
-        brought back what it can; an emergency stop ends that wait and the reset with it."""
+    def _operator(self, tick: int) -> Operator:
+        """What the operator says. Arming needs a good self-test. A reset in FAULT waits, while
+        ticks go on, until the bus has brought back what it can; an emergency stop ends that wait
+        and the reset with it."""
         command = self._commander.next(self.cycle.sequence)
+        self._who = self._commander.who
+        if command is Operator.ARM and self.cycle.sequence.state is State.STANDBY:
+            obstacles = self.self_test.obstacles(tick)
+            if obstacles:
+                self._refuse(tick, "; ".join(obstacles))
+                return Operator.NONE
+            self._refused = ""
         if self._recovery is None:
             if command is not Operator.RESET or self.cycle.sequence.state is not State.FAULT:
                 return command
+            self._resetting_for = self._commander.who
             recovery = self._fieldbus.recover()
             self._recovery = asyncio.get_running_loop().create_task(recovery)
             return Operator.NONE
@@ -276,7 +340,17 @@ class Daemon:
             return Operator.NONE
         self._recovery.result()
         self._recovery = None
+        self._who = self._resetting_for
         return Operator.RESET
+
+    def _refuse(self, tick: int, reason: str) -> None:
+        """Whoever asks again for the same reason is answered, and the log spared."""
+        self._commander.refused(reason)
+        if reason != self._refused:
+            self._refused = reason
+            who = self._commander.who
+            text = f"arm{f' by {who}' if who else ''}: {reason}"
+            self._emit(tick, Level.WARNING, "refused", "", text)
 
     def _give_up_recovery(self) -> None:
         if self._recovery is not None:
@@ -287,7 +361,9 @@ class Daemon:
         """Events, in the ticks where there are any."""
         sequence = self.cycle.sequence
         if command is not Operator.NONE:
-            self._emit(tick, Level.INFO, "operator", "", command.name.lower())
+            who = self._who
+            text = f"{command.name.lower()}{f' by {who}' if who else ''}"
+            self._emit(tick, Level.INFO, "operator", "", text)
         if sequence.fault is not self._fault:
             self._report_fault(tick)
         if sequence.state is not self._state:

@@ -1,7 +1,10 @@
 """The reference the platform follows through a run: off the cradle to home, along the scenario at a
-rate that HOLD and the envelope may slow to nothing, and back down after a stop. Nothing jumps."""
+rate that HOLD and the envelope may slow to nothing, and back down after a stop. Nothing jumps: a
+scenario chosen in HOLD begins, once started, with the way home."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +28,15 @@ class Guide:
         envelope: Envelope,
         reference: Reference,
         period: float,
+        others: Iterable[Reference] = (),
     ) -> None:
+        """``others`` can be chosen instead of ``reference``, by their numbers from 1 on."""
         self._sequence, self._period = sequence, period
         self._slew = sequence.reference_slew * period
         self._cruise = envelope.speed_limit * envelope.speed_warning
-        self._trajectory = trajectory(reference)
+        self._trajectories = tuple(trajectory(each) for each in (reference, *others))
+        self.chosen = 0
+        """number of the scenario in force"""
         self._home, self._rest = np.array(robot.home), np.array(robot.rest)
         self.start(self._rest)
 
@@ -37,13 +44,35 @@ class Guide:
         """From a referenced pose, ready to lift."""
         self._move = Move(position, self._home, self._sequence.lift_s)
         self._move_time = 0.0
-        self._on_scenario = self._lowering = False
+        self._on_scenario = self._lowering = self._returning = False
         self._rate = 0.0
         self.time = 0.0
         """s of scenario time"""
         self.desired: Sample = (position, np.zeros(3), np.zeros(3))
         self.push = np.zeros(3)
         """N, force the scenario asks for at the contact port"""
+
+    @property
+    def standing(self) -> bool:
+        """The reference is at rest, wherever that is."""
+        return self._rate == 0.0
+
+    def select(self, number: int) -> None:
+        """Play scenario ``number`` from its beginning, next time; while the reference stands. From
+        elsewhere than home the way there comes first, no faster than a stop's."""
+        if not 0 <= number < len(self._trajectories):
+            return
+        self.chosen = number
+        if not (self._on_scenario or self._returning):
+            return
+        here = self.desired[0]
+        distance = float(np.linalg.norm(here - self._home))
+        self._move = Move(
+            here, self._home, max(self._sequence.lift_s, 1.875 * distance / self._cruise)
+        )
+        self._move_time, self.time = 0.0, 0.0
+        self._on_scenario, self._returning = False, distance > 0.0
+        self.push = np.zeros(3)
 
     def plan_stop(self) -> float:
         """How long lowering to the cradle will take (s): from far away long enough for the
@@ -62,7 +91,9 @@ class Guide:
             self.desired = self._stop(elapsed)
             self.push = np.zeros(3)
         else:
-            if not self._on_scenario:
+            if self._returning:
+                self._returning = self._move_time < self._move.duration
+            elif not self._on_scenario:
                 self._on_scenario, self._rate = True, 0.0
             self.desired = self._follow(progress if state is State.ACTIVE else 0.0)
         return self.desired
@@ -83,9 +114,10 @@ class Guide:
         rate = self._rate = min(max(wanted, before - self._slew), before + self._slew)
         if self._on_scenario:
             self.time += rate * self._period
-            offset, velocity, acceleration = self._trajectory(self.time)
+            played = self._trajectories[self.chosen]
+            offset, velocity, acceleration = played(self.time)
             position = self._home + offset
-            self.push = self._trajectory.push(self.time)
+            self.push = played.push(self.time)
         else:
             self._move_time += rate * self._period
             position, velocity, acceleration = self._move(self._move_time)

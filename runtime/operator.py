@@ -11,7 +11,20 @@ from runtime.states import ARMED, Operator, State
 class Commander(Protocol):
     """Asked once a tick, before it."""
 
+    @property
+    def who(self) -> str:
+        """Who gave the last command; empty for the program itself."""
+        ...
+
+    @property
+    def select(self) -> int:
+        """Number plus one of the scenario that the last command came with, 0 for none."""
+        ...
+
     def next(self, sequence: Sequence) -> Operator: ...
+
+    def refused(self, reason: str) -> None:
+        """The last command, to arm, was not passed on."""
 
     @property
     def finished(self) -> bool: ...
@@ -21,18 +34,24 @@ class Commander(Protocol):
         """Somebody asked for a stop."""
         ...
 
-    def stop(self) -> None:
-        """A controlled stop, please; asked a second time, at once."""
+    @property
+    def obstacle(self) -> str:
+        """Why nothing was played at all; empty if something was."""
+        ...
+
+    def stop(self, who: str = "") -> None:
+        """A controlled stop and the end, please; asked a second time, at once."""
 
 
-class Script:
-    """Arms, starts, lets the scenario run for its duration, stops. Ends in STANDBY or FAULT."""
+class _Stoppable:
+    """Ends when asked to: once in a controlled way, twice at once."""
 
-    def __init__(self, duration: float) -> None:
-        self._duration = duration
-        self._armed = False
+    def __init__(self) -> None:
         self._asked = 0
         self._over = False
+        self.who = ""
+        self.select = 0
+        self.obstacle = ""
 
     @property
     def finished(self) -> bool:
@@ -42,8 +61,31 @@ class Script:
     def interrupted(self) -> bool:
         return self._asked > 0
 
-    def stop(self) -> None:
+    def stop(self, who: str = "") -> None:
         self._asked += 1
+        self.who = who
+
+    def _obey(self, state: State) -> Operator:
+        if state not in ARMED:
+            self._over = True
+            return Operator.NONE
+        if self._asked > 1:
+            return Operator.ESTOP
+        return Operator.STOP if state is not State.SAFE_STOP else Operator.NONE
+
+
+class Script(_Stoppable):
+    """Arms, starts, lets the scenario run for its duration, stops. Ends in STANDBY or FAULT.
+
+    `stop` and `estop` may be asked for from outside; the rest is the script's.
+    """
+
+    def __init__(self, duration: float, patience_s: float = 0.0) -> None:
+        """``patience_s``: how long it waits in STANDBY for a self-test that is good."""
+        super().__init__()
+        self._duration, self._patience_s = duration, patience_s
+        self._armed = False
+        self._waited = 0.0
 
     def next(self, sequence: Sequence) -> Operator:
         state = sequence.state
@@ -54,7 +96,7 @@ class Script:
         if self._asked:
             return self._obey(state)
         if state is State.STANDBY:
-            self._armed = True
+            self._armed, self._waited = True, sequence.elapsed
             return Operator.ARM
         if state is State.HOLD and sequence.elapsed > 0.0:
             return Operator.START
@@ -62,16 +104,68 @@ class Script:
             return Operator.STOP
         return Operator.NONE
 
-    def _obey(self, state: State) -> Operator:
-        if state not in ARMED:
-            self._over = True
-            return Operator.NONE
-        if self._asked > 1:
-            return Operator.ESTOP
-        return Operator.STOP if state is not State.SAFE_STOP else Operator.NONE
+    def refused(self, reason: str) -> None:
+        self._armed = False
+        if self._waited >= self._patience_s:
+            self.obstacle, self._over = reason, True
 
     def remaining(self, sequence: Sequence) -> float:
         """s left in ACTIVE."""
         if sequence.state is not State.ACTIVE:
             return self._duration
         return max(0.0, self._duration - sequence.elapsed)
+
+
+class Console(_Stoppable):
+    """What people say through the control socket: `give` a command, the next tick takes it. Where
+    nobody says anything a script may."""
+
+    def __init__(self, script: Script | None = None) -> None:
+        super().__init__()
+        self.script = script
+        self.refusal = ""
+        """why the last command was not passed on"""
+        self._given: tuple[Operator, int, str] | None = None
+        self._halted = False
+
+    @property
+    def interrupted(self) -> bool:
+        return self._asked > 0 or self._halted
+
+    @property
+    def ending(self) -> bool:
+        """A signal asked for the daemon's end."""
+        return self._asked > 0
+
+    @property
+    def pending(self) -> bool:
+        """A command waits for the next tick."""
+        return self._given is not None
+
+    def give(self, operator: Operator, who: str, select: int = 0) -> None:
+        """Take the place of whatever was given and not yet taken, except an emergency stop's."""
+        if self._given is None or self._given[0] is not Operator.ESTOP:
+            self._given = operator, select, who
+            self.refusal = ""
+            self._halted |= operator is Operator.STOP
+
+    def next(self, sequence: Sequence) -> Operator:
+        self.select = 0
+        given, self._given = self._given, None
+        if given is not None and (given[0] is Operator.ESTOP or not self._asked):
+            operator, self.select, self.who = given
+            return operator
+        if self._asked:
+            return self._obey(sequence.state)
+        self.who = ""
+        if self.script is None:
+            return Operator.NONE
+        operator = self.script.next(sequence)
+        self._over = self.script.finished
+        return operator
+
+    def refused(self, reason: str) -> None:
+        self.refusal = reason
+        if self.script is not None:
+            self.script.refused(reason)
+            self.obstacle, self._over = self.script.obstacle, self.script.finished

@@ -203,8 +203,7 @@ class Sequence:
         if self.state is State.PRETENSION:
             share = min(1.0, self.elapsed / settings.pretension_s)
         elif self.state is State.SAFE_STOP:
-            left = max(0.0, (self.stop_ends - self.stop_time) / settings.stop_s)
-            share = min(self._tightness, left)
+            share = min(self._tightness, self._left)
         if self.state is not State.SAFE_STOP:
             self._tightness = share
         if self.descending:
@@ -218,13 +217,21 @@ class Sequence:
         )
 
     @property
+    def _left(self) -> float:
+        """Share of the tensions' way down, at the end of a stop, that is still to go."""
+        left = (self.stop_ends - self.stop_time) / self._settings.stop_s
+        return min(max(left, 0.0), 1.0)
+
+    @property
     def stiffness_cap(self) -> float:
-        """A stop because of contact is a soft one; any other keeps the platform where it is."""
+        """A stop because of contact is a soft one; any other keeps the platform on its way, and
+        softens with the tensions once it lies in the cradle."""
         law = self._control.stiffness
         if self.state is not State.SAFE_STOP:
             return law.maximum
-        soft = self.fault is Fault.CONTACT_LIMIT or self.fault in _CABLE_GONE
-        return law.minimum if soft else law.base
+        if self.fault is Fault.CONTACT_LIMIT or self.fault in _CABLE_GONE:
+            return law.minimum
+        return law.minimum + self._left * (law.base - law.minimum)
 
     @property
     def _given_up(self) -> bool:

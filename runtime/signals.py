@@ -101,6 +101,8 @@ TOPICS: tuple[Topic, ...] = (
         Field("fault_where", "int16", 0, "", "axis, cell or bound of the fault, -1 for none"),
         Field("state", "uint8", 0, "", "State"),
         Field("operator", "uint8", 0, "", "operator command of this tick, 0 for none"),
+        Field("select", "uint8", 0, "", "scenario chosen in this tick, its number plus 1; or 0"),
+        Field("scenario", "uint8", 0, "", "number of the scenario in force"),
     ),
     _topic(
         "drives",

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 
 class State(IntEnum):
@@ -61,55 +62,98 @@ class Fault(IntEnum):
 
 ARMED = frozenset({State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP})
 
-_MOVES: dict[State, dict[Event, State]] = {
+MEANING: dict[State, str] = {
+    State.OFF: "the bus is brought up and the unloaded cells are zeroed",
+    State.STANDBY: "drives are disabled; the robot may be armed",
+    State.REFERENCING: "cables are drawn straight and their lengths referenced",
+    State.PRETENSION: "tension grows and the platform rises from its cradle to home",
+    State.HOLD: "the platform holds its place",
+    State.ACTIVE: "the scenario plays",
+    State.SAFE_STOP: "a controlled stop: to standstill, down to the cradle, tensions let down",
+    State.FAULT: "drives are disabled because of a fault",
+}
+
+NEXT: dict[State, str] = {
+    State.OFF: "wait until it is in STANDBY",
+    State.STANDBY: "arm it",
+    State.REFERENCING: "wait until it is in HOLD, or stop it",
+    State.PRETENSION: "wait until it is in HOLD, or stop it",
+    State.HOLD: "start it, or stop it",
+    State.ACTIVE: "hold it, or stop it",
+    State.SAFE_STOP: "wait until it is in STANDBY",
+    State.FAULT: "mend the cause, then reset it",
+}
+"""What an operator may do, in words that follow on a refusal."""
+
+
+class Move(NamedTuple):
+    """Where an event leads, and why it may."""
+
+    to: State
+    reason: str
+
+
+_ESTOP = Move(State.FAULT, "an emergency stop disables every drive in the same tick")
+_RESTING = "with drives disabled there is nothing to be stopped"
+_MOVING = "moving or under tension: to standstill and down first, then disabled"
+_MOVES: dict[State, dict[Event, Move]] = {
     State.OFF: {
-        Event.TARED: State.STANDBY,
-        Event.FAULT: State.FAULT,
-        Event.ESTOP: State.FAULT,
+        Event.TARED: Move(State.STANDBY, "every cell reads nothing, and its offset is small"),
+        Event.FAULT: Move(State.FAULT, _RESTING),
+        Event.ESTOP: _ESTOP,
     },
     State.STANDBY: {
-        Event.ARM: State.REFERENCING,
-        Event.FAULT: State.FAULT,
-        Event.ESTOP: State.FAULT,
+        Event.ARM: Move(State.REFERENCING, "the self-test is good and somebody asked for it"),
+        Event.FAULT: Move(State.FAULT, _RESTING),
+        Event.ESTOP: _ESTOP,
     },
     State.REFERENCING: {
-        Event.REFERENCED: State.PRETENSION,
-        Event.STOP: State.SAFE_STOP,
-        Event.FAULT: State.SAFE_STOP,
-        Event.ESTOP: State.FAULT,
+        Event.REFERENCED: Move(
+            State.PRETENSION, "lengths are known: poses agree, tensions are even, it lies at rest"
+        ),
+        Event.STOP: Move(State.SAFE_STOP, "cables are let down evenly; nothing has moved yet"),
+        Event.FAULT: Move(State.SAFE_STOP, "cables are let down evenly; nothing has moved yet"),
+        Event.ESTOP: _ESTOP,
     },
     State.PRETENSION: {
-        Event.TENSIONED: State.HOLD,
-        Event.STOP: State.SAFE_STOP,
-        Event.FAULT: State.SAFE_STOP,
-        Event.ESTOP: State.FAULT,
+        Event.TENSIONED: Move(State.HOLD, "tensions are full and the platform is at home"),
+        Event.STOP: Move(State.SAFE_STOP, _MOVING),
+        Event.FAULT: Move(State.SAFE_STOP, _MOVING),
+        Event.ESTOP: _ESTOP,
     },
     State.HOLD: {
-        Event.START: State.ACTIVE,
-        Event.STOP: State.SAFE_STOP,
-        Event.FAULT: State.SAFE_STOP,
-        Event.ESTOP: State.FAULT,
+        Event.START: Move(State.ACTIVE, "somebody asked for the scenario"),
+        Event.STOP: Move(State.SAFE_STOP, _MOVING),
+        Event.FAULT: Move(State.SAFE_STOP, _MOVING),
+        Event.ESTOP: _ESTOP,
     },
     State.ACTIVE: {
-        Event.HOLD: State.HOLD,
-        Event.STOP: State.SAFE_STOP,
-        Event.FAULT: State.SAFE_STOP,
-        Event.ESTOP: State.FAULT,
+        Event.HOLD: Move(State.HOLD, "the scenario's time slows to nothing, where it is"),
+        Event.STOP: Move(State.SAFE_STOP, _MOVING),
+        Event.FAULT: Move(State.SAFE_STOP, _MOVING),
+        Event.ESTOP: _ESTOP,
     },
     State.SAFE_STOP: {
-        Event.STOPPED: State.STANDBY,
-        Event.STOPPED_BY_FAULT: State.FAULT,
-        Event.ESTOP: State.FAULT,
+        Event.STOPPED: Move(State.STANDBY, "every drive is disabled, and nothing was wrong"),
+        Event.STOPPED_BY_FAULT: Move(State.FAULT, "every drive is disabled; the fault is left"),
+        Event.ESTOP: _ESTOP,
     },
     State.FAULT: {
-        Event.RESET: State.STANDBY,
+        Event.RESET: Move(State.STANDBY, "somebody says that the cause is mended"),
     },
 }
 
 TRANSITIONS: dict[tuple[State, Event], State] = {
-    (state, event): _MOVES[state].get(event, state) for state in State for event in Event
+    (state, event): _MOVES[state][event].to if event in _MOVES[state] else state
+    for state in State
+    for event in Event
 }
 """An event that means nothing in a state leaves it unchanged."""
+
+MOVES: dict[tuple[State, Event], Move] = {
+    (state, event): move for state, moves in _MOVES.items() for event, move in moves.items()
+}
+"""The transitions that lead elsewhere, with their reasons."""
 
 
 class Operator(IntEnum):

@@ -6,7 +6,7 @@ from config.schema.bus import CONTACT_CELL, CanopenBus, parts
 from config.schema.root import Config
 from runtime.states import Fault
 
-_TEXT = {
+TEXT = {
     Fault.NONE: "no fault",
     Fault.DRIVE_LOST: "the drive stopped answering",
     Fault.DRIVE_FAULT: "the drive left Operation Enabled by itself",
@@ -47,20 +47,21 @@ def place(config: Config, fault: Fault, where: int) -> str:
     if where < 0:
         return ""
     if fault in _OF_A_DRIVE:
-        return _axis(config, where)
+        return axis_name(config, where)
     if fault in _OF_A_CELL:
-        return _cell(config, where)
+        return cell_name(config, where)
     return ""
 
 
 def describe(config: Config, fault: Fault, where: int, detail: str = "") -> str:
     """One line: where, what and why."""
     at = place(config, fault, where)
-    text = f"{at}: {_TEXT[fault]}" if at else _TEXT[fault]
+    text = f"{at}: {TEXT[fault]}" if at else TEXT[fault]
     return f"{text} ({detail})" if detail else text
 
 
-def _axis(config: Config, axis: int) -> str:
+def axis_name(config: Config, axis: int) -> str:
+    """Channel, node and axis of a drive."""
     for bus in parts(config.fieldbus):
         if isinstance(bus, CanopenBus):
             for channel in bus.channels:
@@ -74,7 +75,8 @@ def _axis(config: Config, axis: int) -> str:
     return f"axis {axis}"
 
 
-def _cell(config: Config, cell: int) -> str:
+def cell_name(config: Config, cell: int) -> str:
+    """Channel, node and cell of a force sensor."""
     name = "contact cell" if cell == CONTACT_CELL else f"cell {cell}"
     for bus in parts(config.fieldbus):
         if isinstance(bus, CanopenBus):

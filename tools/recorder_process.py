@@ -13,27 +13,32 @@ from __future__ import annotations
 import base64
 import fcntl
 import json
+import os
 import select
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from config.schema.control import Recording
 from runtime.realtime import prepare
-from runtime.recorder import Recorder
+from runtime.recorder import Recorder, Watch
 from runtime.ring import RingReader
 from runtime.taps import Level
 from runtime.viewer import Scene
 from tools.cli.live import Live
+from tools.errors import ToolError
+from tools.event_lines import EventLines, for_journal
 from tools.recorder_keeper import INCOMPLETE
 
+JOB = "recorder.json"
+"""what a recorder is to do, beside its rings"""
 _QUIT = b"q"
 _DRAIN_PERIOD_S = 0.05
-_REST = "rest"
-"""an argument: record only if something was left"""
 _STATUS = "recorder.status"
 _LOCK = "recorder.lock"
 
@@ -45,12 +50,10 @@ class RecorderProcess:
     process: subprocess.Popen[bytes]
     """its keeper"""
     ring_dir: Path
-    command: list[str]
-    """the recorder's own"""
 
-    def stop(self, timeout_s: float = 30.0) -> None:
-        """Ask for the end and wait for the finished file, which takes a recorder of its own where
-        the keeper was killed."""
+    def stop(self, timeout_s: float = 30.0) -> Path | None:
+        """Ask for the end and wait for the finished file. Gives the file that took what a recorder
+        without its keeper left, None almost always."""
         pipe = self.process.stdin
         if pipe is not None and self.process.poll() is None:
             try:
@@ -58,9 +61,9 @@ class RecorderProcess:
                 pipe.close()
             except BrokenPipeError:
                 pass  # it ended by itself; its exit code tells how
-        if self.process.wait(timeout_s) not in (0, INCOMPLETE):
-            rest = [*self.command, _REST]
-            subprocess.run(rest, input=_QUIT, check=False, timeout=timeout_s)
+        if self.process.wait(timeout_s) in (0, INCOMPLETE):
+            return None
+        return salvage(self.ring_dir, wait=True)
 
     @property
     def stopped(self) -> str:
@@ -82,9 +85,10 @@ def start(
     priority: int = 0,
     live_duration_s: float | None = None,
     scene: Scene | None = None,
+    tell_events: bool = False,
 ) -> RecorderProcess:
     """Start a recorder for the rings in ``ring_dir``. With ``live_duration_s`` it also shows the
-    live line on standard output."""
+    live line on standard output, with ``tell_events`` a line for each event."""
     job = {
         "recording": recording.model_dump(mode="json"),
         "metadata": metadata,
@@ -95,8 +99,10 @@ def start(
         "priority": priority,
         "live_duration_s": live_duration_s,
         "scene": None if scene is None else asdict(scene),
+        "tell_events": tell_events,
+        "out": str(out),
     }
-    path = ring_dir / "recorder.json"
+    path = ring_dir / JOB
     path.write_text(json.dumps(job, sort_keys=True), encoding="utf-8")
     command = [sys.executable, "-m", "tools.recorder_process", str(ring_dir), str(out), str(path)]
     # A group of its own: Ctrl-C is for the daemon, which then decides when the recording ends.
@@ -105,38 +111,89 @@ def start(
         stdin=subprocess.PIPE,
         process_group=0,
     )
-    return RecorderProcess(process, ring_dir, command)
+    return RecorderProcess(process, ring_dir)
 
 
 def run(ring_dir: Path, out: Path, job: dict[str, Any]) -> bool:
     """Record until asked to stop or left alone. Gives whether all of it could be written."""
     prepare(priority=job["priority"], processor=None, lock_memory=False)
-    duration, scene = job["live_duration_s"], job["scene"]
+    duration = job["live_duration_s"]
     live = Live(duration) if duration is not None else None
-    recorder = Recorder(
+    recorder = _recorder(ring_dir, out, job, live.update if live else None)
+    lines = EventLines(ring_dir, journal=for_journal(os.environ)) if job["tell_events"] else None
+    daemon, said = sys.stdin.fileno(), ""
+    while not select.select([daemon], [], [], _DRAIN_PERIOD_S)[0]:
+        recorder.drain()
+        said = _tell(ring_dir, recorder.stopped, said)
+        if lines is not None:
+            lines.tell()
+    if sys.stdin.buffer.read(1) != _QUIT:
+        recorder.drain()
+        recorder.event(
+            Level.FATAL, "daemon_lost", "daemon", "the daemon ended without a word; recorded so far"
+        )
+    if lines is not None:
+        lines.tell()
+    recorder.finish()
+    _tell(ring_dir, recorder.stopped, said)
+    if live is not None:
+        live.close()
+    return not recorder.stopped
+
+
+def salvage(ring_dir: Path, *, wait: bool = False) -> Path | None:
+    """Record what a recorder that was killed left in its rings; gives the file, or None where
+    nothing is left. While that recorder is still at work: ``wait`` for its end, or raise
+    `ToolError`."""
+    job_file = ring_dir / JOB
+    if not job_file.exists():
+        return None
+    with _hold(ring_dir, wait=wait) as held:
+        if not held:
+            raise ToolError(f"{ring_dir}: its recorder is still at work; wait a moment")
+        if not any(_unread(path) for path in ring_dir.glob("*.ring")):
+            return None
+        job = json.loads(job_file.read_text(encoding="utf-8"))
+        recorder = _recorder(ring_dir, Path(job["out"]), job)
+        text = "the recorder ended without a word; this is what it left in the rings"
+        recorder.event(Level.ERROR, "recorder_lost", "recorder", text)
+        recorder.finish()
+    return recorder.path
+
+
+def _unread(path: Path) -> bool:
+    reader = RingReader.open(path)
+    try:
+        return reader.cursor < reader.published
+    finally:
+        reader.close()
+
+
+@contextmanager
+def _hold(ring_dir: Path, *, wait: bool) -> Iterator[bool]:
+    """Whether these rings are ours alone; the lock goes with the process, however it ends."""
+    with (ring_dir / _LOCK).open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            yield False
+            return
+        yield True
+
+
+def _recorder(
+    ring_dir: Path, out: Path, job: dict[str, Any], watch: Watch | None = None
+) -> Recorder:
+    return Recorder(
         ring_dir,
         out,
         Recording.model_validate(job["recording"]),
         job["metadata"],
         {name: base64.b64decode(text) for name, text in job["attachments"].items()},
         job["utc_offset_ns"],
-        live.update if live else None,
-        Scene(**scene) if scene else None,
+        watch,
+        Scene(**scene) if (scene := job["scene"]) else None,
     )
-    daemon, said = sys.stdin.fileno(), ""
-    while not select.select([daemon], [], [], _DRAIN_PERIOD_S)[0]:
-        recorder.drain()
-        said = _tell(ring_dir, recorder.stopped, said)
-    if sys.stdin.buffer.read(1) != _QUIT:
-        recorder.drain()
-        recorder.event(
-            Level.FATAL, "daemon_lost", "daemon", "the daemon ended without a word; recorded so far"
-        )
-    recorder.finish()
-    _tell(ring_dir, recorder.stopped, said)
-    if live is not None:
-        live.close()
-    return not recorder.stopped
 
 
 def _tell(ring_dir: Path, stopped: str, before: str) -> str:
@@ -148,25 +205,12 @@ def _tell(ring_dir: Path, stopped: str, before: str) -> str:
     return stopped
 
 
-def _is_done(ring_dir: Path) -> bool:
-    """Everything published was recorded by an earlier recorder."""
-    readers = [RingReader.open(path) for path in sorted(ring_dir.glob("*.ring"))]
-    done = all(reader.cursor >= reader.published for reader in readers)
-    started = any(reader.cursor for reader in readers)
-    for reader in readers:
-        reader.close()
-    return done and started
-
-
 def main() -> None:
     """The process that a keeper starts."""
     ring_dir, out, job = (Path(argument) for argument in sys.argv[1:4])
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with (ring_dir / _LOCK).open("w") as lock:
-        # One that lost its keeper may still be at work.
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if _REST in sys.argv and _is_done(ring_dir):
-            return
+    # One that lost its keeper may still be at work.
+    with _hold(ring_dir, wait=True):
         if not run(ring_dir, out, json.loads(job.read_text(encoding="utf-8"))):
             sys.exit(INCOMPLETE)
 

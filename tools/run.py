@@ -29,15 +29,19 @@ from drivers.fieldbus import Fieldbus, FrameTap, Progress
 from drivers.process_image import ProcessImage
 from drivers.tracker import TrackerInput, TrackerSource, UdpTracker
 from runtime import clock
+from runtime.control_door import ControlDoor
+from runtime.control_socket import ControlSocket, ControlSocketError
 from runtime.daemon import Daemon, Latencies, Outcome
-from runtime.operator import Script
+from runtime.errors import DaemonError
+from runtime.notify import Notifier
+from runtime.operator import Console, Script
 from runtime.realtime import Grant, Hygiene, demand, stolen_jiffies
 from runtime.recorder import Recorder
 from runtime.rehearsal import rehearse
 from runtime.ring import RingWriter
 from runtime.scheduler import Pacing, TimerPacing, VirtualPacing
 from runtime.signals import CYCLE, SCHEMA_VERSION, TOPICS
-from runtime.taps import EventRing, FrameRing, KeyframeRing
+from runtime.taps import EventRing, FrameRing, KeyframeRing, Level
 from runtime.topics import to_json
 from runtime.viewer import Scene
 from sim.lab import Lab
@@ -45,8 +49,9 @@ from tools import fieldbuses
 from tools.cli.live import Live
 from tools.doctor import doctor
 from tools.errors import ToolError
+from tools.event_lines import EventLines, for_journal
 from tools.lab_process import LabProcess, start_lab
-from tools.recorder_process import RecorderProcess, start
+from tools.recorder_process import RecorderProcess, salvage, start
 from tools.truth import TruthRing
 
 DRAIN_S = 0.2
@@ -70,6 +75,12 @@ class Order:
     """on the loop's clock, no tick before; so that runs of unlike bring-up can be compared"""
     pacing: Callable[[], Pacing] | None = None
     """instead of the usual one: what a test lets the ticks wait for"""
+    serve: bool = False
+    """wait for commands at the control socket, instead of playing the scenario by a script"""
+    others: tuple[Scenario, ...] = ()
+    """what an operator may choose instead of `scenario`"""
+    socket: Path | None = None
+    """of control, instead of the configuration's"""
 
 
 @dataclass
@@ -93,6 +104,27 @@ class Result:
 
 def run(order: Order) -> Result:
     """Run to the end. Raises `DriverError` when a bus cannot be brought up."""
+    with ExitStack() as first:
+        # Before anything of another daemon's could be touched.
+        control = _control_socket(order)
+        if control is not None:
+            first.callback(control.close)
+        return _run(order, control)
+
+
+def _control_socket(order: Order) -> ControlSocket | None:
+    """Held from here on; in virtual time only where people are to be served."""
+    if order.virtual and not order.serve:
+        return None
+    settings = order.config.operation.socket
+    path = order.socket or Path(settings.path)
+    try:
+        return ControlSocket(path if order.socket else runtime_dir() / path, settings)
+    except ControlSocketError as error:
+        raise ToolError(str(error)) from error
+
+
+def _run(order: Order, control: ControlSocket | None) -> Result:
     log = order.out / "run.mcap"
     if not order.virtual:
         demand(order.config.realtime)
@@ -101,18 +133,29 @@ def run(order: Order) -> Result:
         old.unlink(missing_ok=True)
     if not rehearse(order.config, order.scenario):
         raise ToolError("the control cycle does not reach ACTIVE even with an obedient robot")
-    with _ring_directory() as rings, ExitStack() as cleanup:
-        stage = _Stage(order, rings, log, cleanup)
+    with _ring_directory(order.say) as rings, ExitStack() as cleanup:
+        stage = _Stage(order, rings, log, cleanup, control)
         return stage.virtual() if order.virtual else stage.real()
 
 
 class _Stage:
     """The parts of one run, and the order in which they come and go."""
 
-    def __init__(self, order: Order, rings: Path, log: Path, cleanup: ExitStack) -> None:
+    def __init__(
+        self,
+        order: Order,
+        rings: Path,
+        log: Path,
+        cleanup: ExitStack,
+        control: ControlSocket | None,
+    ) -> None:
         config = order.config
+        self._control, self._notifier = control, Notifier({} if order.virtual else os.environ)
+        self._live = order.live and not order.serve
         self._order, self._rings, self._log, self._cleanup = order, rings, log, cleanup
-        self._script = Script(order.scenario.duration)
+        patience = config.operation.self_test.patience_s
+        script = None if order.serve else Script(order.scenario.duration, patience)
+        self._console = Console(script)
         self._image = ProcessImage()
         ticks = int(config.recording.ring_s / config.control.rates.period)
         meta = {"kind": "record", "topics": to_json(TOPICS)}
@@ -128,10 +171,12 @@ class _Stage:
         self._began = 0.0
         self._hygiene: Hygiene | None = None
         self._latencies: Latencies | None = None
+        self._daemon_made: Daemon | None = None
 
     def virtual(self) -> Result:
         order = self._order
-        live = Live(order.scenario.duration) if order.live else None
+        live = Live(order.scenario.duration) if self._live else None
+        lines = EventLines(self._rings, journal=for_journal(os.environ)) if order.serve else None
         recorder = Recorder(
             self._rings,
             self._log,
@@ -148,11 +193,18 @@ class _Stage:
             fieldbus = fieldbuses.build(order.config, self._image, lab, self._tap)
             daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False))
             pacing = fieldbuses.steering(fieldbus, order.pacing or VirtualPacing)
-            draining = _every(DRAIN_S, recorder.drain)
+
+            def drain() -> None:
+                recorder.drain()
+                if lines is not None:
+                    lines.tell()
+
+            draining = _every(DRAIN_S, drain)
             try:
                 return await daemon.run(pacing, order.say, self._begin, start_ns=order.start_ns)
             finally:
                 draining()
+                drain()
                 if lab is not None:
                     lab.close()
 
@@ -192,9 +244,12 @@ class _Stage:
                 outcome = clock.run(main(), virtual=False)
             seconds = clock.wall_seconds() - self._began
         finally:
+            self._notifier.stopping()
             if self._hygiene is not None:
                 self._hygiene.release()
-            recorder.stop()
+            left = recorder.stop()
+            if left is not None:
+                order.say(f"the recorder was killed; what it left is in {left}")
             if lab is not None:
                 lab.stop()
         stolen, total = (now - then for now, then in zip(stolen_jiffies(), before, strict=True))
@@ -204,6 +259,7 @@ class _Stage:
         return Result(outcome, self._log, seconds, steal, grants, unrecorded, self._latencies)
 
     def _begin(self) -> None:
+        self._notifier.ready()
         self._began = clock.wall_seconds()
 
     def _lab(self) -> Lab | None:
@@ -241,7 +297,8 @@ class _Stage:
             self._attachments() | attachments,
             clock.utc_offset_ns(),
             priority=order.config.realtime.of(order.config.realtime.recorder_priority),
-            live_duration_s=order.scenario.duration if order.live else None,
+            live_duration_s=order.scenario.duration if self._live else None,
+            tell_events=order.serve,
             scene=Scene.of(order.config),
         )
         self._cleanup.callback(recorder.stop)
@@ -255,30 +312,55 @@ class _Stage:
         else:
             source = UdpTracker(config.tracker.address, config.tracker.port)
             self._cleanup.callback(source.close)
-        return Daemon(
+        order = self._order
+        daemon = self._daemon_made = Daemon(
             config,
-            self._order.scenario,
+            order.scenario,
             fieldbus,
             TrackerInput(image, source),
-            self._script,
+            self._console,
             ring=self._cycles,
             events=self._events.write,
             stopwatch=stopwatch,
             keyframes=self._keyframes.write,
+            others=order.others,
         )
+        control, beat, sequence = self._control, self._notifier.beat, daemon.cycle.sequence
+        if control is not None:
+            catalogue = (order.scenario, *order.others)
+            control.open_to(ControlDoor(config, daemon, self._console, catalogue, str(self._log)))
+            poll = control.poll
+
+            def serve(due_ns: int) -> None:
+                poll(due_ns)
+                beat(due_ns, sequence.state)
+
+            daemon.service = serve
+        return daemon
 
     @contextmanager
     def _signals(self) -> Iterator[None]:
-        """The first SIGINT or SIGTERM asks for a controlled stop, the second disables at once."""
-        kept = {
-            number: signal.signal(number, lambda *_: self._script.stop())
-            for number in (signal.SIGINT, signal.SIGTERM)
-        }
+        """The first SIGINT or SIGTERM asks for a controlled stop, the second disables at once.
+        SIGHUP, a terminal that is gone, is a stop too, except of a daemon that serves."""
+        ends = [signal.SIGINT, signal.SIGTERM]
+        kept = {signal.SIGHUP: signal.signal(signal.SIGHUP, lambda *_: self._hang_up())}
+        for number in ends:
+            kept[number] = signal.signal(number, lambda which, _: self._end(which))
         try:
             yield
         finally:
             for number, handler in kept.items():
                 signal.signal(number, handler)
+
+    def _end(self, number: int) -> None:
+        self._console.stop(f"signal {signal.Signals(number).name}")
+
+    def _hang_up(self) -> None:
+        if not self._order.serve:
+            self._end(signal.SIGHUP)
+        elif self._daemon_made is not None:
+            text = "SIGHUP: nothing to do; the configuration is read at the start only"
+            self._daemon_made.note(Level.INFO, "signal", text)
 
     def _metadata(self, host: dict[str, str]) -> dict[str, str]:
         order = self._order
@@ -297,27 +379,44 @@ class _Stage:
 
     def _attachments(self) -> dict[str, bytes]:
         order = self._order
+        others = {}
+        if order.others:
+            scenarios = [each.model_dump(mode="json") for each in order.others]
+            others["catalogue.yaml"] = _yaml({"scenarios": scenarios})
         return {
             "config.yaml": _yaml(order.config.model_dump(mode="json")),
             "environment.txt": _environment(),
             "scenario.yaml": _yaml(order.scenario.model_dump(mode="json")),
+            **others,
         }
 
 
 @contextmanager
-def _ring_directory() -> Iterator[Path]:
-    """A place for the rings of this run; what a killed run left behind is cleared away."""
+def _ring_directory(say: Progress) -> Iterator[Path]:
+    """A place for the rings of this run; what a killed run left behind is recorded first where
+    nobody did, and then cleared away."""
     base = runtime_dir()
     _make(base, "set TONUS_RUNTIME_DIR to a folder of your own")
     for old in base.glob("run-*"):
         if not Path("/proc", old.name.removeprefix("run-")).exists():
-            shutil.rmtree(old, ignore_errors=True)
+            _clear(old, say)
     rings = base / f"run-{os.getpid()}"
     rings.mkdir()
     try:
         yield rings
     finally:
         shutil.rmtree(rings, ignore_errors=True)
+
+
+def _clear(old: Path, say: Progress) -> None:
+    try:
+        file = salvage(old)
+    except (ToolError, DaemonError, OSError) as error:
+        say(f"left by an earlier run and kept: {error}")
+        return
+    if file is not None:
+        say(f"left by an earlier run and now recorded: {file}")
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def _make(folder: Path, remedy: str) -> None:

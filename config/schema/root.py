@@ -8,6 +8,7 @@ from config.schema.base import Section
 from config.schema.bus import Bus, Tracker
 from config.schema.control import Control, Recording
 from config.schema.lab import Lab
+from config.schema.operation import Operation
 from config.schema.realtime import RealTime
 from config.schema.robot import Robot
 
@@ -20,6 +21,8 @@ class Config(Section):
     control: Control
     realtime: RealTime
     recording: Recording
+    operation: Operation = Operation()
+    """a log of before there was any says nothing of it"""
     scenario: str
     """the scenario that runs when none is named"""
     lab: Lab | None = None

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tools.report import states
 from tools.report.signals import markdown
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -14,6 +15,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def test_the_page_of_signals_is_the_one_the_topics_print() -> None:
     assert (ROOT / "docs" / "log.md").read_text() == markdown()
+
+
+def test_the_page_of_states_is_the_one_the_table_prints() -> None:
+    assert (ROOT / "docs" / "states.md").read_text() == states.markdown()
 
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])

@@ -16,7 +16,18 @@ from runtime.errors import DaemonError
 from sim.errors import LabError
 from tools.errors import ToolError
 
-COMMANDS = ("run", "lab", "fault", "check", "doctor", "workspace", "log", "paper", "export")
+COMMANDS = (
+    "run",
+    "ctl",
+    "lab",
+    "fault",
+    "check",
+    "doctor",
+    "workspace",
+    "log",
+    "paper",
+    "export",
+)
 """Each is the object of its name in the module of its name."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import click
 import numpy as np
 
 from config import Config, Scenario, load
+from config.loader import load_scenario, scenario_names
 from drivers.fieldbus import Progress
 from runtime.states import Fault, State
 from tools.check import check
@@ -32,6 +34,8 @@ from tools.summary import Summary, missed_in, summarise, truth_at_cycles
 @click.option("--controller", help="Controller by name, instead of the configuration's.")
 @click.option("--virtual", is_flag=True, help="As fast as the processor allows, deterministic.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the lab's noise.")
+@click.option("--serve", is_flag=True, help="Wait for `tonus ctl` instead of playing a scenario.")
+@click.option("--socket", type=click.Path(path_type=Path), help="Control socket.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True)
 @click.option("--force", is_flag=True, help="Run even what `tonus check` refuses.")
 @click.option("--json", "as_json", is_flag=True, help="Print summary.json and nothing else.")
@@ -43,11 +47,17 @@ def run(
     *,
     virtual: bool,
     seed: int | None,
+    serve: bool,
+    socket: Path | None,
     out: Path,
     force: bool,
     as_json: bool,
 ) -> None:
-    """Run CONFIG: bring the robot up, play a scenario, record everything, sum it up."""
+    """Run CONFIG: bring the robot up, play a scenario, record everything, sum it up.
+
+    With --serve it waits for commands (`tonus ctl`) until it is interrupted, in a new numbered
+    folder in OUT each time.
+    """
     overrides: dict[str, Any] = {}
     if controller is not None:
         overrides["control.controller"] = controller
@@ -60,17 +70,71 @@ def run(
         _refuse(config, settings, played)
     say: Progress = (lambda _: None) if as_json else _say
     say(f"{settings.name}: {played.description}")
-    order = Order(settings, played, out, seed, virtual, say, live=not as_json)
+    others: tuple[Scenario, ...] = ()
+    if serve:
+        others = tuple(_others(config, settings, played, say=say, force=force))
+        out = _next_folder(out)
+    order = Order(
+        settings,
+        played,
+        out,
+        seed,
+        virtual,
+        say,
+        live=not as_json,
+        serve=serve,
+        others=others,
+        socket=socket,
+    )
     result = carry_out(order)
-    summary = _summary(order, result)
-    picture = out / "overview.png"
-    overview(open_log(result.log), settings, picture)
-    if as_json:
-        click.echo(json.dumps(summary, indent=2))
+    if serve:
+        _tell_served(result, as_json=as_json)
     else:
-        _tell(summary, result, [*segments(result.log), out / "summary.json", picture])
+        summary = _summary(order, result)
+        picture = out / "overview.png"
+        overview(open_log(result.log), settings, picture)
+        if as_json:
+            click.echo(json.dumps(summary, indent=2))
+        else:
+            _tell(summary, result, [*segments(result.log), out / "summary.json", picture])
     outcome = result.outcome
-    raise click.exceptions.Exit(0 if outcome.fault is Fault.NONE and not outcome.overrun else 1)
+    good = outcome.fault is Fault.NONE and not outcome.obstacle and not outcome.overrun
+    raise click.exceptions.Exit(0 if good else 1)
+
+
+def _tell_served(result: Result, *, as_json: bool) -> None:
+    """Days of operation are not summed up: what is wanted of them `tonus log` finds."""
+    outcome = result.outcome
+    if as_json:
+        ended = {"state": outcome.state.name, "reason": outcome.reason, "ticks": outcome.ticks}
+        click.echo(json.dumps(ended | {"log": str(result.log)}, indent=2))
+        return
+    click.echo(f"  {'log':<15} {result.log}, {outcome.ticks} ticks")
+    click.echo(f"{outcome.state.name}: {outcome.reason}")
+
+
+def _others(
+    path: Path, config: Config, played: Scenario, *, say: Progress, force: bool
+) -> Iterator[Scenario]:
+    """What may be chosen beside the scenario played first, as far as the robot can do it."""
+    names = config.operation.scenarios
+    for name in scenario_names() if names is None else names:
+        scenario = load_scenario(name)
+        if scenario.name == played.name:
+            continue
+        try:
+            if not force:
+                _refuse(path, config, scenario)
+        except ToolError as error:
+            say(f"scenario {scenario.name} cannot be chosen: {error}")
+            continue
+        yield scenario
+
+
+def _next_folder(out: Path) -> Path:
+    """OUT/0001, OUT/0002 and so on: what a daemon recorded before it was restarted stays."""
+    taken = [int(each.name) for each in out.glob("[0-9]*") if each.name.isdecimal()]
+    return out / f"{max(taken, default=0) + 1:04d}"
 
 
 def _refuse(path: Path, config: Config, scenario: Scenario) -> None:

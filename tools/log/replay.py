@@ -47,6 +47,10 @@ Progress = Callable[[int], None]
 """Receives the tick that has been reached."""
 
 
+class _Catalogue(BaseModel):
+    scenarios: tuple[Scenario, ...]
+
+
 @dataclass(frozen=True)
 class Difference:
     """One number that did not come out again."""
@@ -130,6 +134,16 @@ def played(log: Log) -> Scenario:
     return _validated(log, data.decode(errors="replace"), Scenario, "scenario")
 
 
+def catalogue(log: Log) -> list[Scenario]:
+    """What else an operator could choose, in the order of the numbers it is known by. Raises
+    ToolError."""
+    data = log.attachments.get("catalogue.yaml")
+    if data is None:
+        return []
+    text = data.decode(errors="replace")
+    return list(_validated(log, text, _Catalogue, "catalogue").scenarios)
+
+
 def _validated(log: Log, text: str, model: type[Model], what: str) -> Model:
     try:
         return model.model_validate(yaml.safe_load(text))
@@ -186,7 +200,8 @@ class _Replayer:
         self._config = configuration(log)
         if other is not None:
             self._config = _in_step(log, self._config, other)
-        self._scenario = played(log)
+        self._reference = played(log).reference
+        self._others = [scenario.reference for scenario in catalogue(log)]
         self._image = ProcessImage()
         self._topics = [topic for topic in TOPICS if topic.name in log]
         self._cycle: ControlCycle | None = None
@@ -214,7 +229,9 @@ class _Replayer:
 
     def _fresh(self) -> ControlCycle:
         config = self._config
-        return ControlCycle(config.robot, config.control, config.tracker, self._scenario.reference)
+        return ControlCycle(
+            config.robot, config.control, config.tracker, self._reference, self._others
+        )
 
     def _recorded_states(self) -> dict[int, bytes]:
         if KEYFRAME_TOPIC not in self._log or self._log[KEYFRAME_TOPIC].dtype.names is None:
@@ -254,7 +271,10 @@ class _Replayer:
         out = np.zeros(len(ticks), CYCLE)
         done = np.zeros(len(ticks), bool)
         rows = self._inputs(batch)
-        operators = batch["/tonus/state"].messages["operator"]
+        state = batch["/tonus/state"].messages
+        operators = state["operator"]
+        # A log of before there was anything to choose has no such signal.
+        selects = state["select"] if "select" in (state.dtype.names or ()) else 0 * operators
         for index, tick in enumerate(ticks.tolist()):
             if tick > self._last:
                 break
@@ -267,7 +287,8 @@ class _Replayer:
             for table, row in rows:
                 table[...] = row[index]
             operator = self._operator(int(operators[index]), tick)
-            out[index] = self._cycle.step(self._image, tick, operator).data[0]
+            select = int(selects[index])
+            out[index] = self._cycle.step(self._image, tick, operator, select).data[0]
             done[index] = tick >= self._first
         if done.any():
             self._compare(batch, out, done, ticks)

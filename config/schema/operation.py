@@ -1,0 +1,55 @@
+"""How the daemon is operated: its control socket, and what must be in order before it arms.
+
+The defaults are for a log of before there was this section; `config/operation.yaml` states them.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from config.schema.base import Count, NonNegative, Positive, Section
+
+Mode = Annotated[str, Field(pattern=r"^0[0-7]{3}$")]
+Name = Annotated[str, Field(min_length=1)]
+
+
+class ControlSocket(Section):
+    """Who may speak to the daemon, how much, and how fast."""
+
+    path: Name = "tonus.sock"
+    """in the runtime directory, unless absolute"""
+    mode: Mode = "0600"
+    """file mode of the socket: who may connect at all"""
+    group: Name | None = None
+    """group that the socket's file is given to; null: the daemon's own"""
+    users: tuple[Name, ...] = ()
+    """heard beside root and the daemon's own user"""
+    groups: tuple[Name, ...] = ()
+    """whose members are heard"""
+    clients: Count = 8
+    """connections at a time; one more, and that which was silent longest is closed"""
+    message_bytes: Annotated[int, Field(ge=64, le=65536)] = 1024
+    rate_hz: Positive = 20.0
+    """messages a second and client, in the long run; the others wait in the client's socket"""
+    burst: Count = 20
+
+
+class SelfTest(Section):
+    """What arming needs, looked at again and again while the drives are disabled."""
+
+    interval_ms: Count = 100
+    maximum_age_ms: Count = 250
+    """an older result arms nothing"""
+    patience_s: NonNegative = 2.0
+    """how long a script waits for a good one"""
+    slack_tension: Positive = 10.0
+    """N: most that a cable of a disarmed robot pulls, or a zeroed cell may read"""
+
+
+class Operation(Section):
+    socket: ControlSocket = ControlSocket()
+    self_test: SelfTest = SelfTest()
+    scenarios: tuple[Name, ...] | None = None
+    """what an operator may choose from, by name or file; null: all that come with the package"""

@@ -1,0 +1,107 @@
+"""kill -9 of daemon, recorder or lab at random moments: nothing that was published is missing, the
+drives stop by themselves, and the next start works without anybody's cleaning.
+
+All of it happens in one folder, so that each start is also the next one after a kill. `make kill`
+does it fifty times each; TONUS_KILLS is the number. Without it only what takes little time runs:
+daemon and recorder killed together, and the lab.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+from pathlib import Path
+
+import pytest
+from hil.processes import Running, nothing_missing, wait_for, whole
+
+from runtime import clock
+from tools.control_client import ControlClient
+from tools.log import open as open_log
+
+pytestmark = pytest.mark.realtime
+
+MANY = "TONUS_KILLS" in os.environ
+KILLS = int(os.environ.get("TONUS_KILLS", "1"))
+SEED = int(os.environ.get("TONUS_KILLS_SEED", "1"))
+AT_MOST_S = 4.5 if MANY else 1.0
+"""after the first cycle; by the longer one it holds, and the scenario plays"""
+PLAY = ("--scenario", "hold", "--duration", "30")
+PORT = 47821
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("kills")
+
+
+many = pytest.mark.skipif(not MANY, reason="make kill")
+
+
+def moments(salt: int) -> list[float]:
+    chance = random.Random(SEED + salt)
+    return [chance.uniform(0.0, AT_MOST_S) for _ in range(KILLS)]
+
+
+def started(folder: Path, name: str) -> Running:
+    """It ticks."""
+    running = Running(folder, folder / name, PORT, *PLAY)
+    reader = running.reader()
+    wait_for(lambda: reader.published > 0)
+    return running
+
+
+@many
+def test_a_killed_daemon_loses_no_cycle(folder: Path) -> None:
+    for number, moment in enumerate(moments(1)):
+        running = started(folder, f"daemon{number}")
+        reader = running.reader()
+        clock.pause(moment)
+        killed = running.kill()
+        wait_for(lambda log=running.log: whole(log))  # type: ignore[misc]
+        nothing_missing(reader.published, running.log)
+        told = any(event.name == "daemon_lost" for event in open_log(running.log).events())
+        assert told is killed
+
+
+@many
+def test_a_killed_recorder_loses_no_cycle(folder: Path) -> None:
+    for number, moment in enumerate(moments(2)):
+        running = started(folder, f"recorder{number}")
+        reader = running.reader()
+        clock.pause(moment)
+        os.kill(running.part("tools.recorder_process"), signal.SIGKILL)
+        clock.pause(0.2)
+        assert running.end() in (0, 1), running.text.read_text()
+        nothing_missing(reader.published, *running.out.glob("*.mcap"))
+
+
+def test_a_killed_lab_is_a_fault(folder: Path) -> None:
+    for number, moment in enumerate(moments(3)):
+        running = started(folder, f"lab{number}")
+        reader = running.reader()
+        clock.pause(moment)
+        os.kill(running.part("tools.lab_process"), signal.SIGKILL)
+        assert running.process.wait(60) == 1, running.text.read_text()
+        said = running.text.read_text()
+        assert "Traceback" not in said, said
+        assert said.rstrip().splitlines()[-1].startswith("FAULT: "), said
+        nothing_missing(reader.published, running.log)
+
+
+def test_what_a_killed_daemon_and_recorder_leave_is_recorded_at_the_next_start(
+    folder: Path,
+) -> None:
+    running = started(folder, "both")
+    reader = running.reader()
+    wait_for(lambda: reader.published > 500)
+    os.kill(running.part("tools.recorder_process"), signal.SIGKILL)
+    running.kill()
+    last = started(folder, "last")
+    nothing_missing(reader.published, *running.out.glob("*.mcap"))
+    with ControlClient(folder / "runtime" / "tonus.sock") as client:
+        assert client.ask("status")["ok"]
+        client.ask("stop")
+    assert last.end() in (0, 1), last.text.read_text()
+    assert not list((folder / "runtime").glob("run-*"))

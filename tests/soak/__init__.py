@@ -1,0 +1,1 @@
+"""Half an hour of the robot's life in virtual time (`make soak`)."""
