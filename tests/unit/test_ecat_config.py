@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 from config import ConfigError, load
+from config.schema.bus import EthercatBus
 from drivers.errors import BringUpError
 from drivers.ethercat.soem import SoemMaster
-from tools.check import check
+from tools.check_ethercat import check_ethercat
 
 
 @pytest.mark.parametrize(
@@ -41,8 +42,9 @@ def test_a_device_on_two_buses_or_none_is_refused() -> None:
 
 
 def _failed(overrides: dict[str, Any]) -> set[str]:
-    config, scenario = load("config/ethercat.yaml", overrides=overrides)
-    return {finding.rule for finding in check(config, scenario) if not finding.passed}
+    config, _ = load("config/ethercat.yaml", overrides=overrides)
+    assert isinstance(config.fieldbus, EthercatBus)
+    return {finding.rule for finding in check_ethercat(config, config.fieldbus) if not finding.ok}
 
 
 @pytest.mark.parametrize(
