@@ -11,6 +11,8 @@ _LEAST_NS = 100_000
 _SPEED_LIMIT = 5e-3
 _SLEW = 10
 """A clock runs by a tenth faster or slower at most while it takes a difference back."""
+SHORTEST_NS = 50_000
+"""Cycle of SYNC0 that a slave can follow; a drive's current loop takes 40 us."""
 _MASK = (1 << 64) - 1
 _HALF = 1 << 63
 
@@ -71,7 +73,8 @@ class DistributedClock:
     def compare(self, reference: int, now_ns: int) -> None:
         """The reference clock's time has come by, and is to be followed."""
         self._rebase(now_ns)
-        difference = _less(self.system(now_ns), reference + self.delay & _MASK)
+        own = self._local + self.offset & _MASK
+        difference = _less(own, reference + self.delay & _MASK)
         self.difference = difference
         passed = max(now_ns - self._compared_ns, _LEAST_NS)
         self._compared_ns = now_ns
@@ -99,7 +102,7 @@ class SyncUnit:
         self.cycle = cycle
         self.next = first
         self.pulses = 0
-        self.active = cycle > 0 and first > system
+        self.active = cycle >= SHORTEST_NS and _less(first, system) > 0
 
     def stop(self) -> None:
         self.active = False
@@ -107,9 +110,9 @@ class SyncUnit:
     def jumped(self, system: int) -> None:
         """The system time was set: a pulse that it has jumped over never comes, nor those after;
         less than a cycle is caught up with."""
-        if self.active and system > self.next + self.cycle:
+        if self.active and _less(system, self.next) > self.cycle:
             self.active = False
 
     def pulse(self) -> None:
         self.pulses += 1
-        self.next += self.cycle
+        self.next = self.next + self.cycle & _MASK

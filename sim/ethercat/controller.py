@@ -304,6 +304,8 @@ class Controller:
         manager = self.managers[number]
         if not manager.enabled or manager.locked or self.is_full(manager):
             return False
+        if manager.start < reg.MEMORY or manager.end > reg.MEMORY_END:
+            return False
         box = message[: manager.length].ljust(manager.length, b"\0")
         self.memory[manager.start : manager.end] = box
         self.set_full(manager, full=True)

@@ -45,6 +45,8 @@ class Mailbox:
 
     def received(self, box: bytes, now_ns: int) -> None:
         """A whole mailbox that the master has written."""
+        if len(box) < HEADER_BYTES:
+            return
         length, _, _, kind = _HEADER.unpack_from(box)
         counter = kind >> 4 & 7
         if counter and counter == self._heard:

@@ -45,6 +45,8 @@ class ProcessData:
         self._kind = kind
         self._configurable = configurable
         self._has_outputs = bool(kind.outputs)
+        self.size = 0
+        """bytes of outputs, as compiled"""
         self._setters: list[tuple[int, Writer]] = []
         self._getters: tuple[Reader, ...] = ()
         self._unpack = struct.Struct("<").unpack
@@ -187,7 +189,9 @@ class ProcessData:
         # The controlword acts on what came with it.
         self._setters = sorted(setters, key=lambda item: outputs[item[0]] >> 16 == _CONTROLWORD)
         self._getters = tuple(device.reader(word >> 16, word >> 8 & 0xFF) for word in inputs)
-        self._unpack = struct.Struct("<" + self._letters(outputs)).unpack
+        layout = struct.Struct("<" + self._letters(outputs))
+        self.size = layout.size
+        self._unpack = layout.unpack
         self._pack = struct.Struct("<" + self._letters(inputs)).pack
 
     def _letters(self, words: list[int]) -> str:
@@ -198,7 +202,7 @@ class ProcessData:
         """Of the device's last sample."""
         return self._pack(*[get() for get in self._getters])
 
-    def apply(self, outputs: bytes, now_ns: int) -> None:
+    def apply(self, outputs: bytes | bytearray, now_ns: int) -> None:
         """Give the device its outputs."""
         if not self._setters:
             return

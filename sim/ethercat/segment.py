@@ -33,6 +33,8 @@ _TIME = struct.Struct("<Q")
 _SOURCE = 6
 _TOGETHER_NS = 1000
 """SYNC0 of slaves within this time is one instant: a drive's current loop takes 40 us."""
+_LONGEST_NS = 1_000_000_000
+"""A pulse that is further away is looked for again by then: no timer waits for years."""
 _LINK = 0x0001 | 0x0010 | 0x0200 | 0x5000
 """DL status: a working slave with a link at port 0, ports 2 and 3 closed"""
 _LINK_BEHIND, _CLOSED_BEHIND = 0x0820, 0x0400
@@ -81,7 +83,7 @@ class Segment:
         self._breaks: set[int] = set()  # each before the slave of this place, from 0
         self._reach: tuple[list[Slave], list[Slave]] = ([], [])
         self._plans: dict[tuple[int, int, int, int], list[Part]] = {}
-        self._touched: list[Slave] = []
+        self._touched: dict[int, Slave] = {}
         self._mail = 0
         self._sync = 0  # timers of an older arrangement are stale
         self._late: list[tuple[int, int, bytes]] = []
@@ -101,8 +103,7 @@ class Segment:
         self._plans.clear()
 
     def exchanged(self, slave: Slave) -> None:
-        if slave not in self._touched:
-            self._touched.append(slave)
+        self._touched[slave.number] = slave
 
     def mailbox_passed(self, *, read: bool) -> None:
         self._mail |= 1 if read else 2
@@ -159,10 +160,10 @@ class Segment:
         if not self._touched:
             return
         now_ns = self._lab.now_ns
-        touched, self._touched = self._touched, []
-        for slave in touched:
+        touched, self._touched = self._touched, {}
+        for slave in touched.values():
             slave.latch(now_ns)
-        for slave in touched:
+        for slave in touched.values():
             slave.act(now_ns)
 
     def exit(self, port: int) -> int:
@@ -311,12 +312,13 @@ class Segment:
             memory = slave.controller.memory
             # Bytes may be mapped both ways, in the frame and in the slave: each way takes what was
             # there before.
-            given = [frame[data + at : data + at + count] for at, _, count in part.writes]
+            writes = part.writes
+            given = [frame[data + at : data + at + count] for at, _, count in writes]
             if part.bit_writes or part.bit_reads or part.registers:
                 _slowly(part, frame, data, size, now_ns)
             for at, place, count in part.reads:
                 frame[data + at : data + at + count] = memory[place : place + count]
-            for (_, place, count), piece in zip(part.writes, given, strict=True):
+            for (_, place, count), piece in zip(writes, given, strict=True):
                 memory[place : place + count] = piece
             if part.outputs:
                 slave.outputs_written(now_ns)
@@ -331,11 +333,17 @@ class Segment:
         """Wait for the next SYNC0 of any slave."""
         self._sync += 1
         number, now_ns = self._sync, self._lab.now_ns
+        times = []
         for slave in self.slaves:
-            slave.sync.jumped(slave.clock.system(now_ns))
-        times = [s.clock.when(s.sync.next, now_ns) for s in self.slaves if s.sync.active]
+            sync = slave.sync
+            if sync.active:
+                at_ns = slave.clock.when(sync.next, now_ns)
+                if at_ns < now_ns - sync.cycle:
+                    sync.stop()  # the time was set past it
+                else:
+                    times.append(at_ns)
         if times:
-            at_ns = max(min(times), now_ns + 1)
+            at_ns = min(max(min(times), now_ns + 1), now_ns + _LONGEST_NS)
             self._lab.call_at(at_ns, lambda at: self._pulse(number, at))
 
     def _pulse(self, number: int, now_ns: int) -> None:

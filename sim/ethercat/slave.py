@@ -10,7 +10,7 @@ from sim.devices.objects import AbortError
 from sim.devices.timers import Timers
 from sim.errors import LabError
 from sim.ethercat import registers as reg
-from sim.ethercat.clock import DistributedClock, SyncUnit
+from sim.ethercat.clock import SHORTEST_NS, DistributedClock, SyncUnit
 from sim.ethercat.coe import Coe, emergency
 from sim.ethercat.controller import Controller, Manager
 from sim.ethercat.eeprom import Eeprom
@@ -28,14 +28,13 @@ from sim.ethercat.states import (
     State,
     next_standing,
 )
+from sim.ethercat.watchdog import Watchdog
 
 PDO_ERROR = 0x8280
 COMMUNICATION_ERROR = 0x8180
 """What a drive raises when its process data stay away, and when its master leaves OP."""
 _WAIT_NS = 1_000_000_000
 """How long a request for OP waits for the first SYNC0."""
-_TICK_NS = 40
-"""of the watchdog's divider (0x400)"""
 _VALID_CONTROL = 0x0F
 _PULSED = 0x03
 _ONE = struct.Struct("<H")
@@ -101,11 +100,10 @@ class Slave:
         )
         self.controller = Controller(self, Eeprom(image(kind, serial)))
         self.mailbox = Mailbox(self.controller, self._coe.serve, kind.mailbox_bytes)
-        self._outputs = b""
+        self._outputs = bytearray()
         self._fresh = False
-        self._heard_ns = 0
-        self._watch = 0  # timers of an older watch are stale
-        self._waiting = 0  # the same for a wait for SYNC0; 0: there is none
+        self._watchdog = Watchdog(self.controller, timers, self.expire)
+        self._waiting = 0  # number of the present wait for SYNC0; 0: there is none
         self._waits = 0
         device.on_error = self._emergency
         device.set_operational(False)
@@ -189,7 +187,7 @@ class Slave:
             and _is(managers[1], kind.send_mailbox, size, MAILBOX_IN),
             outputs=_is(managers[_OUT], kind.outputs, outputs, OUTPUTS),
             inputs=_is(managers[_IN], kind.inputs, inputs, INPUTS),
-            sync=cycle > 0 if pulsed else not self.process_data.wants_sync(),
+            sync=cycle >= SHORTEST_NS if pulsed else not self.process_data.wants_sync(),
         )
 
     def _enter(self, wanted: Standing, now_ns: int) -> None:
@@ -210,12 +208,12 @@ class Slave:
         operational = state is State.OP
         self.device.set_operational(operational)
         if operational:
-            self._start_watch(now_ns)
+            self._watchdog.start(now_ns)
         elif before is State.OP:
-            self._watch += 1
+            self._watchdog.stop()
             self._left(wanted.code)
         if state >= State.SAFE_OP > before:
-            self._outputs, self._fresh = b"", False
+            self._outputs, self._fresh = bytearray(), False
             self.latch(now_ns)
 
     def _left(self, code: int) -> None:
@@ -241,7 +239,7 @@ class Slave:
         self._stop()
 
     def _stop(self) -> None:
-        self._watch += 1
+        self._watchdog.stop()
         self._waiting = 0
         self.sync.restart()
         self.standing = Standing(State.INIT, False, NO_ERROR)
@@ -259,18 +257,19 @@ class Slave:
         self.clock.restart(self._timers.now_ns)
         self.mailbox.reset()
         self._coe.reset()
-        self._outputs, self._fresh = b"", False
+        self._outputs, self._fresh = bytearray(), False
         self.powered = True
         self._show()
 
     # -- process data ----------------------------------------------------------------------------
 
     def outputs_written(self, now_ns: int) -> None:
-        manager = self.controller.managers[_OUT]
-        self._outputs = bytes(self.controller.memory[manager.start : manager.end])
-        self._fresh = True
-        self._heard_ns = now_ns
-        self.controller.memory[reg.WATCHDOG_STATUS] = 1
+        controller, size = self.controller, self.process_data.size
+        manager, start = controller.managers[_OUT], self.kind.outputs
+        if manager.start == start and manager.length == size:
+            self._outputs = controller.memory[start : start + size]
+            self._fresh = True
+        self._watchdog.heard(now_ns)
         if not self.sync.active:
             self._chain.exchanged(self)
 
@@ -284,7 +283,7 @@ class Slave:
         if self.state >= State.SAFE_OP:
             self.device.sample(now_ns)
             data = self.process_data.inputs()
-            start = self.controller.managers[_IN].start
+            start = self.kind.inputs  # where the sync manager was when the state was granted
             self.controller.memory[start : start + len(data)] = data
 
     def act(self, now_ns: int) -> None:
@@ -306,43 +305,12 @@ class Slave:
 
     # -- watchdog --------------------------------------------------------------------------------
 
-    def _watchdog_ns(self) -> int:
-        """How long outputs may stay away; 0: for ever."""
-        if not self.controller.managers[_OUT].guards or not self.kind.outputs:
-            return 0
-        ticks = self.controller.word(reg.WATCHDOG_TIME)
-        return ticks * _TICK_NS * (self.controller.word(reg.DIVIDER) + 2)
-
     def watchdog_set(self, now_ns: int) -> None:
-        if self.state is State.OP:
-            self._expect(now_ns)
-
-    def _start_watch(self, now_ns: int) -> None:
-        self._heard_ns = now_ns
-        self._expect(now_ns)
-
-    def _expect(self, now_ns: int) -> None:
-        """Look again when the outputs would be overdue."""
-        self._watch += 1
-        patience_ns = self._watchdog_ns()
-        if patience_ns:
-            watch, due_ns = self._watch, max(self._heard_ns + patience_ns, now_ns + 1)
-            self._timers.call_at(due_ns, lambda at_ns: self._look(watch, at_ns))
-
-    def _look(self, watch: int, now_ns: int) -> None:
-        if watch != self._watch:
-            return
-        patience_ns = self._watchdog_ns()
-        if not patience_ns or now_ns < self._heard_ns + patience_ns:
-            self._expect(now_ns)
-        else:
-            self.expire(now_ns)
+        self._watchdog.changed(now_ns)
 
     def expire(self, now_ns: int) -> None:
         """The outputs have stayed away too long."""
-        memory = self.controller.memory
-        memory[reg.WATCHDOG_STATUS] = 0
-        memory[reg.WATCHDOG_COUNT] = min(memory[reg.WATCHDOG_COUNT] + 1, 0xFF)
+        self._watchdog.count()
         self.force(State.SAFE_OP, WATCHDOG, now_ns)
 
     # -- mailbox ---------------------------------------------------------------------------------

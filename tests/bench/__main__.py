@@ -14,13 +14,14 @@ from tests.bench.ethercat import ethercat
 from tests.bench.frames import frames
 from tests.bench.log import log
 from tests.bench.measure import Figure
+from tests.bench.segment import segment
 from tests.bench.whole import whole
 
 
 def main() -> None:
     figures: list[Figure] = []
     console = Console()
-    for bench in (control, frames, ethercat, whole, log):
+    for bench in (control, frames, segment, ethercat, whole, log):
         console.print(f"measuring {bench.__name__} ...")
         figures += bench()
     table = Table("what", "value", "peer", "peer's value", "ratio", "note")

@@ -28,12 +28,29 @@ def _against_master(seed: int, frames: int) -> int:
     return 0
 
 
+def _against_segment(seed: int, frames: int) -> int:
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    from tests.fuzz.segment import FallenError, fuzz_segment
+
+    print(f"seed {seed}, {frames} frames against the EtherCAT segment of 10 slaves")
+    try:
+        target = fuzz_segment(seed, frames, _REPORT_EVERY)
+    except FallenError as error:
+        print(f"FALLEN: {error}")
+        return 1
+    reached = ", ".join(f"{name} {count}" for name, count in sorted(target.reached.items()))
+    print(f"standing after {frames} frames, {target.answered} answered; states seen: {reached}")
+    return 0
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("--frames", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--against", choices=("lab", "master"), default="lab")
+    parser.add_argument("--against", choices=("lab", "master", "segment"), default="lab")
     options = parser.parse_args()
+    if options.against == "segment":
+        return _against_segment(options.seed, options.frames)
     if options.against == "master":
         return _against_master(options.seed, options.frames)
     print(f"seed {options.seed}, {options.frames} frames against the lab of 17 devices")

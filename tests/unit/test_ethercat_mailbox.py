@@ -146,13 +146,13 @@ def with_texts(bench: SegmentBench, slave: int) -> None:
 
 
 @pytest.mark.parametrize("slave", [DRIVE, AMPLIFIER])
-@pytest.mark.parametrize("length", [1, 4, 5, 7, 31, 32, 33, 39, 40, 71, 72, 73, 112, 113, 280])
-def test_values_of_any_length_go_both_ways(bench: SegmentBench, slave: int, length: int) -> None:
+def test_values_of_any_length_go_both_ways(bench: SegmentBench, slave: int) -> None:
     with_texts(bench, slave)
     assert bench.upload(slave, 0x2F00) == LONG
-    assert bench.download(slave, 0x2F00, 0, LONG[:length]) == 0
-    assert bench.slaves[slave].device.objects.find(0x2F00, 0).value == LONG[:length].decode()
-    assert bench.upload(slave, 0x2F00) == LONG[:length]
+    for length in (1, 4, 5, 7, 31, 32, 33, 39, 40, 71, 72, 73, 112, 113, 280):
+        assert bench.download(slave, 0x2F00, 0, LONG[:length]) == 0
+        assert bench.slaves[slave].device.objects.find(0x2F00, 0).value == LONG[:length].decode()
+        assert bench.upload(slave, 0x2F00) == LONG[:length]
 
 
 def test_a_wrong_toggle_or_a_segment_of_nothing_ends_a_transfer(bench: SegmentBench) -> None:

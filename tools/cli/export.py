@@ -7,8 +7,9 @@ from pathlib import Path
 import click
 
 from config import Config, load
-from config.schema.bus import CanopenBus
+from config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
 from sim.data_sheets import sheets
+from sim.ethercat import esi as esi_file
 from tools.errors import ToolError
 from tools.export import dbc as dbc_file
 from tools.export import messages
@@ -59,11 +60,38 @@ def eds(config: Path, out: Path) -> None:
     _canopen(loaded, config)
     if loaded.lab is None:
         raise ToolError(f"{config}: has no lab: section; add one, see config/can.yaml")
+    _write_all(out, sheets(loaded))
+
+
+@export.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path(),
+    help="A folder, not the present one.",
+)
+def esi(config: Path, out: Path) -> None:
+    """Describe each kind of slave that CONFIG's lab emulates as an ESI file (ETG.2000)."""
+    loaded, _ = load(config)
+    bus = loaded.fieldbus
+    buses = bus.buses if isinstance(bus, SeveralBuses) else (bus,)
+    if not any(isinstance(each, EthercatBus) for each in buses):
+        raise ToolError(
+            f"{config}: fieldbus.kind is {bus.kind}, which has no slaves; "
+            "give a configuration on ethercat, as config/ethercat.yaml"
+        )
+    if loaded.lab is None:
+        raise ToolError(f"{config}: has no lab: section; add one, see config/ethercat.yaml")
+    _write_all(out, esi_file.files(loaded))
+
+
+def _write_all(out: Path, files: dict[str, str]) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ToolError(f"{out}: {error.strerror}; choose another with --out") from error
-    for name, text in sheets(loaded).items():
+    for name, text in files.items():
         _write(out / name, text)
         click.echo(out / name)
 
