@@ -47,6 +47,9 @@ _SYNC_AHEAD_NS = 100_000_000
 """SYNC0 starts so long after it is switched on."""
 _LOGICAL = 0x0001_0000
 _TRIES = 5
+_FIRST_INDEX = 0x90
+_WAITS = 10
+"""Looks for an answer that takes its time, each a poll apart."""
 _POLL_S = 1e-3
 _WATCHDOG_STEP_NS = 100_000
 _DIVIDER_100_US = 2498
@@ -87,19 +90,26 @@ class _Station:
 class DeterministicMaster:
     """A `Wire` on any `FramePort`."""
 
-    def __init__(self, bus: EthercatBus, exchange: FrameExchange, clock: Callable[[], int]) -> None:
-        """``exchange`` is the segment, ``clock`` gives ns of the loop's time."""
+    def __init__(
+        self,
+        bus: EthercatBus,
+        exchange: FrameExchange,
+        clock: Callable[[], int],
+        beside: FramePort | None = None,
+    ) -> None:
+        """``exchange`` is the segment, ``clock`` gives ns of the loop's time. ``beside`` is a port
+        for another master's help: it carries what is not process data."""
         self.inputs: list[bytes] = []
         self.reference_ns: int | None = None
         self._bus = bus
         self._clock = clock
-        self._acyclic: FramePort = InjectedPort(exchange, clock)
+        self._acyclic: FramePort = beside or InjectedPort(exchange, clock)
         self._cyclic: FramePort = InjectedPort(exchange, clock)
         self._states: FramePort = InjectedPort(exchange, clock)
         self._frame_ns = round(bus.clocks.frame_us * 1e3)
         self._slaves: list[_Slave] = []
         self._status: StatusFrames | None = None
-        self._index = 0
+        self._index = _FIRST_INDEX
         self._cycle_index = 0
         self._watchdog_ms = bus.master.watchdog_ms
         self._question: list[Datagram] = []
@@ -111,15 +121,30 @@ class DeterministicMaster:
 
     async def transfer(self, datagram: Datagram, tries: int = _TRIES) -> Answer | None:
         """One datagram in a frame of its own; None when it did not come back."""
+        port = self._acyclic
         for _ in range(tries):
-            self._index = self._index % 0x7F + 1
-            port = self._acyclic
+            self._index = self._index + 1 if self._index < 0xFF else _FIRST_INDEX
             port.send(build(self._index, [datagram]))
-            while (frame := port.receive()) is not None:
-                answers = parse(frame, self._index, [datagram])
-                if answers is not None:
-                    return answers[0]
+            for _ in range(1 if port.instant else _WAITS):
+                if not port.instant:
+                    await asyncio.sleep(_POLL_S)
+                while (frame := port.receive()) is not None:
+                    answers = parse(frame, self._index, [datagram])
+                    if answers is not None:
+                        return answers[0]
         return None
+
+    def know(self, slaves: int) -> None:
+        """So many slaves, which another master has brought up."""
+        self._slaves = [_Slave(FIRST_STATION + number) for number in range(slaves)]
+
+    async def registers(self, slave: int, register: int, size: int) -> bytes:
+        """Raises `BringUpError`."""
+        return await self._read(self._slaves[slave], register, size)
+
+    async def set_registers(self, slave: int, register: int, data: bytes) -> None:
+        """Raises `BringUpError`."""
+        await self._write(self._slaves[slave], register, data)
 
     async def _write(self, slave: _Slave, register: int, data: bytes) -> None:
         """Raises `BringUpError` unless the slave took it."""

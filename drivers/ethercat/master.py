@@ -407,6 +407,7 @@ class EthercatFieldbus:
             self._watch.forgive(watched)
         for watched in anew:
             slave = watched.slave
+            watched.busy = True
             try:
                 await wire.reconfigure(slave.number)
                 await slave.configure(wire.objects(slave.number))
@@ -416,8 +417,11 @@ class EthercatFieldbus:
                 self._give_up(watched, error)
         if any(watched in waiting for watched in anew):
             await self._set_clocks(wire)
+        for watched in anew:
+            watched.busy = False
         for watched in waiting:
-            await self._bring_back(watched)
+            if watched.left:  # it may have come back meanwhile
+                await self._bring_back(watched)
 
     async def _set_clocks(self, wire: Wire) -> None:
         try:

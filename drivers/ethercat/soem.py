@@ -2,7 +2,8 @@
 
 SOEM waits for frames on a socket with a receive timeout of 1 us, which the kernel rounds up to its
 own tick: a frame that is lost holds it for 4 to 8 ms, whatever timeout it was given. So its socket
-is made non-blocking here, and SOEM polls it until its own timer has run out.
+is made non-blocking once process data are exchanged, and SOEM polls it until its own timer has run
+out.
 
 States are read, and AL control is written, with frames of our own through a second socket that
 nobody waits on: pysoem has no call for either that leaves the interpreter lock alone. The kernel
@@ -21,8 +22,9 @@ from typing import Any, TypeVar
 
 from config.schema.bus import EthercatBus
 from drivers.canopen.abort_codes import NO_SUCH_OBJECT
-from drivers.errors import BringUpError, DriverError, SdoAbortError, SdoError, SdoTimeoutError
+from drivers.errors import BringUpError, SdoAbortError, SdoError, SdoTimeoutError
 from drivers.ethercat.al import AlState, name
+from drivers.ethercat.deterministic import DeterministicMaster
 from drivers.ethercat.port import PacketPort, packet_sockets, select
 from drivers.ethercat.slave import RX_ASSIGNMENT, TX_ASSIGNMENT
 from drivers.ethercat.status import SlaveStatus, StatusFrames
@@ -33,8 +35,9 @@ Result = TypeVar("Result")
 
 _SYSTEM = 0x0910
 _REGISTER_TIMEOUT_US = 2000
-_STATION_REGISTER = 0x0010
 _TRIES = 3
+_MAP = ((0x0400, 2), (0x0420, 2), (0x0810, 16), (0x0600, 48))
+"""Watchdog, sync managers 2 and 3, FMMUs: what makes process data of a slave's memory."""
 
 
 class SoemMaster:
@@ -63,6 +66,11 @@ class SoemMaster:
         self._port: PacketPort | None = None
         self._status: StatusFrames | None = None
         self._clocked = False
+        self._helper: DeterministicMaster | None = None
+        self._blocks: list[list[tuple[int, bytes]]] = []
+        self._running = False
+        self._polls = False
+        self._descriptors: list[int] = []
         self.inputs: list[bytes] = []
         self.reference_ns: int | None = None
 
@@ -100,7 +108,7 @@ class SoemMaster:
         self._master = master
         for descriptor, target in packet_sockets().items():
             if before.get(descriptor) != target:
-                os.set_blocking(descriptor, False)
+                self._descriptors.append(descriptor)
                 with socket.socket(fileno=os.dup(descriptor)) as each:
                     select(each, ours=False)
         self._port = PacketPort(bus.interface)
@@ -111,8 +119,11 @@ class SoemMaster:
         master.always_release_gil = True
         # A try takes 2 ms; SOEM's own limit leaves no second one for a frame that was lost.
         soem.settings.timeouts.ret = _TRIES * _REGISTER_TIMEOUT_US
-        count = master.config_init()
-        if count <= 0:
+        for _ in range(_TRIES):
+            count = master.config_init()
+            if count > 0:
+                break
+        else:
             raise BringUpError(f"bring-up failed: nobody answers on {self._bus.interface}")
         # From here on: before, it would leave the slaves in INIT.
         master.manual_state_change = True
@@ -162,6 +173,9 @@ class SoemMaster:
         raise SdoError(f"{where}: {last}") from last
 
     async def align_clocks(self) -> int:
+        if self._running:
+            assert self._helper is not None
+            return await self._helper.align_clocks()
         return await self._beside(self._align_clocks)
 
     def _align_clocks(self) -> int:
@@ -209,6 +223,14 @@ class SoemMaster:
 
     async def map(self, sizes: Sequence[Sizes], watchdog_ms: int) -> None:
         await self._beside(lambda: self._map(sizes, watchdog_ms))
+        self._helper = helper = DeterministicMaster(
+            self._bus, lambda *_: None, self._clock, PacketPort(self._bus.interface)
+        )
+        helper.know(len(self._slaves))
+        self._blocks = [
+            [(register, await helper.registers(number, register, size)) for register, size in _MAP]
+            for number in range(len(self._slaves))
+        ]
 
     def _map(self, sizes: Sequence[Sizes], watchdog_ms: int) -> None:
         soem, master = self._soem, self._master
@@ -240,7 +262,6 @@ class SoemMaster:
                 f"these slaves give {expected}"
             )
         self.inputs = [bytes(each.inputs) for each in sizes]
-        self._watchdog_ms = watchdog_ms
 
     def _harmless(self, error: Any, sizes: Sequence[Sizes]) -> bool:
         """SOEM asks every slave for both assignments; one without outputs has no 0x1C12."""
@@ -259,34 +280,23 @@ class SoemMaster:
         )
 
     async def start_sync(self, slave: int, period_ns: int, phase_ns: int) -> None:
+        if self._running:
+            assert self._helper is not None
+            await self._helper.start_sync(slave, period_ns, phase_ns)
+            return
         await self._beside(lambda: self._slaves[slave].dc_sync(True, period_ns, phase_ns))
 
     async def reconfigure(self, slave: int) -> None:
-        await self._beside(lambda: self._reconfigure(slave))
-
-    def _reconfigure(self, slave: int) -> None:
-        """SOEM finds a slave that lost its address by the order of the cable and its identity, and
-        gives it that address back."""
-        its = self._slaves[slave]
-        timeout_us = self._bus.master.state_timeout_ms * 1000
-        if not its.recover(timeout_us // _TRIES):
-            raise DriverError("does not answer")
-        state = its.reconfig(timeout_us // _TRIES)
-        if state & 0xF not in (AlState.PREOP, AlState.SAFEOP):
-            raise DriverError(f"stays in {name(state & 0xF)}")
-        its.state = AlState.PREOP
-        its.write_state()
-        if its.state_check(AlState.PREOP, timeout_us // _TRIES) & 0xF != AlState.PREOP:
-            raise DriverError("does not go to PREOP")
+        """With frames of our own: SOEM's calls for this hold the interpreter lock for seconds."""
+        self._running = True
+        assert self._helper is not None
+        await self._helper.reconfigure(slave)
 
     async def remap(self, slave: int) -> None:
-        await self._beside(lambda: self._remap(slave))
-
-    def _remap(self, slave: int) -> None:
-        """`reconfig` has written sync managers and FMMUs; the watchdog is ours."""
-        its = self._slaves[slave]
-        if len(its.output):
-            self._set_watchdog(slave, self._watchdog_ms)
+        """What SOEM had written into its sync managers and FMMUs, as it was."""
+        assert self._helper is not None
+        for register, block in self._blocks[slave]:
+            await self._helper.set_registers(slave, register, block)
 
     # -- the tick ---------------------------------------------------------------------------
 
@@ -294,6 +304,11 @@ class SoemMaster:
         for slave, data in zip(self._slaves, outputs, strict=True):
             if data:
                 slave.output = data
+        if not self._polls:
+            # Not before: a bring-up has time, and polling takes the processor from others.
+            self._polls = True
+            for descriptor in self._descriptors:
+                os.set_blocking(descriptor, False)
         sent_ns = self._clock()
         self._master.send_processdata()
         return sent_ns
@@ -322,6 +337,8 @@ class SoemMaster:
             self._thread.shutdown(wait=True)
         if self._port is not None:
             self._port.close()
+        if self._helper is not None:
+            self._helper.close()
         if self._master is not None:
             self._master.close()
 

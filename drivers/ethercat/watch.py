@@ -22,6 +22,8 @@ class Watched:
     slave: Slave
     left: str = ""
     """why it is not believed; "" while it is in OP"""
+    busy: bool = False
+    """it is being configured anew: nobody else is to move it"""
     attempts: int = 0
     """times it was brought back since the last reset"""
     status: SlaveStatus | None = None
@@ -83,7 +85,7 @@ class Watch:
             self._leave(watched, str(status))
             text = f"{slave.title} is in {status}"
             self._events.begin("slave_left_op", slave.where, text)
-        if self._recovers:
+        if self._recovers and not watched.busy:
             self.bring_back(watched, wire)
 
     def bring_back(self, watched: Watched, wire: Wire) -> None:

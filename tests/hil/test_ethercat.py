@@ -19,7 +19,7 @@ ACTIVE = int(State.ACTIVE)
 
 
 def _run(path: str, out: Path, seed: int = 1) -> tuple[Path, Log]:
-    config, scenario = configured(path, "sine_z", duration=0.6)
+    config, scenario = configured(path, "sine_z", duration=0.3)
     result, log = virtual(config, scenario, out, seed=seed, start_ns=START_NS)
     assert not result.outcome.fault, result.outcome.reason
     assert result.outcome.misses.own == result.outcome.misses.host == 0

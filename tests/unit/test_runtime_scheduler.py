@@ -27,6 +27,9 @@ class LateBy:
         late = self._late if due_ns == self._due else 0
         await asyncio.sleep((due_ns + late - now_ns()) * 1e-9)
 
+    def steer(self, due_ns: int) -> int:
+        return 0
+
     def close(self) -> None:
         pass
 
