@@ -181,6 +181,8 @@ class Distribution(Section):
     """N/s: bound on how fast a tension reference may move"""
     co_contraction: Fraction
     """share of the relative stiffness rise that the tension reference follows"""
+    co_contraction_hz: Positive | None = None
+    """first-order low-pass between them, as a muscle's activation has one; none: at once"""
     stiffness_weight: NonNegative
     """m2: how much a change of the geometric stiffness along the wrench counts"""
     least_force: Positive
@@ -211,6 +213,13 @@ class TensionLoop(Section):
     """N"""
     rate_damping: NonNegative
     """N m s/rad at the drum"""
+    lead: Fraction = 0.0
+    """share of the drum rate that a change of the reference takes on an elastic cable; a log of
+    before there was any says nothing of it"""
+    lead_cutoff_hz: Positive = 30.0
+    """first-order low-pass of the reference's rate"""
+    lead_rate: Positive = 1000.0
+    """N/s: a faster reference is not followed any faster"""
     friction: Friction
     gain_margin_db: Positive
     phase_margin_deg: Positive

@@ -119,3 +119,8 @@ class Controller(ABC):
 def norm(vector: Array) -> float:
     """Euclidean, of a short vector."""
     return math.sqrt(float(vector @ vector))
+
+
+def share(cutoff_hz: float, period: float) -> float:
+    """What a first-order low-pass takes over of its input in one tick."""
+    return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)

@@ -3,13 +3,11 @@ add what the law lacks: something that takes up a constant load."""
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from config.schema.control import Control
 from config.schema.robot import Robot
-from runtime.controllers.base import Array, Controller, Motion, norm
+from runtime.controllers.base import Array, Controller, Motion, norm, share
 from runtime.controllers.integral import Integral
 from runtime.stiffness import Law
 
@@ -78,8 +76,3 @@ class BioObserver(Bio):
         self._load += self._follow * (wanted * motion.external - self._load)
         give = min(stiffness / base, 1.0)
         return np.asarray(super().force(motion, stiffness) - give * self._load)
-
-
-def share(cutoff_hz: float, period: float) -> float:
-    """What a first-order low-pass takes over of its input in one tick."""
-    return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
