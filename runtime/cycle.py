@@ -216,6 +216,7 @@ class ControlCycle:
     def _distribute(self, motion: Motion, stiffness: float) -> None:
         """Co-contraction follows the stiffness; a cable that cannot be trusted carries nothing."""
         levels, present = self.sequence.levels, self.sequence.carrying
+        level = levels.level * self._controller.tone
         settings, base = self._control.distribution, self._control.stiffness.base
         matrix = self._kinematics.matrix
         contraction = settings.co_contraction * (stiffness / base - 1.0)
@@ -231,7 +232,7 @@ class ControlCycle:
         _bounds(
             self._reference,
             present,
-            (levels.low, levels.high, levels.level, settings.tension_rate * self._period),
+            (levels.low, levels.high, level, settings.tension_rate * self._period),
             self._contraction,
             self._agonism,
             self._low,

@@ -9,7 +9,7 @@ torque, where everything acts, and at the force, where the outer loop alone does
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,14 +52,14 @@ class Outer:
 def _outer_loops(config: Config, name: str) -> list[Outer]:
     """The feedback of a controller at the ends of its range."""
     control, mass = config.control, config.robot.platform.mass
-    law, ratio = control.stiffness, control.impedance.damping_ratio
+    law = control.stiffness
+    ratio = CONTROLLERS[name](config.robot, control).damping_ratio
 
-    def spring(stiffness: float, integral: float = 0.0, zeta: float = ratio) -> Outer:
-        return Outer(stiffness, damping(zeta, stiffness, mass), integral)
+    def spring(stiffness: float, integral: float = 0.0) -> Outer:
+        return Outer(stiffness, damping(ratio, stiffness, mass), integral)
 
     if name == "pid":
-        pid = control.pid
-        return [spring(pid.stiffness, pid.integral.gain, pid.damping_ratio)]
+        return [spring(control.pid.stiffness, control.pid.integral.gain)]
     if name == "pid_length":
         own = control.pid_length
         gains = (own.proportional, own.derivative, own.integral)
@@ -67,7 +67,7 @@ def _outer_loops(config: Config, name: str) -> list[Outer]:
     if name == "pd_matched":
         return [spring(control.pd_matched.stiffness)]
     if name in ("pd", "force"):
-        free, force = spring(law.base), control.force
+        free, force = spring(control.pd.stiffness or law.base), control.force
         touching = Outer(
             damping=force.damping,
             contact=(force.proportional, force.integral),
@@ -75,7 +75,12 @@ def _outer_loops(config: Config, name: str) -> list[Outer]:
         )
         return [free, touching] if name == "force" else [free]
     integral = control.bio_integral.gain if name == "bio_integral" else 0.0
-    return [spring(stiffness, integral) for stiffness in (law.base, law.maximum)]
+    found = [spring(stiffness, integral) for stiffness in (law.base, law.maximum)]
+    if name == "bio_observer":
+        reflex = (0.0, control.bio_observer.reflex)
+        body = control.force.body_stiffness
+        found += [replace(free, contact=reflex, body=body) for free in found]
+    return found
 
 
 class _Loop:

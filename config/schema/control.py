@@ -114,6 +114,17 @@ class Impedance(Section):
     """N m s/rad"""
 
 
+class Bio(Section):
+    damping_ratio: Positive | None = None
+    """none, here and below: the one under impedance"""
+
+
+class Pd(Section):
+    stiffness: Positive | None = None
+    """N/m; none: the law's base"""
+    damping_ratio: Positive | None = None
+
+
 class Integral(Section):
     gain: NonNegative
     """N/(m s)"""
@@ -127,9 +138,14 @@ class Pid(Section):
     integral: Integral
 
 
+class BioIntegral(Integral):
+    damping_ratio: Positive | None = None
+
+
 class PdMatched(Section):
     stiffness: Positive
     """N/m: the mean of what `bio` commands"""
+    damping_ratio: Positive | None = None
 
 
 class BioObserver(Section):
@@ -137,6 +153,13 @@ class BioObserver(Section):
     """first-order low-pass of the load that is fed forward"""
     limit: Positive
     """N: no larger load is compensated"""
+    damping_ratio: Positive | None = None
+    reflex: NonNegative = 0.0
+    """1/s: how fast a force that a scenario asks for is made up for where the contact lacks it"""
+    reflex_limit: Positive = 20.0
+    """N"""
+    tone: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """share of the pretension that is kept at rest; the law co-contracts from there"""
 
 
 class PidLength(Section):
@@ -318,9 +341,11 @@ class Control(Section):
     stiffness: StiffnessLaw
     passivity: Passivity
     impedance: Impedance
+    bio: Bio = Bio()
+    pd: Pd = Pd()
     pd_matched: PdMatched
     pid: Pid
-    bio_integral: Integral
+    bio_integral: BioIntegral
     bio_observer: BioObserver
     pid_length: PidLength
     force: Force
