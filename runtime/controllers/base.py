@@ -59,9 +59,7 @@ class Controller(ABC):
     tone = 1.0
     """share of the pretension that the tensions are drawn towards at rest"""
 
-    def __init__(
-        self, robot: Robot, control: Control, damping_ratio: float | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, control: Control, damping_ratio: float | None = None) -> None:
         """``damping_ratio``: the controller's own; None for the one under impedance."""
         self._robot, self._control = robot, control
         self.damping_ratio = damping_ratio or control.impedance.damping_ratio

@@ -15,9 +15,7 @@ from runtime.stiffness import Law
 class Bio(Controller):
     """Spring and damper at K_eq of eq. (3) or (10). What the law reads is smoothed first."""
 
-    def __init__(
-        self, robot: Robot, control: Control, damping_ratio: float | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, control: Control, damping_ratio: float | None = None) -> None:
         super().__init__(robot, control, damping_ratio or control.bio.damping_ratio)
         self._law = Law(control.stiffness)
         self.terms = self._law.terms

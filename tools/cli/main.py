@@ -16,7 +16,7 @@ from runtime.errors import DaemonError
 from sim.errors import LabError
 from tools.errors import ToolError
 
-COMMANDS = ("run", "lab", "fault", "check", "workspace", "log", "export")
+COMMANDS = ("run", "lab", "fault", "check", "workspace", "tune", "log", "export")
 """Each is the object of its name in the module of its name."""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +19,7 @@ from runtime.operator import Script
 from runtime.scheduler import VirtualPacing
 from runtime.sequence import Sequence
 from runtime.signals import CYCLE
-from runtime.states import Fault, State
+from runtime.states import Fault, Operator, State
 from sim.lab import Lab
 from sim.truth import TRUTH
 
@@ -34,8 +33,6 @@ class Trial:
     cycle: NDArray[np.void]
     truth: NDArray[np.void]
     fault: Fault
-    reason: str
-    period: float
 
     @property
     def time(self) -> Array:
@@ -60,25 +57,22 @@ class _Rows:
         self.stamps.append(stamp_ns)
 
 
-class _UntilDone(Script):
-    """Nobody looks at the way down."""
+class _WithoutStop(Script):
+    """Over as soon as ACTIVE is: nobody looks at the way down."""
+
+    _been_there = False
 
     @property
     def finished(self) -> bool:
-        return self._done or super().finished
+        return self._been_there or super().finished
 
-    def __init__(self, duration: float) -> None:
-        super().__init__(duration)
-        self._done, self._length = False, duration
-
-    def next(self, sequence: Sequence) -> Any:
-        stopping = sequence.state is State.SAFE_STOP
-        over = sequence.state is State.ACTIVE and sequence.elapsed >= self._length
-        self._done = self._done or over or stopping
-        return super().next(sequence)
+    def next(self, sequence: Sequence) -> Operator:
+        command = super().next(sequence)
+        self._been_there = command is Operator.STOP or sequence.state is State.SAFE_STOP
+        return command
 
 
-def _silent(*_: object) -> None:
+def _unseen(*_: object, **__: object) -> None:
     """Events and progress are for people."""
 
 
@@ -97,26 +91,22 @@ def play(config: Config, scenario: Scenario, *, seed: int) -> Trial:
             scenario,
             DirectFieldbus(config, image, lab.direct, clock.loop_clock()),
             TrackerInput(image, lab.tracker),
-            _UntilDone(scenario.duration),
+            _WithoutStop(scenario.duration),
             ring=cycles,
-            events=_silent,
+            events=_unseen,
             stopwatch=clock.Stopwatch(running=False),
         )
-        await daemon.run(VirtualPacing, _silent, _silent)
+        await daemon.run(VirtualPacing, _unseen, _unseen)
         return daemon
 
     daemon = clock.run(main(), virtual=True)
-    return _active(cycles, truths, daemon, config.control.rates.period)
+    return _active(cycles, truths, daemon.cycle.sequence.fault)
 
 
-def _active(cycles: _Rows, truths: _Rows, daemon: Daemon, period: float) -> Trial:
+def _active(cycles: _Rows, truths: _Rows, fault: Fault) -> Trial:
     """The rows of ACTIVE, truth beside them."""
     cycle = np.concatenate(cycles.rows).view(CYCLE)
     truth = np.concatenate(truths.rows).view(TRUTH)
     at = np.searchsorted(truths.stamps, cycles.stamps)
     chosen = (cycle["state"]["state"] == State.ACTIVE) & (at < len(truth))
-    sequence = daemon.cycle.sequence
-    return Trial(cycle[chosen], truth[at[chosen]], sequence.fault, sequence.fault.name, period)
-
-
-Player = Callable[..., Trial]
+    return Trial(cycle[chosen], truth[at[chosen]], fault)
