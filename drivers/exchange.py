@@ -6,7 +6,7 @@ Because all buses use the same code, the same integers give the same floats to t
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from config.schema.bus import CELLS, ForceCell
 from config.schema.control import Freshness
@@ -59,7 +59,6 @@ class Exchange:
         self._divisor = divisor(cell)
         self._axes = [Cia402Axis() for _ in range(CABLES)]
         self._states = [_LOST] * CABLES
-        self._mille = np.zeros(CABLES)
         self._torque_limit = self._scale.mille_limit * self._scale.newton_metre_per_mille
         self._reported = False
         self._angle = image.axes["angle"]
@@ -110,26 +109,22 @@ class Exchange:
         A torque goes out only to an axis that is enabled and is meant to be; every other axis gets
         0, so that nothing stale acts when it is enabled. A torque that is not finite becomes 0.
         """
-        mille = self._mille
-        finite = np.isfinite(self._command_torque)
-        # Clipped before it is scaled: no finite torque, however large, overflows on the way.
-        np.minimum(self._command_torque, self._torque_limit, out=mille)
-        np.maximum(mille, -self._torque_limit, out=mille)
-        mille *= self._scale.mille_per_newton_metre
-        if not finite.all():
-            self._report(finite.tolist())
-            mille[~finite] = 0.0
-        elif self._reported:
-            self._report(finite.tolist())
-        np.rint(mille, out=mille)
+        wanted: list[float] = self._command_torque.tolist()
+        if self._reported or not math.isfinite(sum(wanted)):
+            self._report([math.isfinite(torque) for torque in wanted])
+        limit, per_newton_metre = self._torque_limit, self._scale.mille_per_newton_metre
         controlwords = []
         torques = []
         for axis, state, command, torque in zip(
-            self._axes, self._states, self._command.tolist(), mille.tolist(), strict=True
+            self._axes, self._states, self._command.tolist(), wanted, strict=True
         ):
             controlwords.append(axis.controlword(state, command))
-            enabled = state == _ENABLED and command == _ENABLE
-            torques.append(int(torque) if enabled else 0)
+            if state == _ENABLED and command == _ENABLE and math.isfinite(torque):
+                # Clipped before it is scaled: no torque, however large, overflows on the way.
+                clipped = min(max(torque, -limit), limit)
+                torques.append(round(clipped * per_newton_metre))
+            else:
+                torques.append(0)
         return controlwords, torques
 
     def _report(self, finite: list[bool]) -> None:

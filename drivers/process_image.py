@@ -78,12 +78,19 @@ class AxisCommand(IntEnum):
 
 
 class ProcessImage:
-    """The inputs a tick reads and the outputs it writes; arrays stay the same objects for life."""
+    """The inputs a tick reads and the outputs it writes; arrays stay the same objects for life.
+
+    The three tables of inputs lie one behind the other in one block of memory.
+    """
 
     def __init__(self) -> None:
-        self.axes = np.zeros(CABLES, AXIS_INPUT)
-        self.cells = np.zeros(CELLS, CELL_INPUT)
-        self.tracker = np.zeros((), TRACKER_INPUT)
+        cells = CABLES * AXIS_INPUT.itemsize
+        tracker = cells + CELLS * CELL_INPUT.itemsize
+        end = tracker + TRACKER_INPUT.itemsize
+        self._inputs = np.zeros(end // 8, np.uint64).view(np.uint8)
+        self.axes = self._inputs[:cells].view(AXIS_INPUT)
+        self.cells = self._inputs[cells:tracker].view(CELL_INPUT)
+        self.tracker = self._inputs[tracker:].view(TRACKER_INPUT).reshape(())
         self.commands = np.zeros(CABLES, AXIS_OUTPUT)
         self.axes["age"] = NEVER
         self.cells["age"] = NEVER
@@ -91,7 +98,4 @@ class ProcessImage:
 
     def checksum(self, start: int) -> int:
         """CRC-32 of the inputs, continued from ``start``."""
-        crc = start & 0xFFFFFFFF
-        for table in (self.axes, self.cells, self.tracker):
-            crc = zlib.crc32(table.data, crc)
-        return crc
+        return zlib.crc32(self._inputs.data, start & 0xFFFFFFFF)

@@ -96,6 +96,14 @@ def rotation_between(start: Array, end: Array) -> Array:
 
 
 @njit(cache=True)
+def levelling(
+    quaternion: Array, angular_velocity: Array, level: Array, stiffness: float, damping: float
+) -> Array:
+    """Moment (3,) of a rotational spring towards the orientation ``level``, and a damper."""
+    return stiffness * rotation_between(quaternion, level) - damping * angular_velocity
+
+
+@njit(cache=True)
 def forward(
     measured: Array,
     usable: NDArray[np.bool_],
@@ -371,3 +379,29 @@ def carry_forward(
     velocity[:] = rest[:3] + period * acceleration[:3]
     turning[:] = rest[3:6] + period * acceleration[3:]
     geometry(there, oriented, anchors[0], anchors[1], lengths, matrix)
+
+
+@njit(cache=True)
+def estimate_tick(
+    state: tuple[Array, Array, Array, Array, Array],
+    body: tuple[float, Array, float, float],
+    period: float,
+    noise: tuple[Array, float, float],
+    anchors: tuple[Array, Array],
+    measured: tuple[Array, Array, NDArray[np.bool_]],
+    lengths: Array,
+    matrix: Array,
+    cables: tuple[Array, Array, Array, Array],
+    iterations: int,
+    estimate: tuple[Array, Array, Array, Array],
+) -> tuple[float, float]:
+    """All that an estimator's tick computes: the filter, the pose from the lengths alone
+    (``cables``: its position, quaternion, lengths and matrix), and the estimate one period on.
+    Returns what `filter_tick` and `forward` do."""
+    squared = filter_tick(state, body, period, noise, anchors, measured, lengths, matrix)
+    residual = forward(
+        measured[0], measured[2], anchors, cables[0], cables[1], cables[2], cables[3], iterations
+    )
+    wrench = matrix @ measured[1]
+    carry_forward(state, body, period, wrench, anchors, lengths, matrix, estimate)
+    return squared, residual

@@ -9,6 +9,7 @@ reproduce every output bit for bit.
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -28,6 +29,7 @@ from runtime.estimator import Estimate, PoseEstimator
 from runtime.guide import Guide
 from runtime.kinematics import Kinematics
 from runtime.passivity import Limiter
+from runtime.recording import write_measured, write_motion
 from runtime.referencing import Referencing
 from runtime.sensing import Sensing
 from runtime.sequence import Sequence
@@ -41,7 +43,66 @@ _NOBODY = np.zeros(CABLES, dtype=bool)
 
 
 @njit(cache=True)
+def _drum_motion(
+    matrix: Array,
+    wrench: Array,
+    tension: Array,
+    twist: tuple[Array, Array],
+    desired: tuple[Array, Array],
+    radius: float,
+    axial_stiffness: float,
+    rate: Array,
+    desired_rate: Array,
+    desired_acceleration: Array,
+) -> bool:
+    """Drum rates (8,) that follow the platform's ``twist`` at constant tension (eq. 1), and rates
+    and accelerations on the ``desired`` motion (velocity, acceleration), level. Whether the rates
+    and the ``wrench`` are numbers.
+    """
+    finite = True
+    for row in range(6):
+        finite = finite and math.isfinite(wrench[row])
+    for i in range(rate.shape[0]):
+        following = wanted = bend = 0.0
+        for row in range(3):
+            following += matrix[row, i] * twist[0][row] + matrix[3 + row, i] * twist[1][row]
+            wanted += matrix[row, i] * desired[0][row]
+            bend += matrix[row, i] * desired[1][row]
+        rate[i] = following / (radius * (1.0 + tension[i] / axial_stiffness))
+        desired_rate[i] = wanted / radius
+        desired_acceleration[i] = bend / radius
+        finite = finite and math.isfinite(rate[i]) and math.isfinite(desired_rate[i])
+    return finite
+
+
+@njit(cache=True)
+def _delivered(
+    matrix: Array,
+    reference: Array,
+    commanded: Array,
+    gradient: Array,
+    tension: Array,
+    delivered: Array,
+    shortfall: Array,
+) -> float:
+    """The wrench (6,) of the tension ``reference`` and the force (3,) it falls short by; returns
+    the geometric stiffness (N/m) of the measured tensions."""
+    for row in range(6):
+        total = 0.0
+        for i in range(reference.shape[0]):
+            total += matrix[row, i] * reference[i]
+        delivered[row] = total
+        if row < 3:
+            shortfall[row] = commanded[row] - total
+    geometric = 0.0
+    for i in range(tension.shape[0]):
+        geometric += gradient[i] * tension[i]
+    return geometric
+
+
+@njit(cache=True)
 def _bounds(
+    matrix: Array,
     before: Array,
     present: NDArray[np.bool_],
     levels: tuple[float, float, float, float],
@@ -50,11 +111,12 @@ def _bounds(
     low: Array,
     high: Array,
     centre: Array,
+    bearing: Array,
 ) -> None:
     """Bounds and centre of each tension: the configured ones, no further from the last reference
     than ``reach``, and zero where a cable is lost. ``levels``: low, high, centre, reach; the centre
     rises by the share ``contraction``, of antagonists more and of agonists less, since the wrench
-    tightens these anyway.
+    tightens these anyway. ``bearing`` becomes the structure matrix without the lost cables.
     """
     lowest, highest, middle, reach = levels
     for i in range(before.shape[0]):
@@ -64,6 +126,8 @@ def _bounds(
             high[i] = max(min(before[i] + reach, highest), lowest)
             wanted = middle * (1.0 + contraction * (1.0 - agonism[i]))
             centre[i] = min(max(wanted, lowest), highest)
+        for row in range(6):
+            bearing[row, i] = matrix[row, i] if present[i] else 0.0
 
 
 class ControlCycle:
@@ -95,7 +159,10 @@ class ControlCycle:
         self._reference = np.zeros(CABLES)
         self._centre = np.zeros(CABLES)
         self._agonism, self._gradient = np.zeros(CABLES), np.zeros(CABLES)
+        self._drum_rate, self._none = np.zeros(CABLES), np.zeros(CABLES)
         self._desired_drums = (np.zeros(CABLES), np.zeros(CABLES))
+        self._bearing = np.zeros((6, CABLES))
+        self._delivered, self._geometric = np.zeros(6), 0.0
         self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
         self._wrench = np.zeros(6)
         self._shortfall = np.zeros(3)
@@ -119,14 +186,10 @@ class ControlCycle:
         if sequence.regulating:
             estimate = self._estimate(image)
             self._regulate(estimate)
-            rate = self._drum_rate(estimate)
-            self._desired_drums = self._drums_of(*self._guide.desired[1:])
-            if not (self._controller.follows_platform or sequence.descending):
-                rate = self._desired_drums[0]
-            self._finite = bool(np.isfinite(self._wrench).all() and np.isfinite(rate).all())
+            rate = self._drum_rates(estimate)
         elif sequence.straightening >= 0.0:
             self._reference[:] = sequence.straightening * self._control.tension.referencing
-            rate = np.zeros(CABLES)
+            rate = self._none
         else:
             self._reference[:] = 0.0
             rate = None
@@ -187,7 +250,6 @@ class ControlCycle:
             bearing,
         )
         desired = self._guide(sequence.state, sequence.stop_time, envelope.progress)
-        radius = self._robot.drum.radius
         motion = Motion(
             *desired,
             estimate.position,
@@ -197,8 +259,8 @@ class ControlCycle:
             estimate.external[:3],
             sensing.contact,
             self._shortfall,
-            self._referencing.unstretched - radius * sensing.angle,
-            radius * sensing.rate,
+            self._referencing.wound,
+            self._robot.drum.radius * sensing.rate,
             self._guide.push,
         )
         self._law = self._controller.stiffness(motion)
@@ -230,6 +292,7 @@ class ControlCycle:
             self._gradient,
         )
         _bounds(
+            matrix,
             self._reference,
             present,
             (levels.low, levels.high, level, settings.tension_rate * self._period),
@@ -238,27 +301,43 @@ class ControlCycle:
             self._low,
             self._high,
             self._centre,
+            self._bearing,
         )
         wanted = self._controller.tensions(motion, stiffness, self._centre)
         if wanted is not None and not self.sequence.descending:
             self._centre[:] = wanted * present
             self._wrench = matrix @ self._centre
         self._reference = self._distribution(
-            matrix * present, self._wrench, self._centre, self._low, self._high, self._gradient
+            self._bearing, self._wrench, self._centre, self._low, self._high, self._gradient
         )
-        self._shortfall = self._wrench[:3] - matrix[:3] @ self._reference
+        self._geometric = _delivered(
+            matrix,
+            self._reference,
+            self._wrench,
+            self._gradient,
+            self._sensing.tension,
+            self._delivered,
+            self._shortfall,
+        )
 
-    def _drum_rate(self, estimate: Estimate) -> Array:
-        """Drum rates (8,) that follow the platform at constant tension (eq. 1)."""
-        twist = np.concatenate([estimate.velocity, estimate.angular_velocity])
-        stretch = 1.0 + self._sensing.tension / self._robot.cable.axial_stiffness
-        rate = (self._kinematics.matrix.T @ twist) / (self._robot.drum.radius * stretch)
-        return np.asarray(rate)
-
-    def _drums_of(self, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
-        """Rates and accelerations (8,) of the drums on the desired motion, level."""
-        pull = self._kinematics.matrix[:3].T / self._robot.drum.radius
-        return pull @ velocity, pull @ acceleration
+    def _drum_rates(self, estimate: Estimate) -> Array:
+        """Drum rates (8,) to damp against: those that follow the platform, or those desired."""
+        _, velocity, acceleration = self._guide.desired
+        desired_rate, desired_acceleration = self._desired_drums
+        self._finite = _drum_motion(
+            self._kinematics.matrix,
+            self._wrench,
+            self._sensing.tension,
+            (estimate.velocity, estimate.angular_velocity),
+            (velocity, acceleration),
+            self._robot.drum.radius,
+            self._robot.cable.axial_stiffness,
+            self._drum_rate,
+            desired_rate,
+            desired_acceleration,
+        )
+        follows = self._controller.follows_platform or self.sequence.descending
+        return self._drum_rate if follows else desired_rate
 
     def _write_inputs(self, image: ProcessImage, tick: int, operator: Operator) -> None:
         record, sensing, sequence = self.record, self._sensing, self.sequence
@@ -271,26 +350,15 @@ class ControlCycle:
         state.fault_where[...] = sequence.where
         state.state[...] = sequence.state
         state.operator[...] = operator
-        drives, axes = record.drives, image.axes
-        drives.angle[:] = axes["angle"]
-        drives.torque[:] = axes["torque"]
-        drives.rate[:] = sensing.rate
-        drives.age[:] = axes["age"]
-        drives.statusword[:] = axes["statusword"]
-        drives.error_code[:] = axes["error_code"]
-        drives.state[:] = axes["state"]
-        cells = record.force_cells
-        cells.raw[:] = image.cells["force"]
-        cells.tare[:] = sensing.tare
-        cells.filtered[:] = sensing.filter.value
-        cells.age[:] = image.cells["age"]
-        cells.status[:] = image.cells["status"]
-        tracker, seen = record.tracker, image.tracker
-        tracker.position[:] = seen["position"]
-        tracker.quaternion[:] = seen["quaternion"]
-        tracker.delay[...] = seen["delay"]
-        tracker.sequence[...] = seen["sequence"]
-        tracker.fresh[...] = seen["fresh"]
+        write_measured(
+            record.data,
+            image.axes,
+            image.cells,
+            image.tracker,
+            sensing.rate,
+            sensing.tare,
+            sensing.filter.value,
+        )
 
     def _write_results(self, image: ProcessImage, estimate: Estimate | None) -> None:
         record, sensing = self.record, self._sensing
@@ -313,18 +381,21 @@ class ControlCycle:
         tracker.disagreement[...] = estimator.disagreement.distance
         tracker.refused[...] = estimator.disagreement.poses
         tracker.learnt[...] = estimator.disagreement.learnt
-        pose.position[:] = estimate.position
-        pose.quaternion[:] = estimate.quaternion
-        pose.velocity[:] = estimate.velocity
-        pose.angular_velocity[:] = estimate.angular_velocity
-        position, velocity, acceleration = self._guide.desired
-        pose.desired_position[:] = position
-        pose.desired_velocity[:] = velocity
-        pose.desired_acceleration[:] = acceleration
-        pose.cable_position[:] = estimator.cable_position
-        pose.bias[:] = estimator.bias
+        write_motion(
+            record.data,
+            (
+                estimate.position,
+                estimate.quaternion,
+                estimate.velocity,
+                estimate.angular_velocity,
+                estimate.external,
+            ),
+            self._guide.desired,
+            estimator.cable_position,
+            estimator.bias,
+            estimator.offsets,
+        )
         pose.residual[...] = estimator.residual
-        pose.length_offset[:] = estimator.offsets
         pose.compliance[...] = estimator.compliance
         pose.sigma[...] = estimator.sigma
         pose.inconsistency[...] = estimator.inconsistency
@@ -334,8 +405,7 @@ class ControlCycle:
         self._write_energy(record.energy)
         wrench = record.wrench
         wrench.commanded[:] = self._wrench
-        wrench.delivered[:] = self._kinematics.matrix @ self._reference
-        wrench.external[:] = estimate.external
+        wrench.delivered[:] = self._delivered
         wrench.deficit[...] = distribution.deficit
         wrench.contact[...] = sensing.contact
         margins, envelope = record.envelope, self._envelope
@@ -355,8 +425,7 @@ class ControlCycle:
         stiffness.deviation_term[...] = terms.deviation
         stiffness.cap[...] = self._envelope.cap
         stiffness.k_eq[...] = self._limiter.value
-        geometric = float(self._gradient @ self._sensing.tension)
-        stiffness.measured[...] = self._limiter.value + geometric
+        stiffness.measured[...] = self._limiter.value + self._geometric
 
     def _write_energy(self, energy: SimpleNamespace) -> None:
         limiter, account = self._limiter, self._limiter.account

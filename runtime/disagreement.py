@@ -3,6 +3,8 @@ right, or the tracker has been moved, and either way somebody must hear of it.""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,7 +53,8 @@ class Disagreement:
     @property
     def distance(self) -> float:
         """m"""
-        return float(np.linalg.norm(self.shift[:3]))
+        x, y, z = self.shift.tolist()[:3]
+        return math.sqrt(x * x + y * y + z * z)
 
     @property
     def lasting(self) -> bool:

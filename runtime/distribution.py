@@ -58,27 +58,57 @@ def _free_minimiser(
     matrix: Array,
     wrench: Array,
     bounds: tuple[Array, Array, Array],
-    preference: Array,
-    weight: float,
-    triangle: tuple[NDArray[np.int64], NDArray[np.int64]],
+    gradient: Array,
+    weights: tuple[float, float],
+    scale: Array,
     quadratic: Array,
+    scaled: tuple[Array, Array],
     tensions: Array,
 ) -> bool:
-    """Tensions without regard to the bounds, and whether they lie within them; ``quadratic``
-    becomes the upper triangle of I + p p^T + weight W^T W. ``bounds``: low, high, centre;
-    ``preference``: p, the row g times the root of its weight."""
+    """Tensions without regard to the bounds, and whether they lie within them.
+
+    ``bounds``: low, high, centre; ``weights``: of the wrench, and the root of that of the row
+    ``gradient``. ``quadratic`` becomes the upper triangle, column by column, of
+    I + p p^T + weight W^T W; ``scaled``, matrix and wrench, what they are times ``scale``.
+    """
     low, high, centre = bounds
-    rows, columns = triangle
-    metric = np.eye(len(centre)) + np.outer(preference, preference)
-    normal = weight * (matrix.T @ matrix) + metric
-    for k in range(rows.shape[0]):
-        quadratic[k] = normal[rows[k], columns[k]]
-    right = metric @ centre + weight * (matrix.T @ wrench)
-    if not (np.isfinite(normal).all() and np.isfinite(right).all()):
+    weight, preference = weights
+    w, target = scaled
+    size = centre.shape[0]
+    row = np.empty(size)
+    metric = 0.0
+    for i in range(size):
+        # A lost cable must not take part: its correction has to be zero by itself.
+        row[i] = preference * gradient[i] if high[i] > low[i] else 0.0
+        metric += row[i] * centre[i]
+    for k in range(6):
+        target[k] = scale[k] * wrench[k]
+        for i in range(size):
+            w[k, i] = scale[k] * matrix[k, i]
+    normal, right = np.empty((size, size)), np.empty(size)
+    place, finite = 0, True
+    for i in range(size):
+        pulled = 0.0
+        for k in range(6):
+            pulled += w[k, i] * target[k]
+        right[i] = centre[i] + row[i] * metric + weight * pulled
+        finite = finite and math.isfinite(right[i])
+        for j in range(i + 1):
+            together = 0.0
+            for k in range(6):
+                together += w[k, i] * w[k, j]
+            value = weight * together + row[i] * row[j] + (1.0 if i == j else 0.0)
+            normal[i, j] = normal[j, i] = quadratic[place] = value
+            finite = finite and math.isfinite(value)
+            place += 1
+    if not finite:
         tensions[:] = np.nan
         return True
     tensions[:] = np.linalg.solve(normal, right)
-    return bool(np.all((low <= tensions) & (tensions <= high)))
+    inside = True
+    for i in range(size):
+        inside = inside and low[i] <= tensions[i] <= high[i]
+    return inside
 
 
 @njit(cache=True)
@@ -108,13 +138,11 @@ class TensionDistribution:
         self.solver = Solver.NONE
         self.deficit = 0.0
         """N, norm of the scaled wrench that the tensions miss"""
-        self._weight = settings.wrench_weight
-        self._preference = math.sqrt(settings.stiffness_weight)
         self._scale = np.array([1.0] * 3 + [1.0 / moment_length] * 3)
-        self._column = self._scale[:, None]
+        self._weights = (settings.wrench_weight, math.sqrt(settings.stiffness_weight))
+        self._scaled = (np.zeros((6, CABLES)), np.zeros(6))
         # Clarabel stores the upper triangle column by column.
-        self._columns, self._rows = np.tril_indices(CABLES)
-        self._quadratic = np.zeros(len(self._rows))
+        self._quadratic = np.zeros(CABLES * (CABLES + 1) // 2)
         self._none = np.zeros(CABLES)
         self._room = np.zeros(2 * CABLES)
         self._programme = self._build(settings)
@@ -154,22 +182,18 @@ class TensionDistribution:
         (Pott, Bruckmann and Mikelsons 2009), clipped to the bounds, takes its place, and `solver`
         says so.
         """
-        scaled = matrix * self._column
-        target = wrench * self._scale
         tensions = np.empty(CABLES)
-        preference = self._none
-        if gradient is not None:
-            # A lost cable must not take part: its correction has to be zero by itself.
-            preference = self._preference * gradient * (high > low)
+        scaled, target = self._scaled
         self.solver, self.iterations = Solver.INTERIOR, 0
         if not _free_minimiser(
-            scaled,
-            target,
+            matrix,
+            wrench,
             (low, high, centre),
-            preference,
-            self._weight,
-            (self._rows, self._columns),
+            self._none if gradient is None else gradient,
+            self._weights,
+            self._scale,
             self._quadratic,
+            self._scaled,
             tensions,
         ):
             tensions = self._bounded(tensions, scaled, target, centre, low, high)

@@ -36,8 +36,8 @@ def _tension_margins(
     bounds: tuple[float, float, float],
     over: NDArray[np.int64],
     under: NDArray[np.int64],
-) -> tuple[float, float]:
-    """Smallest distance (N) to T_max and T_min, predicted; and the ticks each cable has spent
+) -> tuple[float, float, int, int]:
+    """Smallest distance (N) to T_max and T_min, predicted; and the most ticks any cable has spent
     beyond T_max or slack. ``bounds``: T_min, T_max, T_slack."""
     low, high, slack = bounds
     to_high, to_low = high, high
@@ -49,16 +49,21 @@ def _tension_margins(
         if bearing[i]:
             to_high = min(to_high, high - ahead)
             to_low = min(to_low, ahead - low)
-    return to_high, to_low
+    return to_high, to_low, over.max(), under.max()
 
 
 @njit(cache=True)
-def _distance_inside(point: Array, low: Array, high: Array) -> float:
-    """m to the nearest face of the box, negative outside."""
-    nearest = math.inf
+def _place_and_speed(
+    position: Array, velocity: Array, horizon: float, low: Array, high: Array
+) -> tuple[float, float, float]:
+    """m to the nearest face of the box, negative outside, now and a horizon on; and m/s."""
+    now, then, square = math.inf, math.inf, 0.0
     for i in range(3):
-        nearest = min(nearest, point[i] - low[i], high[i] - point[i])
-    return nearest
+        ahead = position[i] + horizon * velocity[i]
+        now = min(now, position[i] - low[i], high[i] - position[i])
+        then = min(then, ahead - low[i], high[i] - ahead)
+        square += velocity[i] * velocity[i]
+    return now, then, math.sqrt(square)
 
 
 class Envelope:
@@ -78,6 +83,16 @@ class Envelope:
         self._last_contact = self._swell = 0.0
         self._follow = 1.0 - math.exp(-2.0 * math.pi * settings.rate_cutoff_hz * period)
         self._release = settings.release_rate * period
+        # Full softness is reached a hysteresis short of the limit, so that the platform comes to
+        # rest inside the bound and not on it.
+        s = settings
+        self._edges = (
+            s.contact_limit * (1.0 - s.hysteresis),
+            s.contact_limit * s.contact_warning,
+            s.speed_limit * (1.0 - s.hysteresis),
+            s.speed_limit * s.speed_warning,
+            1.0 - s.tension_warning,
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -92,7 +107,8 @@ class Envelope:
         self.tension_high = self.tension_low = self.contact = self.speed = self.workspace = 1.0
         self._over[:] = 0
         self._under[:] = 0
-        self._held = dict.fromkeys(_GRADED, 1.0)
+        self._held = [1.0] * len(_GRADED)
+        """what is left of each graded bound, over 1 untouched, as it is acted on"""
         self._first = True
 
     def __call__(
@@ -114,7 +130,7 @@ class Envelope:
         swell = (contact - self._last_contact) / self._period
         self._swell += self._follow * (swell - self._swell)
         self._last_contact = contact
-        to_high, to_low = _tension_margins(
+        to_high, to_low, over, under = _tension_margins(
             tension,
             self._last_tension,
             horizon / self._period,
@@ -127,51 +143,45 @@ class Envelope:
         self.tension_low = to_low / (t.pre - t.min)
         force = max(contact, contact + horizon * self._swell)
         self.contact = (s.contact_limit - force) / s.contact_limit
-        speed = math.sqrt(float(velocity @ velocity))
+        inside, self.workspace, speed = _place_and_speed(
+            position, velocity, horizon, self._low, self._high
+        )
         self.speed = (s.speed_limit - speed) / s.speed_limit
-        there = position + horizon * velocity
-        self.workspace = _distance_inside(there, self._low, self._high)
         if not s.enabled:
             return
-        self._judge(contact, speed, position)
+        self._judge(contact, speed, inside, over, under)
         self._soften(force, speed)
 
-    def _judge(self, contact: float, speed: float, position: Array) -> None:
+    def _judge(self, contact: float, speed: float, inside: float, over: int, under: int) -> None:
         """Red: what is met now, not what is predicted."""
         s, ticks = self._settings, self._settings.over_tension_ticks
         self.fault, self.where = Fault.NONE, -1
-        outside = _distance_inside(position, self._low, self._high) < 0.0
         if contact >= s.contact_limit:
             self.fault = Fault.CONTACT_LIMIT
-        elif self._over.max() >= ticks:
+        elif over >= ticks:
             self.fault, self.where = Fault.OVER_TENSION, int(self._over.argmax())
-        elif self._under.max() >= ticks:
+        elif under >= ticks:
             self.fault, self.where = Fault.SLACK_CABLE, int(self._under.argmax())
         elif speed >= s.speed_limit:
             self.fault = Fault.SPEED_LIMIT
-        elif outside:
+        elif inside < 0.0:
             self.fault = Fault.WORKSPACE_LIMIT
 
     def _soften(self, force: float, speed: float) -> None:
         """Amber: how much is left of each bound, over 1 untouched, 0 used up; the least decides."""
         s = self._settings
-        # Full softness is reached a hysteresis short of the limit, so that the platform comes to
-        # rest inside the bound and not on it.
-        soft_force = s.contact_limit * (1.0 - s.hysteresis)
-        warn_force = s.contact_limit * s.contact_warning
-        soft_speed = s.speed_limit * (1.0 - s.hysteresis)
-        warn_speed = s.speed_limit * s.speed_warning
-        edge = 1.0 - s.tension_warning
+        soft_force, warn_force, soft_speed, warn_speed, edge = self._edges
         left = (
             (soft_force - force) / (soft_force - warn_force),
             (soft_speed - speed) / (soft_speed - warn_speed),
             self.workspace / s.workspace_margin if s.workspace_margin else math.inf,
             self.tension_high / edge,
         )
-        for of, now in zip(_GRADED, left, strict=True):
-            self._held[of] = self._hold(self._held[of], now)
-        bound = min(_GRADED, key=self._held.__getitem__)
-        share = self._held[bound]
+        held = self._held
+        for place, now in enumerate(left):
+            held[place] = self._hold(held[place], now)
+        share = min(held)
+        bound = _GRADED[held.index(share)]
         low, high = self._law.minimum, self._law.maximum
         stiffening = bound in (Bound.CONTACT, Bound.TENSION_HIGH)
         self.cap = low + share * (high - low) if stiffening else high

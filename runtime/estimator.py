@@ -37,7 +37,7 @@ from runtime.compiled import (
     TWIST,
     carry_forward,
     elongation,
-    filter_tick,
+    estimate_tick,
     track,
 )
 from runtime.disagreement import Disagreement
@@ -45,6 +45,10 @@ from runtime.kinematics import Kinematics
 from runtime.signals import Consistency
 
 Array = NDArray[np.float64]
+_FIT_ITERATIONS = 2
+"""Enough for what a platform does in a tick."""
+_CONDITION_TICKS = 8
+"""The condition number, which changes as slowly as the pose, is computed once in so many ticks."""
 
 
 @dataclass
@@ -124,6 +128,12 @@ class PoseEstimator:
         self._innovation = np.zeros(CABLES)
         self.cable_position, self._cable_quaternion = np.zeros(3), self._quaternion.copy()
         """as solved from the lengths alone, with nothing calibrated"""
+        self._by_cables = (
+            self.cable_position,
+            self._cable_quaternion,
+            self._cables.lengths,
+            self._cables.matrix,
+        )
         self.residual = 0.0
         """m, RMS disagreement of the eight lengths with that pose"""
         self.inconsistency = 1.0
@@ -134,6 +144,12 @@ class PoseEstimator:
         self.disagreement = Disagreement(settings, tracker)
         self.estimate = Estimate(
             np.zeros(3), self._quaternion.copy(), np.zeros(3), np.zeros(3), np.zeros(6)
+        )
+        self._published = (
+            self.estimate.position,
+            self.estimate.quaternion,
+            self.estimate.velocity,
+            self.estimate.angular_velocity,
         )
 
     @property
@@ -154,7 +170,8 @@ class PoseEstimator:
     @property
     def sigma(self) -> float:
         """m, standard deviation of the position along its worst axis."""
-        return math.sqrt(max(0.0, *(float(self.covariance[i, i]) for i in range(3))))
+        item = self.covariance.item
+        return math.sqrt(max(0.0, item(0, 0), item(1, 1), item(2, 2)))
 
     @property
     def consistency(self) -> Consistency:
@@ -213,7 +230,7 @@ class PoseEstimator:
         (8,). A cable that is not ``usable`` says nothing about the pose."""
         kinematics, cables, settings = self._kinematics, self._cables, self._settings
         self._tensions[:] = tensions
-        squared = filter_tick(
+        squared, self.residual = estimate_tick(
             self._state,
             self._body,
             self._period,
@@ -222,20 +239,24 @@ class PoseEstimator:
             (lengths, tensions, usable),
             kinematics.lengths,
             kinematics.matrix,
+            self._by_cables,
+            _FIT_ITERATIONS,
+            self._published,
         )
         share = self._period / settings.consistency_time
         self.inconsistency += share * (squared - self.inconsistency)
         # Half the limit, once beyond it: said once an episode.
         limit = settings.consistency_limit * (0.5 if self._odd else 1.0)
         self._odd = not self.inconsistency <= limit
-        self.residual = cables.fit(lengths, usable, self.cable_position, self._cable_quaternion)
-        self.condition = cables.condition
+        if self._count % _CONDITION_TICKS == 0:
+            self.condition = cables.condition
         slot = self._count % len(self._past_lengths)
         self._past_lengths[slot] = lengths
         self._past_tensions[slot] = tensions
         self._past_usable[slot] = usable
         self._count += 1
-        return self._publish()
+        self.estimate.external[:] = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
+        return self.estimate
 
     def track(self, position: Array, quaternion: Array, delay: float) -> bool:
         """Use a tracker pose taken ``delay`` s before this tick.
@@ -300,12 +321,7 @@ class PoseEstimator:
             self._anchors,
             kinematics.lengths,
             kinematics.matrix,
-            (
-                estimate.position,
-                estimate.quaternion,
-                estimate.velocity,
-                estimate.angular_velocity,
-            ),
+            self._published,
         )
         estimate.external[:] = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
         return estimate

@@ -4,6 +4,7 @@ cells how much each cable is stretched, and the drum angles are counted from the
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from config.schema.control import Sequence
@@ -15,6 +16,21 @@ from runtime.kinematics import Kinematics
 Array = NDArray[np.float64]
 
 
+@njit(cache=True)
+def _lengths(
+    unstretched: Array,
+    angle: Array,
+    tension: Array,
+    radius: float,
+    axial_stiffness: float,
+    wound: Array,
+    lengths: Array,
+) -> None:
+    for i in range(angle.shape[0]):
+        wound[i] = unstretched[i] - radius * angle[i]
+        lengths[i] = wound[i] * (1.0 + tension[i] / axial_stiffness)
+
+
 class Referencing:
     """Averages while the platform lies still, then fixes the unstretched lengths (8,) at drum angle
     zero, or says why it cannot."""
@@ -22,6 +38,10 @@ class Referencing:
     def __init__(self, robot: Robot, sequence: Sequence, kinematics: Kinematics) -> None:
         self._robot, self._sequence, self._kinematics = robot, sequence, kinematics
         self.unstretched = np.zeros(CABLES)
+        """m, at drum angle zero"""
+        self.wound = np.zeros(CABLES)
+        """m, the same at the present angles"""
+        self._lengths = np.zeros(CABLES)
         self.position = np.zeros(3)
         self.quaternion = np.array([1.0, 0.0, 0.0, 0.0])
         self.poses = 0
@@ -71,6 +91,16 @@ class Referencing:
         return ""
 
     def lengths(self, angle: Array, tension: Array) -> Array:
-        """Anchor-to-anchor lengths (8,) in m from drum angles (rad) and tensions (N)."""
-        wound = self.unstretched - self._robot.drum.radius * angle
-        return np.asarray(wound * (1.0 + tension / self._robot.cable.axial_stiffness))
+        """Anchor-to-anchor lengths (8,) in m from drum angles (rad) and tensions (N); they stay
+        until the next call, and so do the unstretched ones in `wound`."""
+        robot = self._robot
+        _lengths(
+            self.unstretched,
+            angle,
+            tension,
+            robot.drum.radius,
+            robot.cable.axial_stiffness,
+            self.wound,
+            self._lengths,
+        )
+        return self._lengths

@@ -96,6 +96,32 @@ def _trust(
 
 
 @njit(cache=True)
+def _sense(
+    reported: tuple[Array, Array],
+    ages: tuple[NDArray[np.uint16], NDArray[np.uint16]],
+    tick: int,
+    limits: tuple[float, float, float, int, int],
+    drums: tuple[Array, NDArray[np.int64], Array],
+    cells: tuple[Array, Array],
+    last_ages: tuple[NDArray[np.uint16], NDArray[np.uint16]],
+    implausible: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    silences: tuple[NDArray[np.int64], NDArray[np.int64]],
+    usable: NDArray[np.bool_],
+    present: NDArray[np.bool_],
+) -> None:
+    """All of a tick. Pairs are of axes and cells; ``limits``: period, largest rate, largest force,
+    fresh ticks, stale ticks; ``drums``: last angles, when sampled, rates; ``cells``: tare, force.
+    """
+    period, fastest, largest, fresh, stale = limits
+    angle, sampled, rate = drums
+    _drum_rates(reported[0], ages[0], tick, (period, fastest), angle, sampled, rate, implausible[0])
+    _tared(reported[1], cells[0], largest, cells[1], implausible[1])
+    _count_silence(ages[0], last_ages[0], fresh, implausible[0], silences[0])
+    _count_silence(ages[1], last_ages[1], fresh, implausible[1], silences[1])
+    _trust(ages, silences, implausible, (fresh, stale), usable, present)
+
+
+@njit(cache=True)
 def _first_beyond(silent: NDArray[np.int64], limit: int) -> int:
     for i in range(silent.shape[0]):
         if silent[i] > limit:
@@ -112,8 +138,13 @@ class Sensing:
         self._fresh_ticks = freshness.measurement_ticks
         self._stale_ticks = freshness.stale_stop_ticks
         motor = robot.motor.nominal_speed_rpm * 2.0 * math.pi / 60.0
-        self._fastest = control.filters.plausible_speed * motor / robot.gearbox.ratio
-        self._largest = control.filters.plausible_force
+        self._limits = (
+            rates.period,
+            control.filters.plausible_speed * motor / robot.gearbox.ratio,
+            control.filters.plausible_force,
+            freshness.measurement_ticks,
+            freshness.stale_stop_ticks,
+        )
         self.filter = ButterworthBank(CELLS, control.filters.force_cutoff_hz, 1.0 / rates.period)
         self.tare = np.zeros(CELLS)
         self.force = np.zeros(CELLS)
@@ -130,8 +161,8 @@ class Sensing:
         self.implausible_cells = np.zeros(CELLS, dtype=bool)
         self._silent_axes = np.zeros(CABLES, dtype=np.int64)
         self._silent_cells = np.zeros(CELLS, dtype=np.int64)
-        self._age_axes = np.zeros(CABLES, dtype=np.uint16)
-        self._age_cells = np.zeros(CELLS, dtype=np.uint16)
+        self._last_ages = (np.zeros(CABLES, dtype=np.uint16), np.zeros(CELLS, dtype=np.uint16))
+        self._drums = (self.angle, self._sampled, self.rate)
         self._sum = np.zeros(CELLS)
         self._samples = 0
 
@@ -147,31 +178,20 @@ class Sensing:
 
     def step(self, image: ProcessImage, tick: int) -> None:
         axes, cells = image.axes, image.cells
-        _drum_rates(
-            axes["angle"],
-            axes["age"],
-            tick,
-            (self._period, self._fastest),
-            self.angle,
-            self._sampled,
-            self.rate,
-            self.implausible_axes,
-        )
-        _tared(cells["force"], self.tare, self._largest, self.force, self.implausible_cells)
-        self.filter.step(self.force)
-        for age, last, odd, silent in (
-            (axes["age"], self._age_axes, self.implausible_axes, self._silent_axes),
-            (cells["age"], self._age_cells, self.implausible_cells, self._silent_cells),
-        ):
-            _count_silence(age, last, self._fresh_ticks, odd, silent)
-        _trust(
+        _sense(
+            (axes["angle"], cells["force"]),
             (axes["age"], cells["age"]),
-            (self._silent_axes, self._silent_cells),
+            tick,
+            self._limits,
+            self._drums,
+            (self.tare, self.force),
+            self._last_ages,
             (self.implausible_axes, self.implausible_cells),
-            (self._fresh_ticks, self._stale_ticks),
+            (self._silent_axes, self._silent_cells),
             self.usable,
             self.present,
         )
+        self.filter.step(self.force)
 
     def lost_axis(self) -> int:
         """An axis that left too many ticks in a row without an answer, or -1. Ticks the host let

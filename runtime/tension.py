@@ -9,11 +9,11 @@ why that cannot reach half a per cent. Here
 so that the damping acts neither on the platform, whose motion the drums follow, nor on a change of
 tension that is asked for: a cable of length l needs its drum to turn by l/(EA r) for each newton.
 Without this lead a damped loop lags, and the loop round it has no phase left (docs/control.md). It
-is filtered, and bounded so that a jump of T_ref gives no blow. M is what the drive itself will take on the desired motion: the
-drum's inertia and friction, and the gearbox's loss, which helps to hold a cable that runs out. It
-follows the desired motion and never the measured one: friction fed back by its own measured rate
-drives what it should cancel. Drum rate and tension are taken unfiltered: a filter's delay
-would cost the phase margin that `runtime.margin` computes.
+is filtered, and bounded so that a jump of T_ref gives no blow. M is what the drive itself will take
+on the desired motion: the drum's inertia and friction, and the gearbox's loss, which helps to hold a
+cable that runs out. It follows the desired motion and never the measured one: friction fed back by
+its own measured rate drives what it should cancel. Drum rate and tension are taken unfiltered: a
+filter's delay would cost the phase margin that `runtime.margin` computes.
 """
 
 from __future__ import annotations
@@ -142,8 +142,8 @@ class TensionLoop:
         desired: tuple[Array, Array] | None = None,
     ) -> Array:
         """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N, rates
-        in rad/s, winding in positive, cable ``lengths`` in m; ``desired``: rate and acceleration of the desired motion,
-        None for none."""
+        in rad/s, winding in positive, cable ``lengths`` in m; ``desired``: rate and acceleration of
+        the desired motion, None for none."""
         _expected(reference, *(desired or self._still), self._drive, self._expected)
         _torques(
             reference,

@@ -58,9 +58,16 @@ class Channel:
         self._refused = False
         self._deaf = False
         self._sync = can.Message(arbitration_id=SYNC, is_extended_id=False)
+        # Used again and again: a bus has sent or copied a message when its `send` returns.
+        self._outgoing: dict[int, can.Message] = {}
 
     def send(self, identifier: int, data: bytes) -> None:
-        self._transmit(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
+        message = self._outgoing.get(identifier)
+        if message is None:
+            message = can.Message(arbitration_id=identifier, is_extended_id=False)
+            self._outgoing[identifier] = message
+        message.data, message.dlc = bytearray(data), len(data)
+        self._transmit(message)
 
     def sync(self, tick: int) -> None:
         now = self._clock()

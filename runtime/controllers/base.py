@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from config.schema.control import Control, TensionLoop
 from config.schema.robot import Robot
-from runtime.compiled import rotation_between
+from runtime.compiled import levelling
 from runtime.passivity import damping
 from runtime.stiffness import LawTerms
 
@@ -97,10 +97,14 @@ class Controller(ABC):
 
     def _levelling(self, motion: Motion) -> Array:
         impedance = self._control.impedance
-        tilt = rotation_between(motion.quaternion, LEVEL)
         return np.asarray(
-            impedance.rotational_stiffness * tilt
-            - impedance.rotational_damping * motion.angular_velocity
+            levelling(
+                motion.quaternion,
+                motion.angular_velocity,
+                LEVEL,
+                impedance.rotational_stiffness,
+                impedance.rotational_damping,
+            )
         )
 
     def descent(self, motion: Motion) -> Array:
@@ -121,8 +125,9 @@ class Controller(ABC):
 
 
 def norm(vector: Array) -> float:
-    """Euclidean, of a short vector."""
-    return math.sqrt(float(vector @ vector))
+    """Euclidean, of a vector (3,)."""
+    x, y, z = vector.tolist()
+    return math.sqrt(x * x + y * y + z * z)
 
 
 def share(cutoff_hz: float, period: float) -> float:

@@ -1,0 +1,84 @@
+"""Compiled writers of the cycle record's larger parts: a call each, where assigning array by array
+costs three to five times as much.
+
+They write the same named fields that `runtime.signals` lists. What a tick writes besides, it writes
+through the views of `CycleRecord`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+from numpy.typing import NDArray
+
+Table = NDArray[Any]
+"""A structured array."""
+
+
+@njit(cache=True)
+def write_measured(
+    record: Table,
+    axes: Table,
+    cells: Table,
+    tracker: Table,
+    rate: Table,
+    tare: Table,
+    filtered: Table,
+) -> None:
+    """What the bus and the tracker brought: the image's tables, and the drum rates (8,), tare (9,)
+    and low-passed forces (9,) made of them."""
+    drives, forces, pose = record[0].drives, record[0].force_cells, record[0].tracker
+    for i in range(axes.shape[0]):
+        row = axes[i]
+        drives.angle[i] = row.angle
+        drives.torque[i] = row.torque
+        drives.rate[i] = rate[i]
+        drives.age[i] = row.age
+        drives.statusword[i] = row.statusword
+        drives.error_code[i] = row.error_code
+        drives.state[i] = row.state
+    for i in range(cells.shape[0]):
+        cell = cells[i]
+        forces.raw[i] = cell.force
+        forces.tare[i] = tare[i]
+        forces.filtered[i] = filtered[i]
+        forces.age[i] = cell.age
+        forces.status[i] = cell.status
+    seen: Any = tracker[()]
+    for k in range(3):
+        pose.position[k] = seen.position[k]
+    for k in range(4):
+        pose.quaternion[k] = seen.quaternion[k]
+    pose.delay = seen.delay
+    pose.sequence = seen.sequence
+    pose.fresh = seen.fresh
+
+
+@njit(cache=True)
+def write_motion(
+    record: Table,
+    estimate: tuple[Table, Table, Table, Table, Table],
+    desired: tuple[Table, Table, Table],
+    cable_position: Table,
+    bias: Table,
+    length_offset: Table,
+) -> None:
+    """``estimate``: position, quaternion, velocity, angular velocity, external wrench; ``desired``:
+    position, velocity, acceleration."""
+    pose, external = record[0].pose, record[0].wrench.external
+    for k in range(3):
+        pose.position[k] = estimate[0][k]
+        pose.velocity[k] = estimate[2][k]
+        pose.angular_velocity[k] = estimate[3][k]
+        pose.desired_position[k] = desired[0][k]
+        pose.desired_velocity[k] = desired[1][k]
+        pose.desired_acceleration[k] = desired[2][k]
+        pose.cable_position[k] = cable_position[k]
+        pose.bias[k] = bias[k]
+    for k in range(4):
+        pose.quaternion[k] = estimate[1][k]
+    for k in range(6):
+        external[k] = estimate[4][k]
+    for k in range(8):
+        pose.length_offset[k] = length_offset[k]
