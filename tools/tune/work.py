@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import runtime
 from config import load
 from config.loader import load_tuning
 from tools.errors import ToolError
@@ -65,8 +66,8 @@ class Evaluator:
 
 
 def fingerprint(config: str, tuning: str | None, seed: int) -> str:
-    """Of all that the cost of given gains depends on, as far as it stands in files: configuration,
-    scenarios, weights, seed. What is searched, and how long, is no part of it."""
+    """Of all that the cost of given gains depends on: configuration, scenarios, weights, seed, and
+    the code that is run. What is searched, and how long, is no part of it."""
     rules = load_tuning(tuning)
     loaded, _ = load(config, overrides=dict(rules.overrides))
     control = loaded.control.model_dump(mode="json", exclude={"controller"})
@@ -76,9 +77,20 @@ def fingerprint(config: str, tuning: str | None, seed: int) -> str:
         "failure": rules.failure,
         "scenarios": [scenario.model_dump(mode="json") for scenario in rules.scenarios],
         "control": _without(control, rules.controllers.values()),
+        "code": _code(),
         "rest": loaded.model_dump(mode="json", include={"robot", "fieldbus", "tracker", "lab"}),
     }
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _code() -> str:
+    """Of the rooms that a trial runs in."""
+    found = hashlib.sha256()
+    root = Path(runtime.__file__).parent.parent
+    for room in ("drivers", "runtime", "sim"):
+        for file in sorted((root / room).rglob("*.py")):
+            found.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
+    return found.hexdigest()
 
 
 def _without(control: dict[str, Any], searched: Any) -> dict[str, Any]:
