@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tests.bench.control import control
+from tests.bench.distribution import distribution
 from tests.bench.frames import frames
 from tests.bench.log import log
 from tests.bench.measure import Figure
@@ -19,7 +20,7 @@ from tests.bench.whole import whole
 def main() -> None:
     figures: list[Figure] = []
     console = Console()
-    for bench in (control, frames, whole, log):
+    for bench in (control, distribution, frames, whole, log):
         console.print(f"measuring {bench.__name__} ...")
         figures += bench()
     table = Table("what", "value", "peer", "peer's value", "ratio", "note")
