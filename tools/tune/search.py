@@ -1,5 +1,5 @@
 """The search: differential evolution (scipy) on the logarithm of the gains, under a floor of
-margins, until the budget of simulations is spent."""
+margins, until the budget of simulations is spent or nothing new comes up."""
 
 from __future__ import annotations
 
@@ -26,6 +26,10 @@ _DRAWS = 4096
 _DIGITS = 4
 """of a gain: more would only look exact"""
 _GENERATIONS = 10_000
+_IDLE = 15
+"""generations in a row with nothing to simulate: the search has come together, or to a wall"""
+_REFUSED = 10
+"""times the budget: so many points below the floors end a search too"""
 _BELOW = 1.0e6
 """cost of gains whose margins are below the floors, times one and their lack"""
 Progress = Callable[[str, int, float], None]
@@ -71,7 +75,8 @@ class Search:
     def __init__(
         self, config: str, tuning: Tuning, controller: str, evaluator: Evaluator, say: Progress
     ) -> None:
-        self._path, self._tuning, self._controller = config, tuning, controller
+        self._config, _ = load(config)
+        self._tuning, self._controller = tuning, controller
         self._evaluator, self._say = evaluator, say
         ranges = tuning.controllers[controller]  # type: ignore[index]
         self._keys = list(ranges)
@@ -80,12 +85,12 @@ class Search:
         self._costs: dict[tuple[float, ...], float] = {}
         self._best: tuple[float, Gains, list[Part]] | None = None
         self._lacks: dict[tuple[float, ...], float] = {}
-        self._done = self._refused = 0
+        self._done = self._refused = self._idle = 0
 
     def run(self) -> Found:
         """Raises `ToolError` when no gains in the ranges meet the floors."""
-        loaded, _ = load(self._path)
-        start = self._rounded(np.log([present(loaded, self._keys)[key] for key in self._keys]))
+        now = present(self._config, self._keys)
+        start = self._rounded(np.log([now[key] for key in self._keys]))
         population = self._population(start)
         before = None
         try:
@@ -166,9 +171,11 @@ class Search:
             if self._best is None or cost < self._best[0]:
                 self._best = (cost, gains, parts)
         self._done += len(simulated)
+        self._idle = 0 if new else self._idle + 1
         if simulated and self._best is not None:
             self._say(self._controller, self._done, self._best[0])
-        if self._done >= self._tuning.evaluations or self._refused > 50 * self._tuning.evaluations:
+        budget = self._tuning.evaluations
+        if self._done >= budget or self._refused > _REFUSED * budget or self._idle > _IDLE:
             raise _SpentError
         return [self._costs[tuple(gains.values())] for gains in many]
 
@@ -179,8 +186,14 @@ class Search:
         return self._lacks[at]
 
     def _configured(self, gains: Gains) -> Config:
-        overrides = {f"control.{key}": value for key, value in gains.items()}
-        return load(self._path, overrides=overrides)[0]
+        data = self._config.model_dump()
+        for key, value in gains.items():
+            *parents, last = key.split(".")
+            place = data["control"]
+            for part in parents:
+                place = place[part]
+            place[last] = value
+        return Config.model_validate(data)
 
     def _rounded(self, point: Array) -> Gains:
         values = np.exp(np.clip(point, self._low, self._high))
