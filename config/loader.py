@@ -16,6 +16,7 @@ from config.schema.budget import Budget
 from config.schema.protocol import Protocol
 from config.schema.root import Config
 from config.schema.scenario import Scenario
+from config.schema.tuning import Tuning
 
 HERE = Path(__file__).parent
 Overrides = dict[str, Any]
@@ -48,13 +49,20 @@ def load(
     ``scenario`` a path to a YAML file. ``overrides`` maps dotted keys ("control.controller") to
     values, for tests and command-line options. Raises `ConfigError`.
     """
-    document = read(*_find(Path(path)))
+    document = read(*locate(path))
     for key, value in (overrides or {}).items():
         _override(document, key, value)
     config = _validate(document, Config)
     if scenario is not None:
         return config, load_scenario(scenario)
     return config, _scenario(config.scenario, *document.place(("scenario",)), "scenario")
+
+
+def load_tuning(path: str | Path | None = None) -> Tuning:
+    """What `tonus tune` goes by: config/tuning.yaml, or a file like it. Raises `ConfigError`."""
+    if path is None:
+        return _validate(read(HERE / "tuning.yaml", "config/tuning.yaml"), Tuning)
+    return _validate(read(Path(path)), Tuning)
 
 
 def load_scenario(name: str, overrides: Overrides | None = None) -> Scenario:
@@ -101,8 +109,10 @@ def _scenario(
     return _validate(document, Scenario)
 
 
-def _find(path: Path) -> tuple[Path, str]:
-    """A file as given; otherwise one of ours, so that an installed wheel needs no checkout."""
+def locate(name: str | Path) -> tuple[Path, str]:
+    """Where a configuration is, and its name to people: a file as given; otherwise one of ours, so
+    that an installed wheel needs no checkout. Raises `ConfigError`."""
+    path = Path(name)
     if is_file(path):
         return path, str(path)
     ours = HERE / path.name

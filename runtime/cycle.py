@@ -23,7 +23,7 @@ from config.schema.robot import CABLES, Robot
 from config.schema.scenario import Reference
 from drivers.process_image import ProcessImage
 from runtime.controllers import CONTROLLERS, Motion
-from runtime.controllers.base import norm
+from runtime.controllers.base import norm, share
 from runtime.distribution import TensionDistribution, opposition
 from runtime.envelope import Envelope
 from runtime.estimator import Estimate, PoseEstimator
@@ -176,6 +176,10 @@ class ControlCycle:
         self._wrench = np.zeros(6)
         self._shortfall = np.zeros(3)
         self._law = 0.0
+        self._contraction = 0.0
+        """share by which all tensions are raised, on its way to what the stiffness asks for"""
+        activation = control.distribution.co_contraction_hz
+        self._activate = 1.0 if activation is None else share(activation, period)
         self._accepted = False
         self._finite = True
 
@@ -212,6 +216,7 @@ class ControlCycle:
                 rate,
                 sensing.rate,
                 sensing.usable & sequence.carrying,
+                self._kinematics.lengths,
                 self._desired_drums if sequence.regulating else None,
             )
         self._write_inputs(image, tick, operator, select)
@@ -238,12 +243,13 @@ class ControlCycle:
         self._finite = True
         loop = self._active_loop if state is State.ACTIVE else self._usual_loop
         if loop is not self._loop:
+            loop.take_over(self._loop)
             self._loop = loop
-            loop.reset()
         if state is State.REFERENCING:
             self._loop.reset()
             self._limiter.reset()
             self._controller.reset()
+            self._contraction = 0.0
         elif state is State.PRETENSION:
             reference, tension = self._referencing, self._sensing.filter.value[:CABLES]
             self._estimator.start(
@@ -302,8 +308,11 @@ class ControlCycle:
     def _distribute(self, motion: Motion, stiffness: float) -> None:
         """Co-contraction follows the stiffness; a cable that cannot be trusted carries nothing."""
         levels, present = self.sequence.levels, self.sequence.carrying
+        level = levels.level * self._controller.tone
         settings, base = self._control.distribution, self._control.stiffness.base
         matrix = self._kinematics.matrix
+        contraction = settings.co_contraction * (stiffness / base - 1.0)
+        self._contraction += self._activate * (contraction - self._contraction)
         opposition(
             matrix,
             self._kinematics.lengths,
@@ -316,8 +325,8 @@ class ControlCycle:
             matrix,
             self._reference,
             present,
-            (levels.low, levels.high, levels.level, settings.tension_rate * self._period),
-            settings.co_contraction * (stiffness / base - 1.0),
+            (levels.low, levels.high, level, settings.tension_rate * self._period),
+            self._contraction,
             self._agonism,
             self._low,
             self._high,

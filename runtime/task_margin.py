@@ -9,7 +9,7 @@ torque, where everything acts, and at the force, where the outer loop alone does
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 _ANGLE, _CELL, _PLACE, _SPEED = 0, 3, 4, 5
 _PLANT = 6
-_INTEGRAL, _LAST, _OUTER, _PIPE = range(_PLANT, _PLANT + 4)
+_INTEGRAL, _LAST, _OUTER, _ASKED, _SLOPE, _PIPE = range(_PLANT, _PLANT + 6)
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,14 @@ class Outer:
 def _outer_loops(config: Config, name: str) -> list[Outer]:
     """The feedback of a controller at the ends of its range."""
     control, mass = config.control, config.robot.platform.mass
-    law, ratio = control.stiffness, control.impedance.damping_ratio
+    law = control.stiffness
+    ratio = CONTROLLERS[name](config.robot, control).damping_ratio
 
-    def spring(stiffness: float, integral: float = 0.0, zeta: float = ratio) -> Outer:
-        return Outer(stiffness, damping(zeta, stiffness, mass), integral)
+    def spring(stiffness: float, integral: float = 0.0) -> Outer:
+        return Outer(stiffness, damping(ratio, stiffness, mass), integral)
 
     if name == "pid":
-        pid = control.pid
-        return [spring(pid.stiffness, pid.integral.gain, pid.damping_ratio)]
+        return [spring(control.pid.stiffness, control.pid.integral.gain)]
     if name == "pid_length":
         own = control.pid_length
         gains = (own.proportional, own.derivative, own.integral)
@@ -67,7 +67,7 @@ def _outer_loops(config: Config, name: str) -> list[Outer]:
     if name == "pd_matched":
         return [spring(control.pd_matched.stiffness)]
     if name in ("pd", "force", "constant_tension"):
-        free, force = spring(law.base), control.force
+        free, force = spring(control.pd.stiffness or law.base), control.force
         touching = Outer(
             damping=force.damping,
             contact=(force.proportional, force.integral),
@@ -75,12 +75,17 @@ def _outer_loops(config: Config, name: str) -> list[Outer]:
         )
         return [free, touching] if name == "force" else [free]
     integral = control.bio_integral.gain if name == "bio_integral" else 0.0
-    return [spring(stiffness, integral) for stiffness in (law.base, law.maximum)]
+    found = [spring(stiffness, integral) for stiffness in (law.base, law.maximum)]
+    if name == "bio_observer":
+        reflex = (0.0, control.bio_observer.reflex)
+        body = control.force.body_stiffness
+        found += [replace(free, contact=reflex, body=body) for free in found]
+    return found
 
 
 class _Loop:
     """The sampled loop as a linear map of its state: plant, tension integral, last drum angle,
-    outer integral, torques under way."""
+    outer integral, last tension reference and its filtered slope, torques under way."""
 
     def __init__(self, config: Config, tension: TensionLoop, outer: Outer, axis: int) -> None:
         assert config.lab is not None
@@ -91,6 +96,9 @@ class _Loop:
         self._radius = radius = robot.drum.radius
         self._tension, self._outer, self._period = tension, outer, config.control.rates.period
         k = robot.cable.axial_stiffness / float(kinematics.lengths.mean())
+        self._turn = tension.lead / (k * radius * self._period)
+        """rad/s of the drum for each newton by which the reference moves in a tick"""
+        self._follow = 1.0 - np.exp(-2.0 * np.pi * tension.lead_cutoff_hz * self._period)
         c, inertia, mass = robot.cable.damping, robot.drum.inertia, robot.platform.mass
         drive = 2.0 * np.pi * lab.plant.current_loop_hz
         cell = 2.0 * np.pi * lab.noise.force_cell.bandwidth_hz
@@ -138,10 +146,13 @@ class _Loop:
         integral = s[_INTEGRAL] + t.integral * h * error
         asked = r * (t.feed_forward * reference + t.proportional * error + integral)
         rate = (s[_ANGLE] - s[_LAST]) / h
-        asked += t.rate_damping * (self._outer.follows * s[_SPEED] / r - rate)
+        slope = s[_SLOPE] + self._follow * (reference - s[_ASKED] - s[_SLOPE])
+        wanted = self._outer.follows * s[_SPEED] / r + self._turn * slope
+        asked += t.rate_damping * (wanted - rate)
         new = np.empty(self.size)
         new[:_PLANT] = self._step @ s[:_PLANT] + self._effect * s[-1]
         new[_INTEGRAL], new[_LAST], new[_OUTER] = integral, s[_ANGLE], grown
+        new[_ASKED], new[_SLOPE] = reference, slope
         new[_PIPE] = asked if torque is None else torque
         new[_PIPE + 1 :] = s[_PIPE:-1]
         return new, asked, returned

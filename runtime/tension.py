@@ -4,13 +4,16 @@ Eq. (9) alone is proportional and has neither feed-forward nor damping; docs/pap
 why that cannot reach half a per cent. Here
 
     torque = r (T_ref + K_T (T_ref - T) + I) + C_d (rate_ref - rate) + M(T_ref, rate_d, acc_d)
+    rate_ref = (u . v + lead l/EA dT_ref/dt) / r
 
-with the drum rate that the platform's motion asks for as its reference, so that the damping acts on
-the drive and not on the platform. M is what the drive itself will take on the desired motion: the
-drum's inertia and friction, and the gearbox's loss, which helps to hold a cable that runs out. It
-follows the desired motion and never the measured one: friction fed back by its own measured rate
-drives what it should cancel. Drum rate and tension are taken unfiltered: a filter's delay
-would cost the phase margin that `runtime.margin` computes.
+so that the damping acts neither on the platform, whose motion the drums follow, nor on a change of
+tension that is asked for: a cable of length l needs its drum to turn by l/(EA r) for each newton.
+Without this lead a damped loop lags, and the loop round it has no phase left (docs/control.md). It
+is filtered, and bounded so that a jump of T_ref gives no blow. M is what the drive itself will take
+on the desired motion: the drum's inertia and friction, and the gearbox's loss, which helps to hold
+a cable that runs out. It follows the desired motion and never the measured one: friction fed back
+by its own measured rate drives what it should cancel. Drum rate and tension are taken unfiltered: a
+filter's delay would cost the phase margin that `runtime.margin` computes.
 """
 
 from __future__ import annotations
@@ -53,20 +56,30 @@ def _torques(
     expected: Array,
     usable: NDArray[np.bool_],
     gains: tuple[float, float, float, float, float, float, float],
+    leading: tuple[float, float, float],
+    lengths: Array,
+    past: tuple[Array, Array],
     integral: Array,
     torque: Array,
 ) -> None:
     radius, forward, proportional, integral_step, integral_limit, damping, limit = gains
+    turn, follow, fastest = leading
+    last, slope = past
     for i in range(reference.shape[0]):
         torque[i] = 0.0
+        moved = reference[i] - last[i]
+        last[i] = reference[i]
+        if math.isfinite(moved):  # it is not in the first tick, nor round what is no number
+            slope[i] += follow * (min(max(moved, -fastest), fastest) - slope[i])
         if not usable[i]:
-            integral[i] = 0.0
+            integral[i] = slope[i] = 0.0
             continue
         error = reference[i] - measured[i]
-        grown = integral[i] + integral_step * error
+        grown = integral[i] + (integral_step * error if math.isfinite(error) else 0.0)
         integral[i] = min(max(grown, -integral_limit), integral_limit)
         wanted = radius * (forward * reference[i] + proportional * error + integral[i])
-        wanted += damping * (rate_reference[i] - rate[i]) + forward * expected[i]
+        ahead = turn * lengths[i] * slope[i]
+        wanted += damping * (rate_reference[i] + ahead - rate[i]) + forward * expected[i]
         if math.isfinite(wanted):
             torque[i] = min(max(wanted, -limit), limit)
 
@@ -85,6 +98,12 @@ class TensionLoop:
             settings.rate_damping,
             motor.current_limit * motor.torque_constant * ratio,
         )
+        self._lead = (
+            settings.lead / (robot.cable.axial_stiffness * robot.drum.radius * period),
+            1.0 - math.exp(-2.0 * math.pi * settings.lead_cutoff_hz * period),
+            settings.lead_rate * period,
+        )
+        self._past = (np.full(CABLES, np.nan), np.zeros(CABLES))
         drum, friction = robot.drum, settings.friction
         self._drive = (
             drum.radius,
@@ -103,6 +122,14 @@ class TensionLoop:
 
     def reset(self) -> None:
         self.integral[:] = 0.0
+        last, slope = self._past
+        last[:], slope[:] = np.nan, 0.0
+
+    def take_over(self, before: TensionLoop) -> None:
+        """Go on where another loop has been, if there is an integral to go on with."""
+        self.reset()
+        if self._gains[3] > 0.0:
+            self.integral[:] = before.integral
 
     def __call__(
         self,
@@ -111,11 +138,12 @@ class TensionLoop:
         rate_reference: Array,
         rate: Array,
         usable: NDArray[np.bool_],
+        lengths: Array,
         desired: tuple[Array, Array] | None = None,
     ) -> Array:
         """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N, rates
-        in rad/s, winding in positive; ``desired``: rate and acceleration of the desired motion,
-        None for none."""
+        in rad/s, winding in positive, cable ``lengths`` in m; ``desired``: rate and acceleration of
+        the desired motion, None for none."""
         _expected(reference, *(desired or self._still), self._drive, self._expected)
         _torques(
             reference,
@@ -125,6 +153,9 @@ class TensionLoop:
             self._expected,
             usable,
             self._gains,
+            self._lead,
+            lengths,
+            self._past,
             self.integral,
             self._torque,
         )

@@ -14,6 +14,7 @@ from config.schema.lab import Load
 from config.schema.robot import Robot, Workspace
 from runtime.margin import tension_loop_margins
 from runtime.reference import trajectory
+from runtime.task_margin import margins
 from tools.feasibility import Feasibility, Poses, against, feasibility, poses, workspace_poses
 
 Array = NDArray[np.float64]
@@ -45,6 +46,7 @@ def mechanics(config: Config, scenario: Scenario) -> Iterator[Finding]:
     yield from _scenario(config, scenario)
     yield from _drives(config)
     yield from _tension_loop(config, at)
+    yield from _whole_loop(config)
 
 
 def _judged(
@@ -181,7 +183,7 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
         yield Finding("tension loop", True, where, text, "add a lab section")
         return
     lengths = [float(length) for length in (at.lengths.min(), at.lengths.mean(), at.lengths.max())]
-    margins = [
+    found = [
         tension_loop_margins(
             config.robot,
             loop,
@@ -192,8 +194,8 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
         )
         for length in lengths
     ]
-    gain = min(margin.gain_db for margin in margins)
-    phase = min(margin.phase_deg for margin in margins)
+    gain = min(margin.gain_db for margin in found)
+    phase = min(margin.phase_deg for margin in found)
     yield Finding(
         "tension loop",
         gain >= loop.gain_margin_db and phase >= loop.phase_margin_deg,
@@ -202,6 +204,35 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
         f"{lengths[2]:.2f} m, floors {loop.gain_margin_db:g} dB and {loop.phase_margin_deg:g} deg",
         "lower proportional, or change rate_damping",
     )
+
+
+def _whole_loop(config: Config) -> Iterator[Finding]:
+    """The configured controller round the tension loop, cut where the torque acts and where the
+    force is asked for."""
+    if config.lab is None:
+        return
+    name, loop = config.control.controller, config.control.tension_loop
+    for cut in ("torque", "force"):
+        found = margins(config, name, cut=cut)
+        text = f"{name}, cut at the {cut}: "
+        ok = found.gain_db >= loop.gain_margin_db and found.phase_deg >= loop.phase_margin_deg
+        if name == "eq9_literal":  # is kept because it is
+            ok = True
+            text += "unstable, as the paper prints it"
+        elif math.isinf(found.gain_db):
+            text += "unstable"
+        else:
+            text += (
+                f"{found.gain_db:.1f} dB and {found.phase_deg:.1f} deg, floors "
+                f"{loop.gain_margin_db:g} dB and {loop.phase_margin_deg:g} deg"
+            )
+        yield Finding(
+            "margins",
+            ok,
+            f"control.{name}",
+            text,
+            "lower its gains, or run tonus tune",
+        )
 
 
 def _place(position: Array) -> str:

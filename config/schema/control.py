@@ -114,6 +114,17 @@ class Impedance(Section):
     """N m s/rad"""
 
 
+class Bio(Section):
+    damping_ratio: Positive | None = None
+    """none, here and below: the one under impedance"""
+
+
+class Pd(Section):
+    stiffness: Positive | None = None
+    """N/m; none: the law's base"""
+    damping_ratio: Positive | None = None
+
+
 class Integral(Section):
     gain: NonNegative
     """N/(m s)"""
@@ -127,9 +138,14 @@ class Pid(Section):
     integral: Integral
 
 
+class BioIntegral(Integral):
+    damping_ratio: Positive | None = None
+
+
 class PdMatched(Section):
     stiffness: Positive
     """N/m: the mean of what `bio` commands"""
+    damping_ratio: Positive | None = None
 
 
 class BioObserver(Section):
@@ -137,6 +153,13 @@ class BioObserver(Section):
     """first-order low-pass of the load that is fed forward"""
     limit: Positive
     """N: no larger load is compensated"""
+    damping_ratio: Positive | None = None
+    reflex: NonNegative = 0.0
+    """1/s: how fast a force that a scenario asks for is made up for where the contact lacks it"""
+    reflex_limit: Positive = 20.0
+    """N"""
+    tone: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """share of the pretension that is kept at rest; the law co-contracts from there"""
 
 
 class PidLength(Section):
@@ -186,6 +209,8 @@ class Distribution(Section):
     """N/s: bound on how fast a tension reference may move"""
     co_contraction: Fraction
     """share of the relative stiffness rise that the tension reference follows"""
+    co_contraction_hz: Positive | None = None
+    """first-order low-pass between them, as a muscle's activation has one; none: at once"""
     stiffness_weight: NonNegative
     """m2: how much a change of the geometric stiffness along the wrench counts"""
     least_force: Positive
@@ -216,6 +241,13 @@ class TensionLoop(Section):
     """N"""
     rate_damping: NonNegative
     """N m s/rad at the drum"""
+    lead: Fraction = 0.0
+    """share of the drum rate that a change of the reference takes on an elastic cable; a log of
+    before there was any says nothing of it"""
+    lead_cutoff_hz: Positive = 30.0
+    """first-order low-pass of the reference's rate"""
+    lead_rate: Positive = 1000.0
+    """N/s: a faster reference is not followed any faster"""
     friction: Friction
     gain_margin_db: Positive
     phase_margin_deg: Positive
@@ -315,9 +347,11 @@ class Control(Section):
     stiffness: StiffnessLaw
     passivity: Passivity
     impedance: Impedance
+    bio: Bio = Bio()
+    pd: Pd = Pd()
     pd_matched: PdMatched
     pid: Pid
-    bio_integral: Integral
+    bio_integral: BioIntegral
     bio_observer: BioObserver
     pid_length: PidLength
     force: Force

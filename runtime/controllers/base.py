@@ -56,9 +56,13 @@ class Controller(ABC):
     """whether the drums are damped against the rate of the platform's motion, so that it may be
     pushed, or of the desired one, so that it is held"""
 
-    def __init__(self, robot: Robot, control: Control) -> None:
+    tone = 1.0
+    """share of the pretension that the tensions are drawn towards at rest"""
+
+    def __init__(self, robot: Robot, control: Control, damping_ratio: float | None = None) -> None:
+        """``damping_ratio``: the controller's own; None for the one under impedance."""
         self._robot, self._control = robot, control
-        self.damping_ratio = control.impedance.damping_ratio
+        self.damping_ratio = damping_ratio or control.impedance.damping_ratio
         self.terms = LawTerms()
         """what the law added, where there is a law"""
         self._weight = np.array([0.0, 0.0, robot.platform.mass * robot.gravity])
@@ -127,3 +131,8 @@ def norm(vector: Array) -> float:
     """Euclidean, of a vector (3,)."""
     x, y, z = vector.tolist()
     return math.sqrt(x * x + y * y + z * z)
+
+
+def share(cutoff_hz: float, period: float) -> float:
+    """What a first-order low-pass takes over of its input in one tick."""
+    return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)

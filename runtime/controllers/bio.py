@@ -3,13 +3,11 @@ add what the law lacks: something that takes up a constant load."""
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from config.schema.control import Control
 from config.schema.robot import Robot
-from runtime.controllers.base import Array, Controller, Motion, norm
+from runtime.controllers.base import Array, Controller, Motion, norm, share
 from runtime.controllers.integral import Integral
 from runtime.stiffness import Law
 
@@ -17,8 +15,8 @@ from runtime.stiffness import Law
 class Bio(Controller):
     """Spring and damper at K_eq of eq. (3) or (10). What the law reads is smoothed first."""
 
-    def __init__(self, robot: Robot, control: Control) -> None:
-        super().__init__(robot, control)
+    def __init__(self, robot: Robot, control: Control, damping_ratio: float | None = None) -> None:
+        super().__init__(robot, control, damping_ratio or control.bio.damping_ratio)
         self._law = Law(control.stiffness)
         self.terms = self._law.terms
         self._share = share(control.stiffness.smoothing_hz, control.rates.period)
@@ -39,7 +37,7 @@ class BioIntegral(Bio):
     """`bio` with the same integral as `pid`, at a gain of its own."""
 
     def __init__(self, robot: Robot, control: Control) -> None:
-        super().__init__(robot, control)
+        super().__init__(robot, control, control.bio_integral.damping_ratio)
         self._integral = Integral(control.bio_integral, control.rates.period)
 
     def reset(self) -> None:
@@ -53,33 +51,44 @@ class BioIntegral(Bio):
 
 
 class BioObserver(Bio):
-    """`bio` with the estimated load fed forward, low-passed and bounded.
+    """`bio` with what a limb has besides: it feels loads, feels contact, and rests.
 
-    The contact cell tells a load from a contact: only what the contact force does not account for
-    is compensated, so that the robot stays as soft as `bio` where it touches.
+    *Observer*: the estimated external force, low-passed and bounded, is fed forward. The contact
+    cell tells a load from a contact: only what the contact force does not account for is
+    compensated, so that the robot stays as soft as `bio` where it touches. *Reflex*: where a
+    scenario asks for a force, the contact's lack of it is integrated. *Tone*: at rest the tensions
+    are drawn to a share of the pretension; stiffness brings co-contraction with it.
     """
 
     def __init__(self, robot: Robot, control: Control) -> None:
-        super().__init__(robot, control)
-        settings = control.bio_observer
+        settings = self._settings = control.bio_observer
+        super().__init__(robot, control, settings.damping_ratio)
+        self.tone = settings.tone
         self._follow = share(settings.cutoff_hz, control.rates.period)
-        self._limit = settings.limit
+        self._step = settings.reflex * control.rates.period
         self._load = np.zeros(3)
+        self._reflex = 0.0
 
     def reset(self) -> None:
         super().reset()
         self._load[:] = 0.0
+        self._reflex = 0.0
 
     def force(self, motion: Motion, stiffness: float) -> Array:
         base = self._control.stiffness.base
         size = norm(motion.external)
         rest = max(size - motion.contact, 0.0)
-        wanted = min(rest, self._limit) / size if size > 0.0 else 0.0
+        wanted = min(rest, self._settings.limit) / size if size > 0.0 else 0.0
         self._load += self._follow * (wanted * motion.external - self._load)
         give = min(stiffness / base, 1.0)
-        return np.asarray(super().force(motion, stiffness) - give * self._load)
-
-
-def share(cutoff_hz: float, period: float) -> float:
-    """What a first-order low-pass takes over of its input in one tick."""
-    return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
+        force = super().force(motion, stiffness) - give * self._load
+        asked = norm(motion.push)
+        if asked == 0.0 or motion.contact < self._control.force.threshold:
+            self._reflex = 0.0
+        else:
+            if stiffness >= base:
+                grown = self._reflex + self._step * (asked - motion.contact)
+                limit = self._settings.reflex_limit
+                self._reflex = min(max(grown, -limit), limit)
+            force = force + give * self._reflex * motion.push / asked
+        return np.asarray(force)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from config.schema.control import Control
+from config.schema.control import Control, TensionLoop
 from config.schema.robot import CABLES, Robot
 from runtime.controllers.base import LEVEL, Array, Controller, Motion
 from runtime.distribution import closed_form
@@ -34,6 +34,12 @@ class PidLength(Controller):
         series = 1.0 / (1.0 / gains.proportional + cable)
         pull = self._kinematics.matrix[:3]
         self._nominal = float(np.trace(pull * series @ pull.T)) / 3.0
+
+    @property
+    def tension_loop(self) -> TensionLoop:
+        """Without the lead: it gives phase to a loop round the tension loop, and here, where every
+        tension answers its own drum, it would cost half the stiffness the margins allow."""
+        return self._control.tension_loop.model_copy(update={"lead": 0.0})
 
     def reset(self) -> None:
         self._integral[:] = 0.0

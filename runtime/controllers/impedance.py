@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from config.schema.control import Control
+from config.schema.robot import Robot
 from runtime.controllers.base import Controller, Motion
 
 
 class Pd(Controller):
-    """Operational-space PD at the law's base stiffness."""
+    """Operational-space PD, at the law's base stiffness where none of its own is given."""
+
+    def __init__(self, robot: Robot, control: Control) -> None:
+        super().__init__(robot, control, control.pd.damping_ratio)
+        self._stiffness = control.pd.stiffness or control.stiffness.base
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
-        return self._control.stiffness.base
+        return self._stiffness
 
 
 class PdMatched(Controller):
     """The same as stiff as `bio` is on average, so that only adaptation is left to compare."""
+
+    def __init__(self, robot: Robot, control: Control) -> None:
+        super().__init__(robot, control, control.pd_matched.damping_ratio)
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
         return self._control.pd_matched.stiffness

@@ -14,5 +14,5 @@ class Eq9Literal(Bio):
     @property
     def tension_loop(self) -> TensionLoop:
         loop = self._control.tension_loop
-        bare = {"feed_forward": 0.0, "integral": 0.0, "rate_damping": 0.0}
+        bare = {"feed_forward": 0.0, "integral": 0.0, "rate_damping": 0.0, "lead": 0.0}
         return loop.model_copy(update=bare | {"proportional": self._control.eq9_literal.gain})

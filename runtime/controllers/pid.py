@@ -15,8 +15,7 @@ class Pid(Controller):
     three, and the integral stands still while it does."""
 
     def __init__(self, robot: Robot, control: Control) -> None:
-        super().__init__(robot, control)
-        self.damping_ratio = control.pid.damping_ratio
+        super().__init__(robot, control, control.pid.damping_ratio)
         self._integral = Integral(control.pid.integral, control.rates.period)
 
     def reset(self) -> None:

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tests.bench.control import control
+from tests.bench.distribution import distribution
 from tests.bench.ethercat import ethercat
 from tests.bench.frames import frames
 from tests.bench.log import log
@@ -23,7 +24,17 @@ from tests.bench.whole import whole
 def main() -> None:
     figures: list[Figure] = []
     console = Console()
-    for bench in (control, process_data, frames, segment, ethercat, whole, log, realtime):
+    for bench in (
+        control,
+        distribution,
+        process_data,
+        frames,
+        segment,
+        ethercat,
+        whole,
+        log,
+        realtime,
+    ):
         console.print(f"measuring {bench.__name__} ...")
         figures += bench()
     table = Table("what", "value", "peer", "peer's value", "ratio", "note")

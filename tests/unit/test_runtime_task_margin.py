@@ -18,8 +18,9 @@ FLOOR = CONFIG.control.tension_loop
 
 
 @pytest.mark.parametrize("name", [name for name in CONTROLLERS if name != "eq9_literal"])
-def test_every_controller_meets_the_floors_at_the_torque(name: str) -> None:
-    found = margins(CONFIG, name)
+@pytest.mark.parametrize("cut", ["torque", "force"])
+def test_every_controller_meets_the_floors_wherever_it_is_cut(name: str, cut: str) -> None:
+    found = margins(CONFIG, name, cut=cut)
     assert found.gain_db >= FLOOR.gain_margin_db
     assert found.phase_deg >= FLOOR.phase_margin_deg
 
@@ -64,9 +65,16 @@ def test_a_gain_beyond_reason_leaves_no_margin(name: str, key: str, value: float
     assert found.gain_db < FLOOR.gain_margin_db or found.phase_deg < FLOOR.phase_margin_deg
 
 
+def test_it_is_the_lead_that_gives_the_outer_loop_its_phase() -> None:
+    config, _ = load("config/can.yaml", overrides={"control.tension_loop.lead": 0.0})
+    without, with_it = (margins(each, "bio", cut="force") for each in (config, CONFIG))
+    assert without.phase_deg < 0.5 * FLOOR.phase_margin_deg
+    assert with_it.phase_deg > without.phase_deg + 20.0
+
+
 def test_a_stiffer_spring_leaves_the_outer_loop_less_margin() -> None:
     found = []
-    for stiffness in (1000.0, 2000.0, 4000.0):
+    for stiffness in (2000.0, 4000.0, 7000.0):
         config, _ = load("config/can.yaml", overrides={"control.pid.stiffness": stiffness})
         found.append(margins(config, "pid", cut="force").phase_deg)
     assert found == sorted(found, reverse=True)

@@ -24,6 +24,7 @@ COMMANDS = (
     "check",
     "doctor",
     "workspace",
+    "tune",
     "log",
     "paper",
     "export",

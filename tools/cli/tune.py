@@ -1,0 +1,136 @@
+"""`tonus tune`: the gains of every controller by the same cost, budget, optimiser and seed."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from config import load
+from config.loader import load_tuning
+from config.schema.tuning import Tuning
+from runtime.clock import wall_seconds
+from tools.errors import ToolError
+from tools.tune.landing import land, provenance, write
+from tools.tune.search import Found, Search
+from tools.tune.work import Evaluator
+
+ALL = "all"
+
+
+@click.command()
+@click.argument("controller")
+@click.option("--config", default="config/direct.yaml", show_default=True)
+@click.option("--tuning", "rules", help="Scenarios, weights and ranges; without it config's own.")
+@click.option("--evaluations", type=click.IntRange(min=1), help="Instead of the file's.")
+@click.option("--seed", type=click.IntRange(min=0), help="Instead of the file's.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Processes; without it one a core.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("out/tuned.yaml"),
+    show_default=True,
+    help="Gains and provenance; beside it a journal from which an interrupted run goes on.",
+)
+@click.option("--land", "landing", is_flag=True, help="Put the gains into the configuration too.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, nothing else.")
+def tune(
+    controller: str,
+    *,
+    config: str,
+    rules: str | None,
+    evaluations: int | None,
+    seed: int | None,
+    jobs: int | None,
+    out: Path,
+    landing: bool,
+    as_json: bool,
+) -> None:
+    """Tune CONTROLLER, or all, on the training scenarios.
+
+    Every controller gets the same cost, the same number of simulations, the same optimiser and
+    seed, and the same floor of stability margins. Nothing is changed but OUT, unless --land.
+    """
+    tuning = _adjusted(load_tuning(rules), evaluations, seed)
+    names = _chosen(tuning, controller)
+    loaded, _ = load(config)
+    if loaded.lab is None:
+        raise ToolError(f"{config}: tuning needs a lab section to run in")
+    if loaded.fieldbus.kind != "direct":
+        raise ToolError(f"{config}: tuning runs without frames; give --config config/direct.yaml")
+    say = Console(stderr=True, quiet=as_json)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ToolError(f"--out {out}: {error.strerror}; name a file one may write") from error
+    journal = out.with_suffix(".journal")
+    processes = jobs or os.cpu_count() or 1
+    evaluator = Evaluator(config, rules, tuning.seed, journal, processes)
+    try:
+        found = _search(config, tuning, names, evaluator, say)
+    finally:
+        evaluator.close()
+    result = provenance(tuning, evaluator.fingerprint, found)
+    write(out, result)
+    if as_json:
+        click.echo(json.dumps(result, indent=2))
+    else:
+        _tell(found)
+        click.echo(f"  written to {out}")
+    if landing:
+        gains = {key: value for one in found for key, value in one.gains.items()}
+        for file in land(config, gains):
+            click.echo(f"  changed {file}", err=as_json)
+
+
+def _adjusted(tuning: Tuning, evaluations: int | None, seed: int | None) -> Tuning:
+    changes = {"evaluations": evaluations, "seed": seed}
+    given = {key: value for key, value in changes.items() if value is not None}
+    return tuning.model_copy(update=given)
+
+
+def _chosen(tuning: Tuning, controller: str) -> list[str]:
+    names = [str(name) for name in tuning.controllers]
+    if controller == ALL:
+        return names
+    if controller not in names:
+        raise ToolError(f"there is nothing to tune in {controller!r}; choose all or one of {names}")
+    return [controller]
+
+
+def _search(
+    config: str, tuning: Tuning, names: list[str], evaluator: Evaluator, say: Console
+) -> list[Found]:
+    began, budget = wall_seconds(), tuning.evaluations * len(names)
+    behind = 0
+
+    def progress(name: str, done: int, best: float) -> None:
+        told = f"  {name:<14} {done:>4} of {tuning.evaluations}   best {best:.3f}"
+        if evaluator.simulated:
+            pace = (wall_seconds() - began) / evaluator.simulated
+            told += f"   {pace * (budget - behind - done) / 60.0:.0f} min left"
+        say.print(told, highlight=False)
+
+    found = []
+    for name in names:
+        found.append(Search(config, tuning, name, evaluator, progress).run())
+        behind += tuning.evaluations
+    return found
+
+
+def _tell(found: list[Found]) -> None:
+    table = Table("controller", "gains", "cost", "before", "margins: torque", "force", "refused")
+    for one in found:
+        gains = "\n".join(f"{key} {value:g}" for key, value in one.gains.items())
+        cuts = []
+        for margin in one.margins.values():
+            decibels = f"{margin.gain_db:.1f} dB" if math.isfinite(margin.gain_db) else "no limit"
+            cuts.append(f"{decibels}, {margin.phase_deg:.1f}°")
+        before = "below the floors" if one.before is None else f"{one.before:.3f}"
+        table.add_row(one.controller, gains, f"{one.cost:.3f}", before, *cuts, str(one.refused))
+    Console(width=120 if not Console().is_terminal else None).print(table)

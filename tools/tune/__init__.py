@@ -1,0 +1,1 @@
+"""Tuning: every controller by the same cost, budget, optimiser, seed and margin floor."""
