@@ -70,7 +70,7 @@ soak: setup
 lock: setup
 	$(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-index-url \
 	  --no-emit-trusted-host --no-emit-find-links --no-header --no-annotate \
-	  --extra dev --output-file requirements.lock pyproject.toml
+	  --extra dev --extra bench --output-file requirements.lock pyproject.toml
 
 clean:
 	rm -rf $(VENV) out dist build bench.json

@@ -15,7 +15,7 @@ from config.schema.bus import CELLS
 from config.schema.robot import CABLES
 from runtime.topics import Field, Topic, record_dtype
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Counts up when a field changes its name, type, unit or meaning."""
 
 

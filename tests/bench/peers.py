@@ -1,7 +1,7 @@
 """Other solvers behind one call: min 1/2 x'Px + q'x, low <= x <= high, for eight unknowns.
 
 Each is built once where it can be, and then only updated. Those that are not installed are left
-out (`pip install -e .[bench]`). quadprog is under the GPL: nothing but this bench imports it.
+out; `make bench` has them all. quadprog is under the GPL: nothing but this bench imports it.
 """
 
 from __future__ import annotations
