@@ -265,12 +265,16 @@ class Resetter:
     """Arms; after a fault resets once and arms again; ends when every drive is enabled again."""
 
     interrupted = False
+    who = obstacle = ""
+    select = 0
 
     def __init__(self) -> None:
         self.finished = False
         self.states: list[State] = []
 
-    def stop(self) -> None: ...
+    def stop(self, who: str = "") -> None: ...
+
+    def refused(self, reason: str) -> None: ...
 
     def next(self, sequence: Sequence) -> Operator:
         state = sequence.state

@@ -32,6 +32,9 @@ class LateOnce:
         late = LATE_NS if due_ns == LATE_AT_NS else 0
         await asyncio.sleep((due_ns + late - now_ns()) * 1e-9)
 
+    def steer(self, due_ns: int) -> int:
+        return 0
+
     def close(self) -> None:
         pass
 

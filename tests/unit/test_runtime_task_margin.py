@@ -56,7 +56,7 @@ def test_with_an_unmoving_platform_only_the_tension_loop_is_left() -> None:
         ("pid", "control.pid.integral.gain", 2.0e5),
         ("pid_length", "control.pid_length.derivative", 60.0),
         ("force", "control.force.integral", 300.0),
-        ("pd", "control.impedance.damping_ratio", 0.05),
+        ("pd", "control.pd.damping_ratio", 0.05),
     ],
 )
 def test_a_gain_beyond_reason_leaves_no_margin(name: str, key: str, value: float) -> None:
