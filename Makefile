@@ -8,7 +8,7 @@ MINUTES ?= 10
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test bench bench-realtime load paper fuzz kill soak lint check-types lock clean
+.PHONY: setup run test test-long bench bench-realtime load paper fuzz kill soak lint check-types lock clean
 
 setup: $(STAMP)
 
@@ -31,8 +31,12 @@ check-types: setup
 	$(BIN)/mypy
 
 test: lint check-types
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
-	$(BIN)/python -m pytest -m realtime
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime and not long"
+	$(BIN)/python -m pytest -m "realtime and not long"
+
+# What `make test` has no time for: whole runs once more on other buses, axes and controllers.
+test-long: setup
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "long and not realtime"
 
 bench: setup
 	$(BIN)/python -m tests.bench

@@ -23,6 +23,7 @@ from typing import Any
 import yaml
 
 from config.places import runtime_dir
+from config.schema.bus import DirectBus, parts
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 from drivers.fieldbus import Fieldbus, FrameTap, Progress
@@ -104,6 +105,9 @@ class Result:
 
 def run(order: Order) -> Result:
     """Run to the end. Raises `DriverError` when a bus cannot be brought up."""
+    wireless = any(isinstance(bus, DirectBus) for bus in parts(order.config.fieldbus))
+    if wireless and not order.virtual:
+        raise ToolError("the direct fieldbus has no wires: it needs --virtual and a lab")
     with ExitStack() as first:
         # Before anything of another daemon's could be touched.
         control = _control_socket(order)

@@ -72,6 +72,7 @@ def test_a_stopped_and_continued_process_writes_the_same_bytes(
     assert _digest(tmp_path / "run.mcap") == undisturbed
 
 
+@pytest.mark.long
 def test_beside_a_busy_machine_the_bytes_are_the_same(undisturbed: str, tmp_path: Path) -> None:
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(3)]
     try:

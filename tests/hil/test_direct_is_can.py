@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hil.runs import configured, virtual
 
 from runtime.signals import TOPICS
@@ -44,6 +45,7 @@ def test_bit_for_bit_when_the_sampling_instants_are_equal(tmp_path: Path) -> Non
             assert np.array_equal(ours[name], theirs[name]), f"{topic.name}.{name}"
 
 
+@pytest.mark.long
 def test_within_noise_as_shipped(tmp_path: Path) -> None:
     framed, direct = (_log(path, tmp_path) for path in ("config/can.yaml", "config/direct.yaml"))
     for log in (framed, direct):

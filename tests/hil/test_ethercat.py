@@ -68,6 +68,7 @@ def test_every_measurement_of_the_run_was_fresh(ethercat: tuple[Path, Log]) -> N
     assert names <= {"state", "operator", "envelope"}, names
 
 
+@pytest.mark.long
 def test_it_is_the_run_on_can_within_noise(ethercat: tuple[Path, Log], tmp_path: Path) -> None:
     _, can = _run("config/can.yaml", tmp_path)
     _alike(ethercat[1], can)

@@ -152,6 +152,7 @@ def test_the_figure_is_drawn(found: dict[str, Any]) -> None:
     assert {response["kind"] for response in found["responses"]} == {"platform", "loop"}
 
 
+@pytest.mark.long
 def test_sines_against_the_phantom_give_its_stiffness_and_damping(tmp_path: Path) -> None:
     config, scenario = configured("config/direct.yaml", "identify_phantom", duration=8.0)
     _, log = virtual(config, scenario, tmp_path)

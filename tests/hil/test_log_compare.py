@@ -87,6 +87,7 @@ def test_without_truth_the_measurements_stand_in_and_that_is_said(
     assert any("own measurements: 1 of 1" in note for note in table.notes)
 
 
+@pytest.mark.long
 def test_unlike_gains_of_one_controller_are_two_columns(
     logs: dict[tuple[str, int], Log], tmp_path: Path
 ) -> None:

@@ -85,6 +85,7 @@ def test_the_tension_error_in_hold_is_within_half_a_per_cent(
     assert np.sqrt(np.mean(error**2)) <= 0.005
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_a_sine_is_followed_to_a_millimetre(axis: str, tmp_path: Path) -> None:
     """30 mm at 0.5 Hz (paper: 2.6 mm)."""
@@ -112,10 +113,12 @@ def _contact_peak(tmp_path: Path, *, envelope: bool) -> float:
     return float(force.max())
 
 
+@pytest.mark.long
 def test_without_the_envelope_the_contact_exceeds_35_n(tmp_path: Path) -> None:
     assert _contact_peak(tmp_path, envelope=False) > 35.0
 
 
+@pytest.mark.long
 def test_with_the_envelope_the_contact_stays_within_25_n(tmp_path: Path) -> None:
     assert _contact_peak(tmp_path, envelope=True) <= 25.0
 

@@ -68,6 +68,7 @@ def test_a_page_is_whole_in_itself_and_begins_with_the_verdict(quiet: Path, tmp_
     assert shares[-1] == pytest.approx(1.0)
 
 
+@pytest.mark.long
 def test_a_fault_is_named_first_and_shown_from_near(tmp_path: Path) -> None:
     fault = {"kind": "unplug", "channel": "can1", "node": 3, "at": 1.0}
     config, scenario = configured("config/can.yaml", script={"faults": [fault]})

@@ -24,7 +24,11 @@ from tools.run import Order, run
 
 SCENARIOS = sorted(path.stem for path in Path("config/scenarios").glob("*.yaml"))
 EVERY = [
-    (SCENARIOS[k % len(SCENARIOS)], list(CONTROLLERS)[k % len(CONTROLLERS)])
+    pytest.param(
+        SCENARIOS[k % len(SCENARIOS)],
+        list(CONTROLLERS)[k % len(CONTROLLERS)],
+        marks=[pytest.mark.long] if k % 4 else [],
+    )
     for k in range(max(len(SCENARIOS), len(CONTROLLERS)))
 ]
 """each of both at least once"""

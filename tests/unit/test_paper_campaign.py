@@ -47,6 +47,7 @@ class Deadly:
         return os._exit, (1,)
 
 
+@pytest.mark.long
 def test_it_goes_on_where_it_was_interrupted_and_gives_the_same(tmp_path: Path) -> None:
     todo = jobs("bio", "pd")
 

@@ -172,6 +172,7 @@ def test_a_gain_that_stands_nowhere_changes_nothing(own: Path) -> None:
     assert (own / "control.yaml").read_text() == text
 
 
+@pytest.mark.long
 def test_a_tiny_run_writes_gains_with_their_provenance_and_is_not_done_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
