@@ -37,6 +37,7 @@ test: lint check-types
 # What `make test` has no time for: whole runs once more on other buses, axes and controllers.
 test-long: setup
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "long and not realtime"
+	$(BIN)/python -m pytest -m "long and realtime"
 
 bench: setup
 	$(BIN)/python -m tests.bench

@@ -151,21 +151,7 @@ class Door:
 
     def _kinds(self) -> dict[str, Reply]:
         """Every kind with its fields, and where on this lab it can happen."""
-        return {
-            name: {
-                "about": kind.about,
-                "fields": {
-                    field.name: {
-                        key: value
-                        for key, value in asdict(field).items()
-                        if key != "name" and value is not None
-                    }
-                    for field in kind.fields
-                },
-                "where": self._where(kind),
-            }
-            for name, kind in KINDS.items()
-        }
+        return {name: {**_TOLD[name], "where": self._where(kind)} for name, kind in KINDS.items()}
 
     def _where(self, kind: FaultKind) -> list[str]:
         lab = self._lab
@@ -215,3 +201,20 @@ def _fields(error: ErrorDetails) -> str:
     if kind is None:
         return "remove it"
     return f"{kind.name} has {', '.join(field.name for field in kind.fields)}"
+
+
+_TOLD: dict[str, Reply] = {
+    name: {
+        "about": kind.about,
+        "fields": {
+            field.name: {
+                key: value
+                for key, value in asdict(field).items()
+                if key != "name" and value is not None
+            }
+            for field in kind.fields
+        },
+    }
+    for name, kind in KINDS.items()
+}
+"""what is the same for every lab; made once, since a client may ask without end"""

@@ -90,6 +90,7 @@ def test_a_killed_lab_is_a_fault(folder: Path) -> None:
         nothing_missing(reader.published, running.log)
 
 
+@pytest.mark.long
 def test_what_a_killed_daemon_and_recorder_leave_is_recorded_at_the_next_start(
     folder: Path,
 ) -> None:

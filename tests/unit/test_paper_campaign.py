@@ -101,6 +101,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.long
 @pytest.mark.realtime
 def test_a_kill_leaves_what_is_done_and_no_worker(tmp_path: Path) -> None:
     script = tmp_path / "campaign.py"
