@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -162,6 +162,19 @@ class Log:
         part._columns = {}
         part._window = (self.start_ns + _whole_ns(start_s), self.start_ns + _whole_ns(end_s))
         return part
+
+    @property
+    def chunk_count(self) -> int:
+        """How many batches there are to come, at most."""
+        return len(self._places())
+
+    def holds(self, topics: Sequence[str]) -> bool:
+        """Whether these are decoded already."""
+        return all(topic in self._columns for topic in topics)
+
+    def keep(self, columns: Mapping[str, Column]) -> None:
+        """Hold these instead of what is decoded from the file, for views that leave out a part."""
+        self._columns = dict(columns)
 
     def join(self, *topics: str) -> NDArray[np.void]:
         """One record a tick (n,) with a member for each topic, named by its last part, and the
