@@ -88,9 +88,9 @@ def envelope(story: Story, cloud: Cloud) -> Figure | None:
     highest, k_eq, contact, grades = cloud.points()
     if not len(grades):
         return None
-    figure = Figure(figsize=(8.6, 6.6))
+    figure = Figure(figsize=(9.8, 6.6))
     panel = figure.add_subplot(projection="3d", computed_zorder=False)
-    figure.subplots_adjust(left=0.0, right=0.80, bottom=0.05, top=0.98)
+    figure.subplots_adjust(left=0.0, right=0.70, bottom=0.05, top=0.98)
     handles = []
     if story.config is not None:
         _box(panel, story.config)

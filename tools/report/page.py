@@ -24,6 +24,7 @@ _BEFORE_S, _AFTER_S = 0.6, 0.4
 _FAULTS = 3
 """that are drawn from near"""
 _EVENTS = 500
+"""rows of a table"""
 _OUTLINE, _READING = 0.3, 0.8
 """shares of the work that are done when the run's states and its cycles have been read"""
 _OVER_TIME = (
@@ -192,14 +193,16 @@ def _events(story: Story) -> str:
     states = "".join(
         f'<tr><td>{state.name}</td><td class="n">{start:.3f}</td>'
         f'<td class="n">{end - start:.3f}</td></tr>'
-        for state, start, end in story.bands
+        for state, start, end in story.bands[:_EVENTS]
     )
+    beyond = len(story.bands) - _EVENTS
+    further = f"<p>and {beyond} more</p>" if beyond > 0 else ""
     return (
         '<h2 id="events">Events and states</h2>\n'
         "<table><tr><th>s</th><th>tick</th><th>event</th><th>where</th><th>text</th></tr>\n"
         + "\n".join(rows)
         + f"</table>{more}\n<table><tr><th>state</th><th>from s</th><th>for s</th></tr>{states}"
-        "</table>\n"
+        f"</table>{further}\n"
     )
 
 

@@ -20,6 +20,8 @@ _MM = 1e3
 _RUNNING = (State.HOLD, State.ACTIVE)
 _LABEL_SPACING = 0.032
 """of the width, between the names of two states"""
+_LARGEST_SHIFT = 0.08
+"""of the width, by which a name may be moved"""
 
 
 def force(sheet: Sheet, piece: Piece) -> None:
@@ -153,13 +155,15 @@ def dress(panels: Sequence[Axes], story: Story, *, names: bool = True) -> None:
 
 
 def _name(panel: Axes, bands: list[tuple[State, float, float]], span: float) -> None:
-    """The states' names over the first panel, moved apart where they would meet, as far as there
-    is room."""
-    place = -1.0
+    """The states' names over the first panel, moved apart where they would meet, and left out where
+    they would stand over another state: the page lists them all."""
+    last = -1.0
     for state, start, _ in bands:
-        place = max(start / (span or 1.0), place + _LABEL_SPACING)
-        if place > 1.0:
-            return
+        due = start / (span or 1.0)
+        place = max(due, last + _LABEL_SPACING)
+        if place - due > _LARGEST_SHIFT:
+            continue
+        last = place
         panel.text(
             place,
             1.02,
