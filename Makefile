@@ -8,7 +8,7 @@ MINUTES ?= 10
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test bench bench-realtime load paper fuzz robust lint check-types lock clean
+.PHONY: setup run test bench bench-realtime load paper fuzz robust replay lint check-types lock clean
 
 setup: $(STAMP)
 
@@ -57,6 +57,10 @@ fuzz: setup
 # Logs cut, flipped, torn, without segments: every reader ends with data or in one line.
 robust: setup
 	$(BIN)/python -m tests.fuzz.storm_of_logs --files 500 --seed $(FUZZ_SEED)
+
+# Every scenario with every controller, recorded and replayed.
+replay: setup
+	$(BIN)/python -m tests.replay.every_pair
 
 lock: setup
 	$(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-index-url \
