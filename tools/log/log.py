@@ -50,6 +50,9 @@ class Log:
         self._framing: Framing = scan(path)
         self._columns: dict[str, Column] = {}
         self._damage = self._framing.damage
+        # Metadata has no checksum of its own.
+        if len(self.recorded) < len(self._framing.metadata.get("tonus.recorded", {})):
+            self._damage = self._damage or "its account of lost records is damaged"
         self._usable = len(self._framing.chunks)
         self._window: tuple[int, int] | None = None
         if not self._framing.channels:
@@ -70,7 +73,8 @@ class Log:
     @property
     def recorded(self) -> dict[str, str]:
         """Records lost before they were recorded, by ring; empty if the file was not finished."""
-        return self._framing.metadata.get("tonus.recorded", {})
+        told = self._framing.metadata.get("tonus.recorded", {})
+        return {name: count for name, count in told.items() if _is_count(count)}
 
     @property
     def attachments(self) -> dict[str, bytes]:
@@ -260,6 +264,10 @@ class Log:
             return found
         first, last = np.searchsorted(found.times, self._window)
         return found.chosen(slice(int(first), int(last)))
+
+
+def _is_count(text: str) -> bool:
+    return text.isdecimal() and len(text) < 20
 
 
 def _whole_ns(seconds: float) -> int:
