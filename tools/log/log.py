@@ -51,7 +51,7 @@ class Log:
         self._columns: dict[str, Column] = {}
         self._damage = self._framing.damage
         # Metadata has no checksum of its own.
-        if len(self.recorded) < len(self._framing.metadata.get("tonus.recorded", {})):
+        if not all(map(_is_count, self._framing.metadata.get("tonus.recorded", {}).values())):
             self._damage = self._damage or "its account of lost records is damaged"
         self._usable = len(self._framing.chunks)
         self._window: tuple[int, int] | None = None
