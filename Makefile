@@ -8,7 +8,8 @@ MINUTES ?= 10
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test test-long bench bench-realtime load paper fuzz kill soak lint check-types lock clean
+.PHONY: setup run test test-long bench bench-realtime load paper fuzz robust replay kill soak lint \\
+  check-types lock clean
 
 setup: $(STAMP)
 
@@ -71,6 +72,14 @@ kill: setup
 SOAK_MINUTES ?= 30
 soak: setup
 	$(BIN)/python -m tests.soak --minutes $(SOAK_MINUTES)
+
+# Logs cut, flipped, torn, without segments: every reader ends with data or in one line.
+robust: setup
+	$(BIN)/python -m tests.fuzz.storm_of_logs --files 500 --seed $(FUZZ_SEED)
+
+# Every scenario with every controller, recorded and replayed.
+replay: setup
+	$(BIN)/python -m tests.replay.every_pair
 
 lock: setup
 	$(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-index-url \

@@ -309,7 +309,7 @@ class ControlCycle:
         """Co-contraction follows the stiffness; a cable that cannot be trusted carries nothing."""
         levels, present = self.sequence.levels, self.sequence.carrying
         level = levels.level * self._controller.tone
-        settings, base = self._control.distribution, self._control.stiffness.base
+        settings, base = self._control.distribution, self._controller.resting_stiffness
         matrix = self._kinematics.matrix
         contraction = settings.co_contraction * (stiffness / base - 1.0)
         self._contraction += self._activate * (contraction - self._contraction)

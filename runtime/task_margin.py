@@ -66,7 +66,9 @@ def _outer_loops(config: Config, name: str) -> list[Outer]:
         return [Outer(cable=gains, follows=False)]
     if name == "pd_matched":
         return [spring(control.pd_matched.stiffness)]
-    if name in ("pd", "force", "constant_tension"):
+    if name == "constant_tension":
+        return [spring(law.base)]
+    if name in ("pd", "force"):
         free, force = spring(control.pd.stiffness or law.base), control.force
         touching = Outer(
             damping=force.damping,

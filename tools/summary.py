@@ -31,18 +31,21 @@ def summarise(
     realtime_factor: float | None = None,
     steal_percent: float | None = None,
     reason: str | None = None,
+    indicators: Indicators | None = None,
 ) -> Summary:
     """The keys of summary.json. What a run did not give is None: accuracy without a lab's truth,
     latencies without a cycle.
 
     Tracking is judged in ACTIVE; tension and stiffness in HOLD and ACTIVE; contact, timing and
-    faults over the whole log.
+    faults over the whole log. ``indicators``: taken from its pieces already, where the whole log
+    does not fit into memory.
     """
-    log.load([topic for topic in (*_NEEDED, TRUTH) if topic in log])
+    if indicators is None:
+        log.load([topic for topic in (*_NEEDED, TRUTH) if topic in log])
     timing, state = log["/tonus/timing"], log["/tonus/state"]
     faults = find_faults(log)
     phase = state["state"]
-    running, active = np.isin(phase, _RUNNING), phase == State.ACTIVE
+    active = phase == State.ACTIVE
     cycle_us = timing["collect_us"] + timing["compute_us"] + timing["publish_us"]
     return {
         "state": State(int(phase[-1])).name if len(phase) else None,
@@ -55,15 +58,84 @@ def summarise(
         "missed_by_host": _last(timing["missed_host"]),
         "steal_percent": steal_percent,
         **_host(timing, active),
-        "tracking_rmse_m": _tracking(log, active),
-        "tension_rmse_n": _tension_error(log, running),
-        "k_eq_n_per_m": _range(log["/tonus/stiffness"]["k_eq"][running]),
-        "tension_n": _range(tensions(log)[running]),
-        "contact_peak_n": _contact_peak(log),
+        **(indicators or _indicators(log)).told(),
         "faults": faults,
         "seed": _seed(log),
         "log": log.path.name,
     }
+
+
+class Indicators:
+    """Accuracy and extremes of a run, summed up from consecutive pieces of it."""
+
+    def __init__(self) -> None:
+        self._tracking, self._tension_error = _MeanSquare(), _MeanSquare()
+        self._k_eq, self._tension = _Range(), _Range()
+        self._contact, self._speed = _Range(), _Range()
+
+    def add(self, log: Log) -> None:
+        phase = log["/tonus/state"]["state"]
+        running, active = np.isin(phase, _RUNNING), phase == State.ACTIVE
+        tension = tensions(log)
+        true = TRUTH in log and len(log[TRUTH]) > 0
+        if true:
+            position = truth_at_cycles(log, "position")
+            error = (position - log["/tonus/pose"]["desired_position"])[active]
+            self._tracking.add((error**2).sum(axis=1))
+            self._tension_error.add((tension - log["/tonus/tension"]["reference"])[running] ** 2)
+        force = log[TRUTH]["contact_force"] if true else log["/tonus/wrench"]["contact"]
+        self._contact.add(np.abs(force))
+        self._k_eq.add(log["/tonus/stiffness"]["k_eq"][running])
+        self._tension.add(tension[running])
+        self._speed.add((log["/tonus/pose"]["velocity"] ** 2).sum(axis=1))
+
+    @property
+    def speed(self) -> float:
+        """Highest estimated one, m/s."""
+        span = self._speed.told()
+        return float(np.sqrt(span["max"])) if span else 0.0
+
+    def told(self) -> Summary:
+        """Their keys of summary.json."""
+        contact = self._contact.told()
+        return {
+            "tracking_rmse_m": self._tracking.root(),
+            "tension_rmse_n": self._tension_error.root(),
+            "k_eq_n_per_m": self._k_eq.told(),
+            "tension_n": self._tension.told(),
+            "contact_peak_n": None if contact is None else contact["max"],
+        }
+
+
+def _indicators(log: Log) -> Indicators:
+    found = Indicators()
+    found.add(log)
+    return found
+
+
+class _MeanSquare:
+    def __init__(self) -> None:
+        self._total, self._count = 0.0, 0
+
+    def add(self, squares: Array) -> None:
+        self._total += float(squares.sum())
+        self._count += squares.size
+
+    def root(self) -> float | None:
+        return float(np.sqrt(self._total / self._count)) if self._count else None
+
+
+class _Range:
+    def __init__(self) -> None:
+        self._ends: list[float] = []
+
+    def add(self, values: NDArray[Any]) -> None:
+        if values.size:
+            self._ends += [float(values.min()), float(values.max())]
+
+    def told(self) -> dict[str, float] | None:
+        ends = self._ends
+        return {"min": min(ends), "max": max(ends)} if ends else None
 
 
 def _host(timing: NDArray[Any], active: NDArray[np.bool_]) -> Summary:
@@ -143,34 +215,6 @@ def tensions(log: Log) -> Array:
     """Cable tensions (n, 8) in N at the cycles: true in a lab, measured otherwise."""
     true = truth_at_cycles(log, "tension")
     return np.asarray(log["/tonus/tension"]["measured"]) if true is None else true
-
-
-def _tracking(log: Log, active: NDArray[np.bool_]) -> float | None:
-    position = truth_at_cycles(log, "position")
-    if position is None or not active.any():
-        return None
-    error = (position - log["/tonus/pose"]["desired_position"])[active]
-    return float(np.sqrt((error**2).sum(axis=1).mean()))
-
-
-def _tension_error(log: Log, running: NDArray[np.bool_]) -> float | None:
-    true = truth_at_cycles(log, "tension")
-    if true is None or not running.any():
-        return None
-    error = (true - log["/tonus/tension"]["reference"])[running]
-    return float(np.sqrt((error**2).mean()))
-
-
-def _contact_peak(log: Log) -> float | None:
-    true = TRUTH in log and len(log[TRUTH])
-    force = log[TRUTH]["contact_force"] if true else log["/tonus/wrench"]["contact"]
-    return float(np.abs(force).max()) if len(force) else None
-
-
-def _range(values: NDArray[Any]) -> dict[str, float] | None:
-    if not values.size:
-        return None
-    return {"min": float(values.min()), "max": float(values.max())}
 
 
 def _last(values: NDArray[Any]) -> int:

@@ -63,6 +63,9 @@ class Controller(ABC):
         """``damping_ratio``: the controller's own; None for the one under impedance."""
         self._robot, self._control = robot, control
         self.damping_ratio = damping_ratio or control.impedance.damping_ratio
+        self.resting_stiffness = control.stiffness.base
+        """N/m, at which cables are not tightened beyond the pretension; a constant stiffness is its
+        own, or a stiff baseline would pay for co-contraction that it does not ask for"""
         self.terms = LawTerms()
         """what the law added, where there is a law"""
         self._weight = np.array([0.0, 0.0, robot.platform.mass * robot.gravity])

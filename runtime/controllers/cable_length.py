@@ -33,7 +33,7 @@ class PidLength(Controller):
         cable = self._kinematics.lengths / robot.cable.axial_stiffness
         series = 1.0 / (1.0 / gains.proportional + cable)
         pull = self._kinematics.matrix[:3]
-        self._nominal = float(np.trace(pull * series @ pull.T)) / 3.0
+        self.resting_stiffness = float(np.trace(pull * series @ pull.T)) / 3.0
 
     @property
     def tension_loop(self) -> TensionLoop:
@@ -45,7 +45,7 @@ class PidLength(Controller):
         self._integral[:] = 0.0
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
-        return self._nominal
+        return self.resting_stiffness
 
     def tensions(self, motion: Motion, stiffness: float, centre: Array) -> Array:
         kinematics, gains = self._kinematics, self._gains
@@ -57,8 +57,8 @@ class PidLength(Controller):
         wanted = kinematics.lengths / (1.0 + forward / self._robot.cable.axial_stiffness)
         error = motion.wound - wanted
         rate = kinematics.matrix[:3].T @ motion.desired_velocity - motion.winding
-        if stiffness >= self._nominal:
+        if stiffness >= self.resting_stiffness:
             limit = gains.integral_limit
             self._integral = np.clip(self._integral + self._step * error, -limit, limit)
         back = gains.proportional * error + gains.derivative * rate + self._integral
-        return np.asarray(forward + stiffness / self._nominal * back)
+        return np.asarray(forward + stiffness / self.resting_stiffness * back)

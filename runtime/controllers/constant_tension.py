@@ -6,14 +6,14 @@ import numpy as np
 
 from config.schema.control import Control
 from config.schema.robot import Robot
-from runtime.controllers.base import Array, Motion
-from runtime.controllers.impedance import Pd
+from runtime.controllers.base import Array, Controller, Motion
 from runtime.kinematics import Kinematics
 
 
-class ConstantTension(Pd):
-    """`pd` until ``settle_s`` into ACTIVE; from then on every cable is asked for its mean tension
-    over the second half of that time, and besides only for the least that keeps the platform level,
+class ConstantTension(Controller):
+    """A spring of K0 until ``settle_s`` into ACTIVE; from then on every cable is asked for its mean
+    tension over the second half of that time, and besides only for the least that keeps the
+    platform level,
 
         T = T_0 + W^T (W W^T)^-1 [0; m],
 
@@ -27,6 +27,9 @@ class ConstantTension(Pd):
         self._settle = control.constant_tension.settle_s
         self._sum = np.zeros(len(robot.geometry.frame))
         self.reset()
+
+    def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
+        return self.resting_stiffness
 
     def reset(self) -> None:
         self._sum[:] = 0.0

@@ -12,10 +12,10 @@ class Pd(Controller):
 
     def __init__(self, robot: Robot, control: Control) -> None:
         super().__init__(robot, control, control.pd.damping_ratio)
-        self._stiffness = control.pd.stiffness or control.stiffness.base
+        self.resting_stiffness = control.pd.stiffness or control.stiffness.base
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
-        return self._stiffness
+        return self.resting_stiffness
 
 
 class PdMatched(Controller):
@@ -23,6 +23,7 @@ class PdMatched(Controller):
 
     def __init__(self, robot: Robot, control: Control) -> None:
         super().__init__(robot, control, control.pd_matched.damping_ratio)
+        self.resting_stiffness = control.pd_matched.stiffness
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
-        return self._control.pd_matched.stiffness
+        return self.resting_stiffness

@@ -16,15 +16,16 @@ class Pid(Controller):
 
     def __init__(self, robot: Robot, control: Control) -> None:
         super().__init__(robot, control, control.pid.damping_ratio)
+        self.resting_stiffness = control.pid.stiffness
         self._integral = Integral(control.pid.integral, control.rates.period)
 
     def reset(self) -> None:
         self._integral.reset()
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
-        return self._control.pid.stiffness
+        return self.resting_stiffness
 
     def force(self, motion: Motion, stiffness: float) -> Array:
-        wanted = self._control.pid.stiffness
+        wanted = self.resting_stiffness
         integral = self._integral(motion, stiffness, held=stiffness < wanted)
         return np.asarray(super().force(motion, stiffness) + stiffness / wanted * integral)

@@ -12,9 +12,12 @@ from runs import configured, virtual
 
 from tools.errors import ToolError
 from tools.log import open as open_log
+from tools.report.figures import Cloud
 from tools.report.page import report
-from tools.report.slim import RUN, SlimLog
+from tools.report.panels import position_error
+from tools.report.story import Story
 from tools.report.thin import thin
+from tools.summary import Indicators, summarise
 
 SECTIONS = ["time", "envelope", "spectra", "timing", "events", "settings"]
 
@@ -96,12 +99,38 @@ def test_what_is_no_log_of_a_run_ends_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "report.html").exists()
 
 
-def test_a_log_read_in_part_holds_what_the_whole_one_holds(quiet: Path) -> None:
-    whole, part = open_log(quiet), SlimLog(quiet, RUN)
-    for topic, names in RUN.items():
-        for name in names:
-            np.testing.assert_array_equal(part[topic][name], whole[topic][name])
-    assert part.events() == whole.events()
+def test_a_run_in_pieces_comes_to_what_the_whole_one_comes_to(
+    quiet: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = Story(open_log(quiet))
+    (at_once,) = whole.pieces()
+    monkeypatch.setattr("tools.report.story._PIECE", 700)
+    story, indicators = Story(open_log(quiet)), Indicators()
+    cloud, errors = Cloud(story), []
+    for piece in story.pieces():
+        assert len(piece.time) <= 700
+        indicators.add(piece.log)
+        cloud.add(piece)
+        errors.append(position_error(piece)[1])
+    np.testing.assert_array_equal(np.concatenate(errors), position_error(at_once)[1])
+    expected = Cloud(whole)
+    expected.add(at_once)
+    for ours, theirs in zip(cloud.points(), expected.points(), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    summed, told = indicators.told(), summarise(open_log(quiet))
+    for name in ("tracking_rmse_m", "tension_rmse_n"):
+        assert summed.pop(name) == pytest.approx(told[name], rel=1e-12)
+    assert summed == {name: told[name] for name in summed}
+    assert story.bands == whole.bands
+
+
+def test_a_run_in_several_files_is_reported_whole(tmp_path: Path) -> None:
+    several = {"recording.rotate_s": 1.0, "recording.chunk_ms": 200}
+    config, scenario = configured("config/direct.yaml", overrides=several)
+    log = virtual(config, scenario, tmp_path)[1]
+    assert (tmp_path / "run.2.mcap").exists()
+    page, _ = page_of(log.path, tmp_path / "report.html")
+    assert f"{len(log['/tonus/timing'])} cycles" in page.text
 
 
 def test_thinned_curves_keep_every_peak() -> None:

@@ -197,3 +197,13 @@ def test_the_commands_end_in_one_line(tmp_path: Path) -> None:
         ended = CliRunner().invoke(command, [name, str(tmp_path / "no.mcap")])
         assert isinstance(ended.exception, ToolError)
         assert "is not an MCAP file" in str(ended.exception)
+
+
+def test_damaged_metadata_is_told(whole: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    at = whole.index(b"cycle.ring\x01\x00\x00\x000") + len("cycle.ring") + 4
+    path.write_bytes(whole[:at] + b"x" + whole[at + 1 :])
+    log = open_log(path)
+    assert "cycle.ring" not in log.recorded
+    assert log.damage == "its account of lost records is damaged"
+    assert json.dumps(describe(log))

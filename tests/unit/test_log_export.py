@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
-from importlib.util import find_spec
+import sys
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from pyarrow import parquet
 from synthetic_run import MS, record
 
 from tools.cli.log import log as command
@@ -17,7 +18,7 @@ from tools.errors import ToolError
 from tools.log import Log
 from tools.log import open as open_log
 from tools.log.export import export
-from tools.log.tables import to_arrow
+from tools.log.tables import to_arrow, to_pandas
 
 TICKS = 300
 TOPICS = ["/can/can0", "/can/can1"]
@@ -97,18 +98,32 @@ def test_a_slice_keeps_the_log_s_time(log: Log, tmp_path: Path) -> None:
     assert float(rows[0]["time [s]"]) == pytest.approx(0.1)
 
 
-def test_parquet_gives_the_numbers_back_or_says_what_it_needs(log: Log, tmp_path: Path) -> None:
-    if find_spec("pyarrow") is None:
-        with pytest.raises(ToolError, match="pip install pyarrow"):
-            export(log, tmp_path, "parquet")
-        return
-    from pyarrow import parquet
-
-    export(log, tmp_path, "parquet", ["/tonus/tension"])
+def test_parquet_gives_the_numbers_back(log: Log, tmp_path: Path) -> None:
+    told = CliRunner().invoke(
+        command, ["export", str(log.path), "--format", "parquet", "--out", str(tmp_path)]
+    )
+    assert told.exit_code == 0, told.output
     table = parquet.read_table(tmp_path / "tonus_tension.parquet")
     assert table.equals(to_arrow(log, "/tonus/tension"))
     assert np.array_equal(table["reference_3"].to_numpy(), log["/tonus/tension"]["reference"][:, 3])
     assert table.schema.field("reference_3").metadata == {b"unit": b"N"}
+    events = parquet.read_table(tmp_path / "tonus_events.parquet")
+    assert events["text"].to_pylist() == [event.text for event in log.events()]
+
+
+def test_a_topic_is_a_data_frame(log: Log) -> None:
+    frame, rows = to_pandas(log, "/tonus/tension"), log["/tonus/tension"]
+    assert len(frame) == TICKS
+    assert np.array_equal(frame["measured_7"], rows["measured"][:, 7])
+    assert np.allclose(frame["time"], np.arange(TICKS) * MS * 1e-9)
+
+
+def test_what_is_not_installed_is_named(
+    log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ToolError, match="pip install pyarrow"):
+        export(log, tmp_path, "parquet")
 
 
 def test_what_exists_is_not_overwritten(log: Log, tmp_path: Path) -> None:

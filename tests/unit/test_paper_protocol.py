@@ -155,7 +155,7 @@ def test_a_step_of_load_comes_when_it_should_and_the_truth_lies_beside_the_recor
     off = trial.cycle["pose.position"] - trial.truth["position"]
     assert np.linalg.norm(off, axis=1).max() < 1.5e-3
     moved = trial.truth["position"][-1, 0] - trial.truth["position"][0, 0]
-    assert moved == pytest.approx(25.0 / 3210.0, rel=0.2)
+    assert moved == pytest.approx(25.0 / trial.config.control.pd.stiffness, rel=0.2)
 
 
 def test_a_fault_ends_a_trial_and_says_why() -> None:

@@ -162,7 +162,7 @@ def test_its_feed_forward_balances_the_weight_and_the_stretch_is_reckoned_with()
     at, centre = lengths_at(np.zeros(3)), np.full(8, 45.0)
     found = controller("pid_length", integral=0.0)
     forward = np.full(8, 45.0)
-    for _ in range(60):
+    for _ in range(300):
         wound = at.lengths / (1.0 + forward / ROBOT.cable.axial_stiffness)
         now = found.tensions(motion(wound=wound), found.stiffness(motion()), centre)
         assert now is not None

@@ -55,7 +55,7 @@ def test_with_an_unmoving_platform_only_the_tension_loop_is_left() -> None:
     [
         ("pid", "control.pid.integral.gain", 2.0e5),
         ("pid_length", "control.pid_length.derivative", 60.0),
-        ("force", "control.force.integral", 300.0),
+        ("force", "control.force.integral", 3000.0),
         ("pd", "control.pd.damping_ratio", 0.05),
     ],
 )
@@ -75,6 +75,8 @@ def test_it_is_the_lead_that_gives_the_outer_loop_its_phase() -> None:
 def test_a_stiffer_spring_leaves_the_outer_loop_less_margin() -> None:
     found = []
     for stiffness in (2000.0, 4000.0, 7000.0):
-        config, _ = load("config/can.yaml", overrides={"control.pid.stiffness": stiffness})
+        integral = {"gain": 8000.0, "limit": 120.0}
+        pid = {"stiffness": stiffness, "damping_ratio": 0.8, "integral": integral}
+        config, _ = load("config/can.yaml", overrides={"control.pid": pid})
         found.append(margins(config, "pid", cut="force").phase_deg)
     assert found == sorted(found, reverse=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,6 +50,9 @@ class Log:
         self._framing: Framing = scan(path)
         self._columns: dict[str, Column] = {}
         self._damage = self._framing.damage
+        # Metadata has no checksum of its own.
+        if not all(map(_is_count, self._framing.metadata.get("tonus.recorded", {}).values())):
+            self._damage = self._damage or "its account of lost records is damaged"
         self._usable = len(self._framing.chunks)
         self._window: tuple[int, int] | None = None
         if not self._framing.channels:
@@ -70,7 +73,8 @@ class Log:
     @property
     def recorded(self) -> dict[str, str]:
         """Records lost before they were recorded, by ring; empty if the file was not finished."""
-        return self._framing.metadata.get("tonus.recorded", {})
+        told = self._framing.metadata.get("tonus.recorded", {})
+        return {name: count for name, count in told.items() if _is_count(count)}
 
     @property
     def attachments(self) -> dict[str, bytes]:
@@ -163,6 +167,19 @@ class Log:
         part._window = (self.start_ns + _whole_ns(start_s), self.start_ns + _whole_ns(end_s))
         return part
 
+    @property
+    def chunk_count(self) -> int:
+        """How many batches there are to come, at most."""
+        return len(self._places())
+
+    def holds(self, topics: Sequence[str]) -> bool:
+        """Whether these are decoded already."""
+        return all(topic in self._columns for topic in topics)
+
+    def keep(self, columns: Mapping[str, Column]) -> None:
+        """Hold these instead of what is decoded from the file, for views that leave out a part."""
+        self._columns = dict(columns)
+
     def join(self, *topics: str) -> NDArray[np.void]:
         """One record a tick (n,) with a member for each topic, named by its last part, and the
         ``tick``: of each topic the latest message that the tick could know. Ticks before every
@@ -247,6 +264,10 @@ class Log:
             return found
         first, last = np.searchsorted(found.times, self._window)
         return found.chosen(slice(int(first), int(last)))
+
+
+def _is_count(text: str) -> bool:
+    return text.isdecimal() and len(text) < 20
 
 
 def _whole_ns(seconds: float) -> int:

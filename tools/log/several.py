@@ -84,6 +84,10 @@ class SeveralLogs(Log):
         for log in self._logs:
             yield from log.batches([name for name in names if name in log])
 
+    @property
+    def chunk_count(self) -> int:
+        return sum(log.chunk_count for log in self._logs)
+
     def between(self, start_s: float, end_s: float) -> Log:
         part = copy.copy(self)
         part._columns = {}

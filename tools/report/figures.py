@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,54 +15,82 @@ from config.schema.root import Config
 from runtime.signals import Grade
 from runtime.states import State
 from tools.report import panels, style
+from tools.report.pieces import Array, Piece
+from tools.report.sheet import Sheet
 from tools.report.story import Story
 from tools.summary import tensions, truth_at_cycles
 
-_RUNNING = (State.HOLD, State.ACTIVE)
+_ARMED = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 _DOTS = 3000
 """points of the cloud in Figure 1"""
 _SEGMENT_S = 2.0
 """length of the stretches whose spectra are averaged"""
+SPECTRA_S = 60.0
+"""of ACTIVE that spectra are taken of, at most"""
 _BINS = 120
+
+
+def filled(pieces: Iterable[Piece], drawn: Sequence[panels.Panel]) -> list[Sheet]:
+    """A sheet for each panel."""
+    sheets = [Sheet() for _ in drawn]
+    for piece in pieces:
+        for sheet, fill in zip(sheets, drawn, strict=True):
+            fill(sheet, piece)
+    return sheets
 
 
 def over_time(
     story: Story,
-    drawn: tuple[panels.Panel, ...],
+    sheets: Sequence[Sheet],
     between: tuple[float, float] | None = None,
     *,
     height: float = 2.3,
 ) -> Figure:
-    """Panels on one time axis; ``between`` two times in s every tick is drawn, if they are near."""
-    figure = Figure(figsize=(11.0, height * len(drawn) + 0.8), layout="constrained")
-    axes = list(figure.subplots(len(drawn), 1, sharex=True, squeeze=False)[:, 0])
-    if between is not None:
-        axes[0].set_xlim(*between)
-    for axis, draw in zip(axes, drawn, strict=True):
-        draw(axis, story)
+    """Sheets on one time axis, the whole run's or ``between`` two times in s."""
+    figure = Figure(figsize=(11.0, height * len(sheets) + 0.8), layout="constrained")
+    axes = list(figure.subplots(len(sheets), 1, sharex=True, squeeze=False)[:, 0])
+    for axis, sheet in zip(axes, sheets, strict=True):
+        sheet.draw(axis)
     panels.dress(axes, story, names=between is None)
     if between is not None:
         axes[0].set_xlim(*between)
     return figure
 
 
-def envelope(story: Story) -> Figure | None:
-    """Figure 1: tension, stiffness and contact force of the armed robot, in the box of its limits.
+class Cloud:
+    """Figure 1's points: highest tension of the eight, K_eq, contact, and the envelope's grade, of
+    the armed robot, thinned to `_DOTS`."""
 
-    Highest tension of the eight; None if it never ran.
-    """
-    running = np.flatnonzero(story.in_state(State.PRETENSION, *_RUNNING, State.SAFE_STOP))
-    if not len(running):
+    def __init__(self, story: Story) -> None:
+        self._step = max(1, int(story.in_state(*_ARMED).sum()) // _DOTS)
+        self._seen = 0
+        self._parts: list[tuple[Array, Array, Array, Array]] = []
+
+    def add(self, piece: Piece) -> None:
+        armed = np.flatnonzero(piece.in_state(*_ARMED))
+        chosen = armed[-self._seen % self._step :: self._step]
+        self._seen += len(armed)
+        log = piece.log
+        true = truth_at_cycles(log, "contact_force")
+        contact = log["/tonus/wrench"]["contact"] if true is None else true
+        highest = tensions(log)[chosen].max(axis=1)
+        k_eq, grade = log["/tonus/stiffness"]["k_eq"], log["/tonus/envelope"]["grade"]
+        self._parts.append((highest, k_eq[chosen] * 1e-3, contact[chosen], grade[chosen]))
+
+    def points(self) -> tuple[Array, ...]:
+        """Each (n,): N, kN/m, N, Grade."""
+        return tuple(np.concatenate(each) for each in zip(*self._parts, strict=True))
+
+
+def envelope(story: Story, cloud: Cloud) -> Figure | None:
+    """Figure 1: tension, stiffness and contact force of the armed robot, in the box of its limits;
+    None if it never ran."""
+    highest, k_eq, contact, grades = cloud.points()
+    if not len(grades):
         return None
-    chosen = running[:: max(1, len(running) // _DOTS)]
-    highest = tensions(story.log)[chosen].max(axis=1)
-    k_eq = story.log["/tonus/stiffness"]["k_eq"][chosen] * 1e-3
-    true = truth_at_cycles(story.log, "contact_force")
-    contact = (story.log["/tonus/wrench"]["contact"] if true is None else true)[chosen]
-    grades = story.log["/tonus/envelope"]["grade"][chosen]
-    figure = Figure(figsize=(8.6, 6.6))
+    figure = Figure(figsize=(9.8, 6.6))
     panel = figure.add_subplot(projection="3d", computed_zorder=False)
-    figure.subplots_adjust(left=0.0, right=0.80, bottom=0.05, top=0.98)
+    figure.subplots_adjust(left=0.0, right=0.70, bottom=0.05, top=0.98)
     handles = []
     if story.config is not None:
         _box(panel, story.config)
@@ -89,19 +119,23 @@ def envelope(story: Story) -> Figure | None:
 
 
 def spectra(story: Story) -> Figure | None:
-    """Amplitude densities in ACTIVE (Welch's method); None if it lasted less than a stretch."""
+    """Amplitude densities (Welch's method) over the beginning of the longest ACTIVE; None if it
+    lasted less than a stretch."""
     active = _longest(story.in_state(State.ACTIVE))
     segment = round(_SEGMENT_S / story.period)
     if active.stop - active.start < segment:
         return None
-    against, position = panels.position_error(story)
-    tension = tensions(story.log) - story.log["/tonus/tension"]["reference"]
-    wrench = story.log["/tonus/wrench"]["external"][:, :3]
-    source = "true" if story.has_truth else "measured"
+    begin = float(story.time[active.start])
+    last = min(float(story.time[active.stop - 1]), begin + SPECTRA_S)
+    piece = story.near(begin, last)
+    against, position = panels.position_error(piece)
+    tension = tensions(piece.log) - piece.log["/tonus/tension"]["reference"]
+    wrench = piece.log["/tonus/wrench"]["external"][:, :3]
+    source = "true" if piece.has_truth else "measured"
     rows = (
-        (position[active] * 1e3, f"position error, {against}", "mm/√Hz", "xyz", style.AXES),
-        (tension[active], f"tension error, {source}", "N/√Hz", None, None),
-        (wrench[active], "load, estimated", "N/√Hz", "xyz", style.AXES),
+        (position * 1e3, f"position error, {against}", "mm/√Hz", "xyz", style.AXES),
+        (tension, f"tension error, {source}", "N/√Hz", None, None),
+        (wrench, "load, estimated", "N/√Hz", "xyz", style.AXES),
     )
     figure = Figure(figsize=(11.0, 8.2), layout="constrained")
     axes = figure.subplots(len(rows), 1, sharex=True)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from config.schema.root import Config
 from tools.log import Log
-from tools.report import panels
+from tools.report import figures, panels
 from tools.report.story import Story
 
 _PANELS = (panels.force, panels.stiffness, panels.tension, panels.error)
@@ -24,8 +24,8 @@ def overview(log: Log, config: Config, out: Path) -> None:
     if len(log["/tonus/timing"]):
         story = Story(log, config)
         axes = figure.subplots(len(_PANELS), 1, sharex=True)
-        for axis, draw in zip(axes, _PANELS, strict=True):
-            draw(axis, story)
+        for axis, sheet in zip(axes, figures.filled(story.pieces(), _PANELS), strict=True):
+            sheet.draw(axis)
         panels.dress(axes, story)
     figure.savefig(out)
 

@@ -12,21 +12,24 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from tools.errors import ToolError
+from tools.log import open as open_log
 from tools.report import figures, panels
-from tools.report.slim import RUN, Progress, SlimLog
+from tools.report.pieces import Piece, Progress
 from tools.report.story import Story
 from tools.report.verdict import Verdict, judge
+from tools.summary import Indicators
 
 _BEFORE_S, _AFTER_S = 0.6, 0.4
 """s round a fault that are drawn tick by tick"""
 _FAULTS = 3
 """that are drawn from near"""
 _EVENTS = 500
-_READING = 0.6
-"""share of the work that is reading"""
+"""rows of a table"""
+_OUTLINE, _READING = 0.3, 0.8
+"""shares of the work that are done when the run's states and its cycles have been read"""
 _OVER_TIME = (
     *(panels.force, panels.stiffness, panels.tension, panels.error),
-    *(panels.tension_error, panels.path, panels.speed, panels.latency),
+    *(panels.tension_error, panels.path, panels.speed),
 )
 _NEAR = (panels.force, panels.stiffness, panels.tension, panels.speed)
 _STYLE = """
@@ -50,10 +53,10 @@ def report(file: Path, out: Path, progress: Progress) -> Verdict:
 
     Raises ToolError when there is nothing to show or no place to write to.
     """
-    log = SlimLog(file, RUN, lambda share: progress(_READING * share))
-    story = Story(log)
-    verdict = judge(story)
-    text = "".join(_parts(story, verdict, progress))
+    story = Story(open_log(file), progress=lambda share: progress(_OUTLINE * share))
+    content = _Content(story, lambda share: progress(_OUTLINE + (_READING - _OUTLINE) * share))
+    verdict = judge(story, content.indicators)
+    text = "".join(_parts(story, content, verdict, progress))
     try:
         out.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -61,7 +64,23 @@ def report(file: Path, out: Path, progress: Progress) -> Verdict:
     return verdict
 
 
-def _parts(story: Story, verdict: Verdict, progress: Progress) -> Iterator[str]:
+class _Content:
+    """What the page takes from the run's pieces, in one passage through them."""
+
+    def __init__(self, story: Story, progress: Progress) -> None:
+        virtual = story.log.metadata.get("time") == "virtual"
+        drawn = _OVER_TIME if virtual else (*_OVER_TIME, panels.latency)
+        self.indicators, self.cloud = Indicators(), figures.Cloud(story)
+        self.sheets = figures.filled(self._watched(story, progress), drawn)
+
+    def _watched(self, story: Story, progress: Progress) -> Iterator[Piece]:
+        for piece in story.pieces(progress):
+            self.indicators.add(piece.log)
+            self.cloud.add(piece)
+            yield piece
+
+
+def _parts(story: Story, content: _Content, verdict: Verdict, progress: Progress) -> Iterator[str]:
     log = story.log
     title = f"{log.metadata.get('config', 'run')}, {log.metadata.get('scenario', log.path.name)}"
     yield (
@@ -70,7 +89,7 @@ def _parts(story: Story, verdict: Verdict, progress: Progress) -> Iterator[str]:
     )
     yield f"<h1>{escape(title)}</h1><div>{escape(_subtitle(story))}</div>\n"
     yield _verdict(verdict)
-    sections = list(_sections(story))
+    sections = list(_sections(story, content))
     yield "<nav>" + "".join(
         f'<a href="#{anchor}">{escape(heading)}</a>' for anchor, heading, _, _ in sections
     )
@@ -85,7 +104,9 @@ def _parts(story: Story, verdict: Verdict, progress: Progress) -> Iterator[str]:
     yield "</body></html>\n"
 
 
-def _sections(story: Story) -> Iterator[tuple[str, str, str, Callable[[], Figure | None]]]:
+def _sections(
+    story: Story, content: _Content
+) -> Iterator[tuple[str, str, str, Callable[[], Figure | None]]]:
     """Anchor, heading, what to say where there is no picture, and the picture."""
     for number, fault in enumerate(story.faults[:_FAULTS], start=1):
         at = story.at(fault["tick"])
@@ -93,19 +114,20 @@ def _sections(story: Story) -> Iterator[tuple[str, str, str, Callable[[], Figure
         heading = f"Round the fault {fault['name']} {fault['where']}".strip()
 
         def near(between: tuple[float, float] = between) -> Figure:
-            return figures.over_time(story, _NEAR, between)
+            sheets = figures.filled([story.near(*between)], _NEAR)
+            return figures.over_time(story, sheets, between)
 
         yield f"fault{number}", heading, "", near
-    yield "time", "Over time", "", lambda: figures.over_time(story, _OVER_TIME)
+    yield "time", "Over time", "", lambda: figures.over_time(story, content.sheets)
     yield (
         "envelope",
         "Tension, stiffness and force (the paper's Figure 1)",
         "The robot was never armed.",
-        lambda: figures.envelope(story),
+        lambda: figures.envelope(story, content.cloud),
     )
     yield (
         "spectra",
-        "Spectra in ACTIVE",
+        f"Spectra in ACTIVE (the longest stretch, its first {figures.SPECTRA_S:.0f} s)",
         "ACTIVE did not last long enough for a spectrum.",
         lambda: figures.spectra(story),
     )
@@ -171,14 +193,16 @@ def _events(story: Story) -> str:
     states = "".join(
         f'<tr><td>{state.name}</td><td class="n">{start:.3f}</td>'
         f'<td class="n">{end - start:.3f}</td></tr>'
-        for state, start, end in story.bands
+        for state, start, end in story.bands[:_EVENTS]
     )
+    beyond = len(story.bands) - _EVENTS
+    further = f"<p>and {beyond} more</p>" if beyond > 0 else ""
     return (
         '<h2 id="events">Events and states</h2>\n'
         "<table><tr><th>s</th><th>tick</th><th>event</th><th>where</th><th>text</th></tr>\n"
         + "\n".join(rows)
         + f"</table>{more}\n<table><tr><th>state</th><th>from s</th><th>for s</th></tr>{states}"
-        "</table>\n"
+        f"</table>{further}\n"
     )
 
 

@@ -3,133 +3,135 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from runtime.states import State
 from tools.report import style
-from tools.report.story import Array, Story
-from tools.report.thin import thin
+from tools.report.pieces import Array, Piece
+from tools.report.sheet import Sheet
+from tools.report.story import Story
 from tools.summary import tensions, truth_at_cycles
 
-Panel = Callable[[Axes, Story], None]
+Panel = Callable[[Sheet, Piece], None]
+"""Puts what it shows of a piece on its sheet."""
 _MM = 1e3
 _RUNNING = (State.HOLD, State.ACTIVE)
 _LABEL_SPACING = 0.032
 """of the width, between the names of two states"""
+_LARGEST_SHIFT = 0.08
+"""of the width, by which a name may be moved"""
 
 
-def force(panel: Axes, story: Story) -> None:
+def force(sheet: Sheet, piece: Piece) -> None:
     """External load and contact, estimated or measured, and true."""
-    load, contact = truth_at_cycles(story.log, "load"), truth_at_cycles(story.log, "contact_force")
-    wrench = story.log["/tonus/wrench"]
+    load, contact = truth_at_cycles(piece.log, "load"), truth_at_cycles(piece.log, "contact_force")
+    wrench = piece.log["/tonus/wrench"]
     if load is not None:
-        _curve(panel, story, _norm(load[:, :3]), "load, true", style.BLACK, width=2.0)
+        sheet.curve(piece, _norm(load[:, :3]), "load, true", style.BLACK, width=2.0)
     external = _norm(wrench["external"][:, :3])
-    _curve(panel, story, external, "load, estimated", style.ORANGE, width=1.0)
+    sheet.curve(piece, external, "load, estimated", style.ORANGE, width=1.0)
     if contact is not None:
-        _curve(panel, story, contact, "contact, true", style.BLUE, width=2.0)
-    _curve(panel, story, wrench["contact"], "contact, measured", style.SKY, width=1.0)
-    if story.config is not None:
-        value = story.config.control.envelope.contact_limit
-        limit(panel, value, f"contact limit {value:g} N")
-    panel.set_ylabel("force / N")
+        sheet.curve(piece, contact, "contact, true", style.BLUE, width=2.0)
+    sheet.curve(piece, wrench["contact"], "contact, measured", style.SKY, width=1.0)
+    if piece.config is not None:
+        value = piece.config.control.envelope.contact_limit
+        sheet.limit(value, f"contact limit {value:g} N")
+    sheet.label = "force / N"
 
 
-def stiffness(panel: Axes, story: Story) -> None:
+def stiffness(sheet: Sheet, piece: Piece) -> None:
     """The law, the envelope's cap, and what is commanded."""
-    rows = story.log["/tonus/stiffness"]
-    _curve(panel, story, rows["cap"], "cap", style.VERMILION, width=1.0, line=":")
-    _curve(panel, story, rows["law"], "law", style.ORANGE, width=1.0)
-    _curve(panel, story, rows["k_eq"], "K_eq, commanded", style.BLUE, width=1.6)
-    if story.config is not None:
-        law = story.config.control.stiffness
-        limit(panel, law.maximum, f"K_max {law.maximum:.0f} N/m")
-        limit(panel, law.minimum, f"K_min {law.minimum:.0f} N/m")
-        panel.set_ylim(0.0, 1.08 * law.maximum)
-    panel.set_ylabel("stiffness / N/m")
+    rows = piece.log["/tonus/stiffness"]
+    sheet.curve(piece, rows["cap"], "cap", style.VERMILION, width=1.0, line=":")
+    sheet.curve(piece, rows["law"], "law", style.ORANGE, width=1.0)
+    sheet.curve(piece, rows["k_eq"], "K_eq, commanded", style.BLUE, width=1.6)
+    if piece.config is not None:
+        law = piece.config.control.stiffness
+        sheet.limit(law.maximum, f"K_max {law.maximum:.0f} N/m")
+        sheet.limit(law.minimum, f"K_min {law.minimum:.0f} N/m")
+        sheet.range = 0.0, 1.08 * law.maximum
+    sheet.label = "stiffness / N/m"
 
 
-def tension(panel: Axes, story: Story) -> None:
+def tension(sheet: Sheet, piece: Piece) -> None:
     """The eight cables: true in a lab, measured otherwise."""
-    for cable, column in enumerate(tensions(story.log).T):
+    for cable, column in enumerate(tensions(piece.log).T):
         colour, line = style.cable(cable)
-        _curve(panel, story, column, f"cable {cable + 1}", colour, width=1.1, line=line)
-    if story.config is not None:
-        bounds = story.config.control.tension
-        limit(panel, bounds.max, f"T_max {bounds.max:g} N")
-        limit(panel, bounds.min, f"T_min {bounds.min:g} N")
-    source = "true" if story.has_truth else "measured"
-    panel.set_ylabel(f"cable tension, {source} / N")
+        sheet.curve(piece, column, f"cable {cable + 1}", colour, width=1.1, line=line)
+    if piece.config is not None:
+        bounds = piece.config.control.tension
+        sheet.limit(bounds.max, f"T_max {bounds.max:g} N")
+        sheet.limit(bounds.min, f"T_min {bounds.min:g} N")
+    source = "true" if piece.has_truth else "measured"
+    sheet.label = f"cable tension, {source} / N"
 
 
-def error(panel: Axes, story: Story) -> None:
+def error(sheet: Sheet, piece: Piece) -> None:
     """Position less reference in HOLD and ACTIVE."""
-    against, values = position_error(story)
+    against, values = position_error(piece)
     for axis, colour, column in zip("xyz", style.AXES, values.T * _MM, strict=True):
-        _curve(panel, story, column, f"{axis}, {against} - desired", colour, width=1.1)
-    panel.axhline(0.0, color="0.4", linewidth=0.6)
-    panel.set_ylabel("position error / mm")
+        sheet.curve(piece, column, f"{axis}, {against} - desired", colour, width=1.1)
+    sheet.zero = True
+    sheet.label = "position error / mm"
 
 
-def tension_error(panel: Axes, story: Story) -> None:
+def tension_error(sheet: Sheet, piece: Piece) -> None:
     """Tension less reference in HOLD and ACTIVE."""
-    values = tensions(story.log) - story.log["/tonus/tension"]["reference"]
-    values[~story.in_state(*_RUNNING)] = np.nan
+    values = tensions(piece.log) - piece.log["/tonus/tension"]["reference"]
+    values[~piece.in_state(*_RUNNING)] = np.nan
     for cable, column in enumerate(values.T):
         colour, line = style.cable(cable)
-        _curve(panel, story, column, f"cable {cable + 1}", colour, width=0.9, line=line)
-    panel.axhline(0.0, color="0.4", linewidth=0.6)
-    source = "true" if story.has_truth else "measured"
-    panel.set_ylabel(f"tension, {source} - reference / N")
+        sheet.curve(piece, column, f"cable {cable + 1}", colour, width=0.9, line=line)
+    sheet.zero = True
+    source = "true" if piece.has_truth else "measured"
+    sheet.label = f"tension, {source} - reference / N"
 
 
-def path(panel: Axes, story: Story) -> None:
+def path(sheet: Sheet, piece: Piece) -> None:
     """Desired and estimated position."""
-    pose = story.log["/tonus/pose"]
+    pose = piece.log["/tonus/pose"]
     for number, (axis, colour) in enumerate(zip("xyz", style.AXES, strict=True)):
         desired, position = pose["desired_position"][:, number], pose["position"][:, number]
-        _curve(panel, story, position * _MM, f"{axis}, estimated", colour, width=1.1)
-        _curve(panel, story, desired * _MM, f"{axis}, desired", colour, width=1.1, line="--")
-    panel.set_ylabel("position / mm")
+        sheet.curve(piece, position * _MM, f"{axis}, estimated", colour, width=1.1)
+        sheet.curve(piece, desired * _MM, f"{axis}, desired", colour, width=1.1, line="--")
+    sheet.label = "position / mm"
 
 
-def speed(panel: Axes, story: Story) -> None:
+def speed(sheet: Sheet, piece: Piece) -> None:
     """Estimated speed, and the rate at which the envelope lets the reference go on."""
-    values = _norm(story.log["/tonus/pose"]["velocity"])
-    _curve(panel, story, values, "speed, estimated", style.BLUE, width=1.1)
-    if story.config is not None:
-        value = story.config.control.envelope.speed_limit
-        limit(panel, value, f"speed limit {value:g} m/s")
-    panel.set_ylabel("speed / m/s")
+    values = _norm(piece.log["/tonus/pose"]["velocity"])
+    sheet.curve(piece, values, "speed, estimated", style.BLUE, width=1.1)
+    if piece.config is not None:
+        value = piece.config.control.envelope.speed_limit
+        sheet.limit(value, f"speed limit {value:g} m/s")
+    sheet.label = "speed / m/s"
 
 
-def latency(panel: Axes, story: Story) -> None:
+def latency(sheet: Sheet, piece: Piece) -> None:
     """How late each tick woke and how long it worked; zero in virtual time."""
-    timing = story.log["/tonus/timing"]
+    timing = piece.log["/tonus/timing"]
     cycle = timing["collect_us"] + timing["compute_us"] + timing["publish_us"]
-    _curve(panel, story, cycle, "cycle", style.SKY, width=0.8)
-    _curve(panel, story, timing["wakeup_us"], "wake-up", style.BLUE, width=0.8)
-    for name, colour in (("missed_own", style.VERMILION), ("missed_host", style.ORANGE)):
-        missed = np.flatnonzero(np.diff(timing[name].astype(np.int64), prepend=0) > 0)
-        if len(missed):
-            label = f"missed, {'our own' if name == 'missed_own' else 'host'} ({len(missed)})"
-            level = np.full(len(missed), story.period * 1e6)
-            panel.plot(story.time[missed], level, "v", color=colour, markersize=5, label=label)
-    panel.set_ylabel("latency / µs")
+    sheet.curve(piece, cycle, "cycle", style.SKY, width=0.8)
+    sheet.curve(piece, timing["wakeup_us"], "wake-up", style.BLUE, width=0.8)
+    for name, whose, colour in (
+        ("missed_own", "our own", style.VERMILION),
+        ("missed_host", "host", style.ORANGE),
+    ):
+        missed = piece.time[piece.missed[name]]
+        sheet.mark(missed, piece.period * 1e6, f"missed, {whose}", colour)
+    sheet.label = "latency / µs"
 
 
-def position_error(story: Story) -> tuple[str, Array]:
+def position_error(piece: Piece) -> tuple[str, Array]:
     """Against what, and the error (n, 3) in m; nan outside HOLD and ACTIVE."""
-    position = truth_at_cycles(story.log, "position")
+    position = truth_at_cycles(piece.log, "position")
     against = "truth" if position is not None else "estimate"
-    pose = story.log["/tonus/pose"]
+    pose = piece.log["/tonus/pose"]
     if position is None:
         position = np.asarray(pose["position"])
-    running = story.in_state(*_RUNNING)
+    running = piece.in_state(*_RUNNING)
     return against, np.where(running[:, None], position - pose["desired_position"], np.nan)
 
 
@@ -152,32 +154,16 @@ def dress(panels: Sequence[Axes], story: Story, *, names: bool = True) -> None:
     panels[-1].set_xlabel("time since the first cycle / s")
 
 
-def limit(panel: Axes, value: float, label: str) -> None:
-    """A dashed line across a panel."""
-    panel.axhline(value, color="0.25", linewidth=0.9, linestyle=style.DASHES, label=label)
-
-
-def _curve(
-    panel: Axes,
-    story: Story,
-    values: NDArray[Any],
-    label: str,
-    colour: str,
-    *,
-    width: float,
-    line: str = "-",
-) -> None:
-    low, high = panel.get_xlim() if panel.get_autoscalex_on() is False else (-np.inf, np.inf)
-    shown = slice(*np.searchsorted(story.time, (low, high)))
-    time, thinned = thin(story.time[shown], values[shown])
-    panel.plot(time, thinned, color=colour, linewidth=width, linestyle=line, label=label)
-
-
 def _name(panel: Axes, bands: list[tuple[State, float, float]], span: float) -> None:
-    """The states' names over the first panel, moved apart where they would meet."""
-    place = -1.0
+    """The states' names over the first panel, moved apart where they would meet, and left out where
+    they would stand over another state: the page lists them all."""
+    last = -1.0
     for state, start, _ in bands:
-        place = max(start / (span or 1.0), place + _LABEL_SPACING)
+        due = start / (span or 1.0)
+        place = max(due, last + _LABEL_SPACING)
+        if place - due > _LARGEST_SHIFT:
+            continue
+        last = place
         panel.text(
             place,
             1.02,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 import yaml
@@ -13,22 +15,32 @@ from config.schema.root import Config
 from runtime.states import State
 from tools.errors import ToolError
 from tools.log import Log
-from tools.summary import TRUTH, find_faults
+from tools.report.pieces import CYCLE, Array, Piece, Progress, cut, outline
+from tools.report.thin import POINTS
+from tools.summary import find_faults
 
-Array = NDArray[np.float64]
-_CYCLE = ("/tonus/timing", "/tonus/state", "/tonus/pose", "/tonus/stiffness")
-_CYCLE_TOO = ("/tonus/wrench", "/tonus/tension", "/tonus/envelope")
+_PIECE = 30_000
+"""cycles that are in memory with all their topics at once"""
+_OWN = ("/tonus/timing", "/tonus/state")
+_MISSED = ("missed_own", "missed_host")
 
 
 class Story:
-    """One run. Raises ToolError for a log that holds no control cycle."""
+    """One run, as far as it has to be known whole; the rest of it comes in `pieces`.
 
-    def __init__(self, log: Log, config: Config | None = None) -> None:
+    Raises ToolError for a log that holds no control cycle.
+    """
+
+    def __init__(
+        self, log: Log, config: Config | None = None, progress: Progress = lambda _: None
+    ) -> None:
         """``config``: instead of the one attached to the log."""
-        missing = [topic for topic in (*_CYCLE, *_CYCLE_TOO) if topic not in log]
+        missing = [topic for topic in CYCLE if topic not in log]
         if missing:
             raise ToolError(f"{log.path}: has no topic {missing[0]}; name a log of `tonus run`")
-        counts = {len(log[topic]) for topic in (*_CYCLE, *_CYCLE_TOO)}
+        self._whole = log
+        log = outline(log, progress)
+        counts = {len(log[topic]) for topic in _OWN}
         if counts == {0}:
             raise ToolError(f"{log.path}: holds no cycle{_why(log)}")
         if len(counts) > 1:
@@ -41,14 +53,43 @@ class Story:
         self.time: Array = np.asarray((log.times("/tonus/timing") - self._start) * 1e-9, np.float64)
         """s (n,) of the cycles since the first"""
         self.faults = find_faults(log)
-        self.has_truth = TRUTH in log and len(log[TRUTH]) > 0
+        self.has_truth = False
+        """known when the pieces are"""
+        timing = log["/tonus/timing"]
+        self._missed = {
+            name: np.diff(timing[name].astype(np.int64), prepend=0) > 0 for name in _MISSED
+        }
 
-    @property
+    @cached_property
     def period(self) -> float:
         """s from cycle to cycle, as most of them are apart."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 1e-3
 
-    @property
+    def pieces(self, progress: Progress = lambda _: None) -> Iterator[Piece]:
+        """All cycles in order, read as they are asked for."""
+        count = len(self.time)
+        for first in range(0, count, _PIECE):
+            last = min(first + _PIECE, count)
+            piece = self._piece(first, last, -(-POINTS * (last - first) // count))
+            self.has_truth |= piece.has_truth
+            yield piece
+            progress(last / count)
+
+    def near(self, start_s: float, end_s: float) -> Piece:
+        """The cycles between two times in s; keep them few."""
+        first = min(int(np.searchsorted(self.time, start_s)), len(self.time) - 1)
+        last = int(np.searchsorted(self.time, end_s, "right"))
+        return self._piece(first, max(last, first + 1), POINTS)
+
+    def _piece(self, first: int, last: int, points: int) -> Piece:
+        times = self.log.times("/tonus/timing")
+        part = cut(self._whole, int(times[first]), int(times[last - 1]) + 1)
+        if len(part["/tonus/timing"]) != last - first:
+            raise ToolError(f"{self.log.path}: its cycles are not in order; recover it first")
+        missed = {name: rises[first:last] for name, rises in self._missed.items()}
+        return Piece(part, self.config, self.time[first:last], self.period, missed, points)
+
+    @cached_property
     def bands(self) -> list[tuple[State, float, float]]:
         """State, from and to in s."""
         state = self.log["/tonus/state"]["state"]

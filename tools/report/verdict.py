@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from runtime.states import State
 from tools.report.story import Story
-from tools.summary import Summary, summarise
+from tools.summary import Indicators, Summary, summarise
 
 _ENDED_WELL = (State.OFF, State.STANDBY)
 
@@ -37,11 +35,11 @@ class Verdict:
     summary: Summary
 
 
-def judge(story: Story) -> Verdict:
+def judge(story: Story, indicators: Indicators) -> Verdict:
     """A run is good that ended in STANDBY or OFF without a fault and whose log is whole."""
     log = story.log
-    summary = summarise(log)
-    figures = tuple(_figures(story, summary))
+    summary = summarise(log, indicators=indicators)
+    figures = tuple(_figures(story, summary, indicators.speed))
     remarks = []
     if log.damage:
         remarks.append(f"The log is damaged: {log.damage}. All below is of what could be read.")
@@ -75,7 +73,7 @@ def _headline(story: Story, summary: Summary, ended: State) -> str:
     return f"No fault; the log ends in {ended.name}"
 
 
-def _figures(story: Story, summary: Summary) -> list[Figure]:
+def _figures(story: Story, summary: Summary, speed: float) -> list[Figure]:
     source = "truth" if story.has_truth else "measured"
     tension, k_eq = summary["tension_n"], summary["k_eq_n_per_m"]
     found = [
@@ -85,7 +83,6 @@ def _figures(story: Story, summary: Summary) -> list[Figure]:
     low, high = _ends(tension)
     k_low, k_high = _ends(k_eq)
     peak = summary["contact_peak_n"]
-    speed = float(np.sqrt((story.log["/tonus/pose"]["velocity"] ** 2).sum(axis=1)).max())
     if story.config is None:
         return [
             *found,

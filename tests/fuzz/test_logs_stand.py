@@ -1,0 +1,24 @@
+"""The short storm over damaged logs: every reader ends with data or in one line, and touches
+nothing. ``make robust`` is the long one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.fuzz.logs import readers
+from tests.fuzz.storm_of_logs import storm
+
+LONG = ("report", "identify", "compare")
+"""judged only a few times here"""
+
+
+def test_readers_stand_whatever_happened_to_a_log() -> None:
+    quick = tuple(name for name in readers(Path()) if name not in LONG)
+    ends = storm(3, 25, quick, drawn=1)
+    assert {f"{name}: one line" for name in quick} <= set(ends)
+    assert {"info: done", "recover: done", "export: done", "replay: done"} <= set(ends)
+
+
+def test_what_draws_and_compares_stands_too() -> None:
+    ends = storm(4, 6, LONG, drawn=6)
+    assert ends["report: done"]
