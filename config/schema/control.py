@@ -197,6 +197,9 @@ class Eq9Literal(Section):
 class ConstantTension(Section):
     settle_s: Positive
     """s in ACTIVE before the tensions are frozen, at their mean over the second half of it"""
+    integral: NonNegative = 100.0
+    """1/s, of its tension loop: with no outer loop round it, and without friction, the shared gain
+    would let drums and platform slowly start to swing"""
 
 
 class Distribution(Section):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from config.schema.control import Control
+from config.schema.control import Control, TensionLoop
 from config.schema.robot import Robot
 from runtime.controllers.base import Array, Controller, Motion
 from runtime.kinematics import Kinematics
@@ -27,6 +27,11 @@ class ConstantTension(Controller):
         self._settle = control.constant_tension.settle_s
         self._sum = np.zeros(len(robot.geometry.frame))
         self.reset()
+
+    @property
+    def tension_loop(self) -> TensionLoop:
+        integral = self._control.constant_tension.integral
+        return self._control.tension_loop.model_copy(update={"integral": integral})
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
         return self.resting_stiffness
