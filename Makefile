@@ -8,8 +8,8 @@ MINUTES ?= 10
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test test-long bench bench-realtime load paper fuzz robust replay kill soak lint \\
-  check-types lock clean
+.PHONY: setup run test test-long bench bench-realtime load paper fuzz robust replay kill soak
+.PHONY: lint check-types lock clean
 
 setup: $(STAMP)
 
