@@ -22,6 +22,8 @@ _CREDENTIALS = struct.Struct("@iII")
 """struct ucred: process, user, group"""
 _ANCILLARY_BYTES = socket.CMSG_SPACE(_CREDENTIALS.size)
 _ROOT = 0
+_UNREAD_BYTES = 1 << 20
+"""of replies; the kernel may grant less"""
 
 
 class DoorSocket:
@@ -43,6 +45,9 @@ class DoorSocket:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+        # What a client leaves unread is charged to us, and would in the end leave no room for
+        # replies to others; the kernel limits it to net.unix.max_dgram_qlen of them a client.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNREAD_BYTES)
         # Before it has a name, so that there is no moment at which others could come in.
         os.fchmod(self._socket.fileno(), 0o600)
         try:
