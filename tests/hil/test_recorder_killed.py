@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from tools.log import open as open_log
+from tools.log.several import segments
 
 pytestmark = pytest.mark.realtime
 
-KILLS_S = (2.0, 5.0)
+KILLS_S = (3.0, 6.0)
 """after the first look at the process"""
 
 
@@ -70,5 +71,7 @@ def test_nothing_is_missing(tmp_path: Path) -> None:
     assert int(ticks[-1]) + 1 == len(ticks) + int(missed)
     assert np.array_equal(np.unique(ticks), ticks), "each once"
     names = [event.name for event in log.events()]
-    assert names.count("recorder_restarted") == len(KILLS_S)
-    assert (tmp_path / "run.3.mcap").exists()
+    restarted = names.count("recorder_restarted")
+    # One killed before its first chunk has left nothing to go on from, and its file is begun anew.
+    assert 1 <= restarted <= len(KILLS_S)
+    assert len(segments(tmp_path / "run.mcap")) == 1 + restarted
