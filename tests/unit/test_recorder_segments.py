@@ -52,7 +52,23 @@ def test_a_file_of_another_run_is_not_joined(tmp_path: Path) -> None:
     record(tmp_path, 100, seed=1)
     record(tmp_path / "other", 100, seed=2)
     (tmp_path / "other" / "run.mcap").rename(tmp_path / "run.2.mcap")
-    assert len(open_log(tmp_path / "run.mcap")["/tonus/timing"]) == 100
+    log = open_log(tmp_path / "run.mcap")
+    assert len(log["/tonus/timing"]) == 100
+    assert log.damage == "run.2.mcap is of another run or damaged at its head, and left out"
+
+
+def test_a_segment_that_cannot_be_read_hides_no_other_and_is_named(tmp_path: Path) -> None:
+    record(tmp_path, TICKS, chunk_ms=50, rotate_s=0.3)
+    (tmp_path / "run.2.mcap").write_bytes(b"")
+    log = open_log(tmp_path / "run.mcap")
+    ticks = log["/tonus/timing"]["tick"].tolist()
+    assert ticks == [*range(300), *range(600, TICKS)]
+    assert log.damage is not None
+    assert "run.2.mcap: is empty" in log.damage
+    (tmp_path / "run.2.mcap").unlink()
+    log = open_log(tmp_path / "run.mcap")
+    assert log["/tonus/timing"]["tick"].tolist() == ticks
+    assert log.damage == "run.2.mcap is missing"
 
 
 def test_a_file_that_has_grown_large_is_followed_by_another(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tools.errors import ToolError
 from tools.log.log import Log
-from tools.log.several import SeveralLogs, segments
+from tools.log.several import SeveralLogs, gather
 
 __all__ = ["Log", "open"]
 
@@ -22,7 +22,13 @@ def open(path: str | Path | Sequence[str | Path]) -> Log:  # noqa: A001  # as in
 
     Raises ToolError when a file is not a log at all.
     """
-    paths = segments(Path(path)) if isinstance(path, str | Path) else [Path(each) for each in path]
+    remarks: tuple[str, ...] = ()
+    if isinstance(path, str | Path):
+        paths, remarks = gather(Path(path))
+    else:
+        paths = [Path(each) for each in path]
     if not paths:
         raise ToolError("no log is named")
-    return Log(paths[0]) if len(paths) == 1 else SeveralLogs(paths)
+    log = Log(paths[0]) if len(paths) == 1 else SeveralLogs(paths)
+    log.remarks = remarks
+    return log

@@ -55,6 +55,8 @@ class Log:
             self._damage = self._damage or "its account of lost records is damaged"
         self._usable = len(self._framing.chunks)
         self._window: tuple[int, int] | None = None
+        self.remarks: tuple[str, ...] = ()
+        """on files that should belong to this run and could not be read with it"""
         if not self._framing.channels:
             # Some programs announce topics inside their chunks, and again in the summary.
             for _ in self._runs(()):
@@ -107,7 +109,8 @@ class Log:
     @property
     def damage(self) -> str | None:
         """What is missing, None for a whole file. Content is judged when it is decoded."""
-        return self._damage
+        told = [self._damage] if self._damage else []
+        return "; ".join([*told, *self.remarks]) or None
 
     def __contains__(self, topic: str) -> bool:
         return topic in self.topics

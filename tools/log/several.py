@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -13,16 +14,30 @@ from tools.log.log import Log
 
 
 def segments(first: Path) -> list[Path]:
-    """A file and those its recorder went on to, in order."""
-    found = [first]
-    run = None
-    while (path := first.with_name(f"{first.stem}.{len(found) + 1}{first.suffix}")).is_file():
-        if run is None:
-            run = _run(first)
-        if _run(path) != run:
-            break
-        found.append(path)
-    return found
+    """A file and those its recorder went on to, in order. Raises ToolError."""
+    return gather(first)[0]
+
+
+def gather(first: Path) -> tuple[list[Path], tuple[str, ...]]:
+    """The same, and in words what stands beside them or is missing there. Raises ToolError."""
+    pattern = re.compile(re.escape(first.stem) + r"\.([1-9]\d*)" + re.escape(first.suffix))
+    matches = [(pattern.fullmatch(path.name), path) for path in first.parent.glob("*")]
+    numbered = sorted((int(match[1]), path) for match, path in matches if match is not None)
+    found, remarks, expected = [first], [], 2
+    run = _run(first) if numbered else {}
+    for number, path in numbered:
+        remarks += [f"{first.stem}.{n}{first.suffix} is missing" for n in range(expected, number)]
+        expected = number + 1
+        try:
+            same = _run(path) == run
+            remark = f"{path.name} is of another run or damaged at its head, and left out"
+        except ToolError as error:
+            same, remark = False, f"{error}; left out"
+        if same:
+            found.append(path)
+        else:
+            remarks.append(remark)
+    return found, tuple(remarks)
 
 
 def _run(path: Path) -> dict[str, str]:
@@ -67,6 +82,7 @@ class SeveralLogs(Log):
     @property
     def damage(self) -> str | None:
         told = [f"{log.path.name}: {log.damage}" for log in self._logs if log.damage]
+        told += self.remarks
         return "; ".join(told) or None
 
     def is_as_written(self) -> bool:
