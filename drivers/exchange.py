@@ -8,6 +8,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
 from config.schema.bus import CELLS, Amplifier, ForceCell
 from config.schema.control import Freshness
 from config.schema.robot import CABLES, Robot
@@ -20,9 +24,57 @@ from drivers.process_image import NEVER, AxisCommand, AxisState, ProcessImage
 NOT_YET = -(1 << 32)
 """A sample's tick before there was one."""
 
+AXIS = np.dtype(
+    [
+        ("tick", "i8"),
+        ("position", "i8"),  # increments
+        ("torque", "i8"),  # per mille
+        ("statusword", "i8"),
+        ("error_code", "i8"),
+        ("untrusted", "i8"),  # silent, restarted or not operational
+    ]
+)
+CELL = np.dtype([("tick", "i8"), ("value", "f8"), ("status", "i8")])
+
+_STATES = np.frombuffer(STATE_OF, np.uint8)
 _ENABLED = int(AxisState.OPERATION_ENABLED)
 _LOST = int(AxisState.LOST)
 _ENABLE = int(AxisCommand.ENABLE)
+
+
+@njit(cache=True)
+def _convert(
+    raw_axes: NDArray[np.void],
+    raw_cells: NDArray[np.void],
+    newest: int,
+    fresh: int,
+    scale: tuple[float, float, float],
+    states: NDArray[np.uint8],
+    axes: NDArray[np.void],
+    cells: NDArray[np.void],
+) -> None:
+    """Raw values to the image's tables. A sample of tick ``newest`` has age 0, and one from a tick
+    yet to come is none of this run's. ``scale``: rad an increment, N m a per mille, the cells'
+    divisor."""
+    for i in range(raw_axes.shape[0]):
+        raw, axis = raw_axes[i], axes[i]
+        age = newest - raw.tick
+        if not 0 <= age < NEVER:
+            age = NEVER
+        axis.angle = raw.position * scale[0]
+        axis.torque = raw.torque * scale[1]
+        axis.statusword = raw.statusword
+        axis.error_code = raw.error_code
+        axis.age = age
+        axis.state = _LOST if age > fresh or raw.untrusted else states[raw.statusword]
+    for i in range(raw_cells.shape[0]):
+        sample, cell = raw_cells[i], cells[i]
+        age = newest - sample.tick
+        if not 0 <= age < NEVER:
+            age = NEVER
+        cell.force = sample.value / scale[2]
+        cell.status = sample.status
+        cell.age = age
 
 
 class Exchange:
@@ -42,66 +94,50 @@ class Exchange:
         places: list[str],
     ) -> None:
         """``places`` names each axis in events."""
-        self.statuswords = [0] * CABLES
-        self.positions = [0] * CABLES
-        self.torques = [0] * CABLES
-        self.error_codes = [0] * CABLES
-        self.untrusted = [False] * CABLES  # silent, restarted or not operational
-        self.axis_tick = [NOT_YET] * CABLES
-        self.cells: list[float] = [0] * CELLS
-        self.cell_status = [0] * CELLS
-        self.cell_tick = [NOT_YET] * CELLS
-
+        self._raw_axes = axes = np.zeros(CABLES, AXIS)
+        self._raw_cells = cells = np.zeros(CELLS, CELL)
+        self.axis_tick, self.untrusted = axes["tick"], axes["untrusted"]
+        self.positions, self.torques = axes["position"], axes["torque"]
+        self.statuswords, self.error_codes = axes["statusword"], axes["error_code"]
+        self.cell_tick, self.cells = cells["tick"], cells["value"]
+        self.cell_status = cells["status"]
+        self.axis_tick[:] = self.cell_tick[:] = NOT_YET
         self._events = events
         self._places = places
         self._freshness = freshness.measurement_ticks
         self._scale = Scale.of(robot)
-        self._divisor = divisor(cell)
+        self._scales = (
+            self._scale.radian_per_increment,
+            self._scale.newton_metre_per_mille,
+            float(divisor(cell)),
+        )
         self._axes = [Cia402Axis() for _ in range(CABLES)]
-        self._states = [_LOST] * CABLES
         self._torque_limit = self._scale.mille_limit * self._scale.newton_metre_per_mille
         self._reported = False
-        self._angle = image.axes["angle"]
-        self._torque = image.axes["torque"]
-        self._statusword = image.axes["statusword"]
-        self._error_code = image.axes["error_code"]
-        self._axis_age = image.axes["age"]
+        self._axis_table, self._cell_table = image.axes, image.cells
         self._state = image.axes["state"]
-        self._force = image.cells["force"]
-        self._cell_age = image.cells["age"]
-        self._cell_status = image.cells["status"]
         self._command_torque = image.commands["torque"]
         self._command = image.commands["command"]
 
     def forget(self) -> None:
         """Begin anew: no sample has been taken yet and nobody is mistrusted."""
-        self.axis_tick[:] = [NOT_YET] * CABLES
-        self.cell_tick[:] = [NOT_YET] * CELLS
-        self.untrusted[:] = [False] * CABLES
-        self.error_codes[:] = [0] * CABLES
-        self.cell_status[:] = [0] * CELLS
+        self.axis_tick[:] = self.cell_tick[:] = NOT_YET
+        self.untrusted[:] = 0
+        self.error_codes[:] = 0
+        self.cell_status[:] = 0
 
     def fill(self, tick: int) -> None:
         """Write the image's inputs as they stand at the start of ``tick``."""
-        newest = tick - 1
-        axis_age = [0 if t == newest else _age(newest - t) for t in self.axis_tick]
-        cell_age = [0 if t == newest else _age(newest - t) for t in self.cell_tick]
-        self._angle[:] = self.positions
-        self._angle *= self._scale.radian_per_increment
-        self._torque[:] = self.torques
-        self._torque *= self._scale.newton_metre_per_mille
-        self._statusword[:] = self.statuswords
-        self._error_code[:] = self.error_codes
-        self._states = [
-            _LOST if age > self._freshness or untrusted else STATE_OF[word]
-            for age, untrusted, word in zip(axis_age, self.untrusted, self.statuswords, strict=True)
-        ]
-        self._state[:] = self._states
-        self._axis_age[:] = axis_age
-        self._force[:] = self.cells
-        self._force /= self._divisor
-        self._cell_status[:] = self.cell_status
-        self._cell_age[:] = cell_age
+        _convert(
+            self._raw_axes,
+            self._raw_cells,
+            tick - 1,
+            self._freshness,
+            self._scales,
+            _STATES,
+            self._axis_table,
+            self._cell_table,
+        )
 
     def commands(self) -> tuple[list[int], list[int]]:
         """Controlword and target torque (per mille) of every axis.
@@ -116,7 +152,7 @@ class Exchange:
         controlwords = []
         torques = []
         for axis, state, command, torque in zip(
-            self._axes, self._states, self._command.tolist(), wanted, strict=True
+            self._axes, self._state.tolist(), self._command.tolist(), wanted, strict=True
         ):
             controlwords.append(axis.controlword(state, command))
             if state == _ENABLED and command == _ENABLE and math.isfinite(torque):
@@ -136,8 +172,3 @@ class Exchange:
                 text = f"axis {axis} was commanded a torque that is no number; it gets 0"
                 self._events.begin("non_finite_torque", place, text)
         self._reported = not all(finite)
-
-
-def _age(ticks: int) -> int:
-    """A sample from a tick yet to come is none of this run's."""
-    return ticks if 0 <= ticks < NEVER else NEVER

@@ -96,11 +96,32 @@ def rotation_between(start: Array, end: Array) -> Array:
 
 
 @njit(cache=True)
-def levelling(
-    quaternion: Array, angular_velocity: Array, level: Array, stiffness: float, damping: float
+def spring(error: Array, error_rate: Array, stiffness: float, damping: float) -> Array:
+    """Force (3,) of a spring and a damper."""
+    force = np.empty(3)
+    for k in range(3):
+        force[k] = stiffness * error[k] + damping * error_rate[k]
+    return force
+
+
+@njit(cache=True)
+def platform_wrench(
+    forces: tuple[Array, Array, Array],
+    acceleration: Array,
+    mass: float,
+    attitude: tuple[Array, Array, Array],
+    rotational: tuple[float, float],
 ) -> Array:
-    """Moment (3,) of a rotational spring towards the orientation ``level``, and a damper."""
-    return stiffness * rotation_between(quaternion, level) - damping * angular_velocity
+    """Wrench (6,): the sum of ``forces`` and of inertia; and a rotational spring and damper
+    (``rotational``) towards level. ``attitude``: orientation, angular velocity, level."""
+    wrench = np.empty(6)
+    quaternion, angular_velocity, level = attitude
+    turn = rotation_between(quaternion, level)
+    for k in range(3):
+        inertia = mass * acceleration[k]
+        wrench[k] = forces[0][k] + inertia + (forces[1][k] + forces[2][k])
+        wrench[3 + k] = rotational[0] * turn[k] - rotational[1] * angular_velocity[k]
+    return wrench
 
 
 @njit(cache=True)

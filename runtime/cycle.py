@@ -186,9 +186,14 @@ class ControlCycle:
     def step(
         self, image: ProcessImage, tick: int, operator: Operator, select: int = 0
     ) -> CycleRecord:
-        """One tick: reads ``image.axes``, ``image.cells`` and ``image.tracker``, writes
-        ``image.commands`` and the record. ``select``: number of a scenario plus one, to be played
-        from its beginning; heeded while `selectable`."""
+        """One whole tick: `act`, then `write`."""
+        self.act(image, tick, operator, select)
+        return self.write(image, tick, operator, select)
+
+    def act(self, image: ProcessImage, tick: int, operator: Operator, select: int = 0) -> None:
+        """From ``image.axes``, ``image.cells`` and ``image.tracker`` to ``image.commands``.
+        ``select``: number of a scenario plus one, to be played from its beginning; heeded while
+        `selectable`."""
         sensing, sequence = self._sensing, self.sequence
         sensing.step(image, tick)
         if select and self.selectable:
@@ -196,7 +201,6 @@ class ControlCycle:
         if sequence.step(image, tick, operator, finite=self._finite):
             self._enter(sequence.state)
         image.commands["command"] = sequence.axis_command
-        estimate = None
         if sequence.regulating:
             estimate = self._estimate(image)
             self._regulate(estimate)
@@ -219,7 +223,14 @@ class ControlCycle:
                 self._kinematics.lengths,
                 self._desired_drums if sequence.regulating else None,
             )
+
+    def write(
+        self, image: ProcessImage, tick: int, operator: Operator, select: int = 0
+    ) -> CycleRecord:
+        """The record of the tick that `act` has just been called for, with the same arguments: the
+        drives need not wait for it."""
         self._write_inputs(image, tick, operator, select)
+        estimate = self._estimator.estimate if self.sequence.regulating else None
         self._write_results(image, estimate)
         return self.record
 

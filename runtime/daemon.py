@@ -1,6 +1,6 @@
 """The daemon: one bus, one tick, one record, until the commander is done.
 
-    collect → step → publish → record
+    collect → act → publish → write → record
 
 All that is slow (bring-up, files, people) lies before, after or outside the ticks.
 """
@@ -134,7 +134,7 @@ class Daemon:
         self._keyframe_ticks = round(config.recording.keyframe_s / config.control.rates.period)
         self._keyframe_due = 0
         self._kept: tuple[int, int, Flat] | None = None
-        self._due_ns = 0
+        self._due_ns = self._after_ns = 0
         self._overruns = Overruns(config.realtime)
         self.latencies = Latencies()
         self._recovery: asyncio.Task[None] | None = None
@@ -233,11 +233,13 @@ class Daemon:
         self._tracker.collect(now_ns())
         collected = wall()
         command = self._command(tick, scheduler)
-        record = cycle.step(fieldbus.image, tick, command, self._commander.select)
+        select = self._commander.select
+        cycle.act(fieldbus.image, tick, command, select)
         computed = wall()
         fieldbus.publish(tick)
         published = wall()
         used = self._stopwatch.processor_ns() - used
+        record = cycle.write(fieldbus.image, tick, command, select)
         self._write_timing(scheduler, began, collected, computed, published)
         record.timing.processor_us[...] = used * 1e-3
         self._ring.publish(record.data, due_ns)
@@ -246,6 +248,7 @@ class Daemon:
         self._report(tick, command)
         self._look(tick)
         self.service(due_ns)
+        self._after_ns = wall() - published
 
     def _keep_state(self, tick: int, keyframes: KeyframeSink) -> None:
         """A keyframe now and then, in two ticks: both halves at once would overrun one."""
@@ -272,6 +275,7 @@ class Daemon:
         timing.collect_us[...] = (collected - began) * 1e-3
         timing.compute_us[...] = (computed - collected) * 1e-3
         timing.publish_us[...] = (published - computed) * 1e-3
+        timing.after_us[...] = self._after_ns * 1e-3
         if self._stopwatch.running:
             slack = self._due_ns + scheduler.period_ns - published
             timing.slack_us[...] = slack * 1e-3

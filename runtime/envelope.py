@@ -66,6 +66,23 @@ def _place_and_speed(
     return now, then, math.sqrt(square)
 
 
+@njit(cache=True)
+def _shares(
+    left: tuple[float, float, float, float], held: Array, band: float, release: float
+) -> tuple[int, float]:
+    """Which share of ``held`` (4,), each 0 to 1, is the least, and that share. Each goes down with
+    what is ``left`` at once, and up by ``release`` a tick once that is a band above."""
+    least = 0
+    for i in range(held.shape[0]):
+        if left[i] < held[i]:
+            held[i] = max(left[i], 0.0)
+        elif left[i] - band > held[i]:
+            held[i] = min(left[i] - band, 1.0, held[i] + release)
+        if held[i] < held[least]:
+            least = i
+    return least, held[least]
+
+
 class Envelope:
     """Grades one tick; `cap`, `progress` and `fault` are what the cycle acts on."""
 
@@ -81,6 +98,8 @@ class Envelope:
         self._under = np.zeros(len(robot.geometry.frame), dtype=np.int64)
         self._last_tension = np.zeros(len(robot.geometry.frame))
         self._last_contact = self._swell = 0.0
+        self._held = np.ones(len(_GRADED))
+        """what is left of each graded bound, over 1 untouched, as it is acted on"""
         self._follow = 1.0 - math.exp(-2.0 * math.pi * settings.rate_cutoff_hz * period)
         self._release = settings.release_rate * period
         # Full softness is reached a hysteresis short of the limit, so that the platform comes to
@@ -107,8 +126,7 @@ class Envelope:
         self.tension_high = self.tension_low = self.contact = self.speed = self.workspace = 1.0
         self._over[:] = 0
         self._under[:] = 0
-        self._held = [1.0] * len(_GRADED)
-        """what is left of each graded bound, over 1 untouched, as it is acted on"""
+        self._held[:] = 1.0
         self._first = True
 
     def __call__(
@@ -177,11 +195,8 @@ class Envelope:
             self.workspace / s.workspace_margin if s.workspace_margin else math.inf,
             self.tension_high / edge,
         )
-        held = self._held
-        for place, now in enumerate(left):
-            held[place] = self._hold(held[place], now)
-        share = min(held)
-        bound = _GRADED[held.index(share)]
+        place, share = _shares(left, self._held, s.release_band, self._release)
+        bound = _GRADED[place]
         low, high = self._law.minimum, self._law.maximum
         stiffening = bound in (Bound.CONTACT, Bound.TENSION_HIGH)
         self.cap = low + share * (high - low) if stiffening else high
@@ -194,11 +209,3 @@ class Envelope:
         else:
             self.grade = Grade.GREEN
         self.bound = bound if share < 1.0 else (Bound.TENSION_LOW if amber else Bound.NONE)
-
-    def _hold(self, held: float, left: float) -> float:
-        """Share, 0 to 1, that is acted on: down at once, up by the release rate once ``left`` is a
-        band above."""
-        if left < held:
-            return max(left, 0.0)
-        open_to = min(left - self._settings.release_band, 1.0)
-        return max(held, min(open_to, held + self._release))

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from config.schema.control import Envelope, Sequence
@@ -16,6 +17,15 @@ from runtime.reference import Move, Sample, trajectory
 from runtime.states import State
 
 Array = NDArray[np.float64]
+_ORIGIN = np.zeros(3)
+
+
+@njit(cache=True)
+def _paced(origin: Array, sample: Sample, rate: float, bend: float) -> Sample:
+    """``sample``, relative to ``origin`` (3,), of a time that passes at ``rate`` and whose rate
+    changes by ``bend`` (1/s)."""
+    offset, velocity, acceleration = sample
+    return origin + offset, rate * velocity, rate * rate * acceleration + bend * velocity
 
 
 class Guide:
@@ -115,11 +125,11 @@ class Guide:
         if self._on_scenario:
             self.time += rate * self._period
             played = self._trajectories[self.chosen]
-            offset, velocity, acceleration = played(self.time)
-            position = self._home + offset
+            origin, sample = self._home, played(self.time)
             self.push = played.push(self.time)
         else:
             self._move_time += rate * self._period
-            position, velocity, acceleration = self._move(self._move_time)
+            origin, sample = _ORIGIN, self._move(self._move_time)
         bend = (rate - before) / self._period
-        return position, rate * velocity, rate * rate * acceleration + bend * velocity
+        paced: Sample = _paced(origin, sample, rate, bend)
+        return paced

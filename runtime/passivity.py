@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from config.schema.control import Passivity, StiffnessLaw
@@ -51,9 +52,18 @@ def felt_inertia(robot: Robot) -> float:
     return robot.platform.mass + largest
 
 
-def _square(vector: Array) -> float:
-    x, y, z = vector.tolist()
-    return float(x * x + y * y + z * z)
+@njit(cache=True)
+def _squares(error: Array, last: Array, rate: Array, force: Array) -> tuple[float, ...]:
+    """|error - last|^2, |error|^2, |rate|^2 and force . rate, of vectors (3,); ``last`` becomes the
+    error."""
+    step = stretch = speed = power = 0.0
+    for k in range(3):
+        step += (error[k] - last[k]) ** 2
+        stretch += error[k] ** 2
+        speed += rate[k] ** 2
+        power += force[k] * rate[k]
+        last[k] = error[k]
+    return step, stretch, speed, power
 
 
 class Tank:
@@ -125,12 +135,13 @@ class Limiter:
         """1/s, of the rate bound"""
         self.tank = Tank(passivity)
         self.account = Account()
+        self._last = np.zeros(3)
         self.reset()
 
     def reset(self) -> None:
         self.value = self._law.minimum
         self.tank.reset()
-        self._last: Array | None = None
+        self._followed = False
 
     def rise_bound(self, stiffness: float) -> float:
         """N/m/s at a stiffness, with D' = zeta sqrt(m/K) K'; at most the configured rate."""
@@ -145,29 +156,28 @@ class Limiter:
         if not target >= law.minimum:  # also when it is not a number
             target = law.minimum
         resistance = damping(self._ratio, before, self._mass)
-        if self._last is not None:
+        step, stretch, speed, power = _squares(error, self._last, rate, force)
+        if self._followed:
             # By Cauchy and Schwarz the damper took at least D |step|^2 / period since last tick.
-            step = error - self._last
-            self.tank.fill(resistance * _square(step) / self._period)
-        self._last = error
-        stretch = _square(error)
-        if not math.isfinite(stretch):
-            self._last, target = None, min(target, before)
+            self.tank.fill(resistance * step / self._period)
+        self._followed = math.isfinite(stretch)
+        if not self._followed:
+            target = min(target, before)
         if target > before:
             target = min(target, before + self._period * self.rise_bound(before))
             self.value = min(max(self.tank.admit(before, target, stretch), before), law.maximum)
         else:
             self.tank.fill(0.5 * (before - target) * stretch)
             self.value = target
-        self._settle(before, resistance, stretch, rate, force)
+        self._settle(before, resistance, stretch, speed, power)
         return self.value
 
     def _settle(
-        self, before: float, resistance: float, stretch: float, rate: Array, force: Array
+        self, before: float, resistance: float, stretch: float, speed: float, power: float
     ) -> None:
-        account, speed = self.account, _square(rate)
+        account = self.account
         account.stiffness_rate = (self.value - before) / self._period
         account.storage = 0.5 * (self._mass * speed + self.value * stretch)
         account.stiffening = 0.5 * account.stiffness_rate * stretch
         account.dissipated = resistance * speed
-        account.external = -float(force @ rate)
+        account.external = -power

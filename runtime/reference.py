@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from config.schema.scenario import Hold, Multisine, Path, Press, Reference, Sine
@@ -42,6 +43,13 @@ def minimum_jerk(s: float) -> tuple[float, float, float]:
     )
 
 
+@njit(cache=True)
+def _between(start: Array, end: Array, shape: float, rate: float, bend: float) -> Sample:
+    """``shape`` of the way (3,) and its derivatives."""
+    way = end - start
+    return start + way * shape, way * rate, way * bend
+
+
 @dataclass(frozen=True)
 class Move:
     """A minimum-jerk motion between two points, standing before and after it."""
@@ -52,12 +60,10 @@ class Move:
 
     def __call__(self, t: float) -> Sample:
         shape, rate, bend = minimum_jerk(t / self.duration)
-        way = self.end - self.start
-        return (
-            self.start + way * shape,
-            way * (rate / self.duration),
-            way * (bend / self.duration**2),
+        sample: Sample = _between(
+            self.start, self.end, shape, rate / self.duration, bend / self.duration**2
         )
+        return sample
 
 
 class _Hold(Trajectory):

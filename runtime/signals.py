@@ -15,7 +15,7 @@ from config.schema.bus import CELLS
 from config.schema.robot import CABLES
 from runtime.topics import Field, Topic, record_dtype
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """Counts up when a field changes its name, type, unit or meaning."""
 
 
@@ -85,10 +85,11 @@ TOPICS: tuple[Topic, ...] = (
         Field("wakeup_us", "float32", 0, "us", "how late the tick started"),
         Field("bus_us", "float32", 0, "us", "from the last exchange to its last answer, 0 unknown"),
         Field("collect_us", "float32", 0, "us", "time in collect"),
-        Field("compute_us", "float32", 0, "us", "time in ControlCycle.step"),
+        Field("compute_us", "float32", 0, "us", "time in ControlCycle.act"),
         Field("publish_us", "float32", 0, "us", "time in publish"),
         Field("processor_us", "float32", 0, "us", "processor time of these three together"),
         Field("slack_us", "float32", 0, "us", "left of the period after publish"),
+        Field("after_us", "float32", 0, "us", "from publish to its end, of the tick before"),
     ),
     _topic(
         "state",

@@ -19,8 +19,8 @@ def buckets(latencies: Latencies) -> dict[str, list[list[float]]]:
 def rows(summary: Summary) -> list[tuple[str, str]]:
     """Title and text of what a run in real time says about its timing."""
     found = []
-    for title, key in (("wake-up", "wakeup_us"), ("cycle", "cycle_us")):
-        if summary[key] is not None:
+    for title, key in (("wake-up", "wakeup_us"), ("cycle", "cycle_us"), ("after it", "after_us")):
+        if summary.get(key) is not None:
             found.append((title, _percentiles(summary[key])))
     slack: dict[str, Any] | None = summary.get("slack_us")
     if slack is not None:

@@ -143,6 +143,7 @@ def _host(timing: NDArray[Any], active: NDArray[np.bool_]) -> Summary:
     names = timing.dtype.names or ()
     found: Summary = {"compute_us": percentiles(timing["compute_us"])}
     found["bus_us"] = percentiles(timing["bus_us"]) if "bus_us" in names else None
+    found["after_us"] = percentiles(timing["after_us"]) if "after_us" in names else None
     found["slack_us"] = _left(timing["slack_us"]) if "slack_us" in names else None
     for name in ("page_faults", "switches"):
         rises = np.diff(timing[name].astype(np.int64), prepend=0) if name in names else None

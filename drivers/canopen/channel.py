@@ -8,6 +8,7 @@ from collections.abc import Callable
 import can
 
 from config.schema.bus import CanopenBus
+from drivers.canopen.frames import ERROR, EXTENDED, IDENTIFIER, REMOTE, frames_of
 from drivers.canopen.health import Health
 from drivers.canopen.identifiers import SYNC
 from drivers.canopen.stamps import Stamps
@@ -15,7 +16,7 @@ from drivers.canopen.syncs import FRAME_BITS, INTERFRAME_BITS, Arrival, Syncs
 from drivers.events import EventLog
 from drivers.fieldbus import FrameTap
 
-Handler = Callable[[bytearray], None]
+Handler = Callable[[bytes], None]
 Clock = Callable[[], int]
 
 
@@ -41,6 +42,7 @@ class Channel:
         self.health = Health(self.name, bus, events)
         self._number = number
         self._bus = bus
+        self._frames = frames_of(bus)
         self._clock = clock
         self._tap = tap
         self._events = events
@@ -57,32 +59,23 @@ class Channel:
         self._stamps = Stamps()
         self._refused = False
         self._deaf = False
-        self._sync = can.Message(arbitration_id=SYNC, is_extended_id=False)
-        # Used again and again: a bus has sent or copied a message when its `send` returns.
-        self._outgoing: dict[int, can.Message] = {}
 
     def send(self, identifier: int, data: bytes) -> None:
-        message = self._outgoing.get(identifier)
-        if message is None:
-            message = can.Message(arbitration_id=identifier, is_extended_id=False)
-            self._outgoing[identifier] = message
-        message.data, message.dlc = bytearray(data), len(data)
-        self._transmit(message)
+        self._transmit(identifier, data)
 
     def sync(self, tick: int) -> None:
         now = self._clock()
         # Devices answer a SYNC from the instant it is on the wire: a bus in software is told it.
-        self._sync.timestamp = now * 1e-9
-        if not self._transmit(self._sync):
+        if not self._transmit(SYNC, b"", now):
             self._unsent += 1
             return
         self._unsent = 0
         self.syncs.bit_ns = self._bit_ns if self._stamps.exact else 0
         self.syncs.sent(tick, now)
 
-    def _transmit(self, message: can.Message) -> bool:
+    def _transmit(self, identifier: int, data: bytes, sent_ns: int = 0) -> bool:
         try:
-            self._bus.send(message)
+            self._frames.send_frame(identifier, data, sent_ns)
         except (can.CanError, OSError) as error:
             self._refused = True
             self._events.begin("transmit_refused", self.name, f"frame not sent: {error}")
@@ -91,46 +84,37 @@ class Channel:
             self._refused = False
             self._events.end("transmit_refused", self.name)
         if self._tap is not None:
-            now = self._clock()
-            self._tap(now, self._number, message.arbitration_id, bytes(message.data), True)
+            self._tap(self._clock(), self._number, identifier, data, True)
         return True
 
     def drain(self) -> None:
         """Hand every frame that has arrived to its handler."""
-        receive = self._bus.recv
         handlers = self.handlers
         tap = self._tap
         stamp_of = self._stamps.of
         syncs = self.syncs
         now = self._clock()
-        foreign = 0
         try:
-            for _ in range(self._frames_per_drain):
-                message = receive(0)
-                if message is None:
-                    break
-                data = message.data
-                identifier = message.arbitration_id
-                syncs.stamp_ns = stamp = stamp_of(message.timestamp, now)
-                if tap is not None:
-                    tap(stamp, self._number, identifier, bytes(data), False)
-                handler = handlers.get(identifier)
-                if (
-                    handler is None
-                    or message.is_extended_id
-                    or message.is_remote_frame
-                    or message.is_error_frame
-                ):
-                    foreign += not message.is_error_frame
-                    self._foreign(message)
-                else:
-                    handler(data)
-            else:
-                foreign = self._flood_frames
+            frames = self._frames.receive_frames(self._frames_per_drain)
         except (can.CanError, OSError) as error:
             self._deaf = True
             self._events.begin("bus_deaf", self.name, f"cannot receive: {error}")
             return
+        foreign = self._flood_frames if len(frames) >= self._frames_per_drain else 0
+        for stamp_ns, identifier, dlc, own, data in frames:
+            if own:
+                continue
+            syncs.stamp_ns = stamp = stamp_of(stamp_ns, now)
+            if tap is not None:
+                tap(stamp, self._number, identifier, data, False)
+            handler = handlers.get(identifier)  # a flag makes it an identifier of nobody
+            if handler is not None:
+                handler(data)
+            elif identifier & ERROR:
+                self.health.error_frame(identifier & IDENTIFIER, data)
+            else:
+                foreign += 1
+                self._foreign(identifier, dlc)
         if foreign >= self._flood_frames:
             self._floods += 1
             if self._floods >= self._flood_ticks:
@@ -161,15 +145,12 @@ class Channel:
             with contextlib.suppress(NotImplementedError, can.CanError, OSError):
                 self._bus.flush_tx_buffer()
 
-    def _foreign(self, message: can.Message) -> None:
-        if message.is_error_frame:
-            self.health.error_frame(message.arbitration_id, message.data)
-            return
-        kind = "remote request" if message.is_remote_frame else "frame"
-        width = 8 if message.is_extended_id else 3
-        identifier = f"0x{message.arbitration_id:0{width}X}"
-        text = f"{kind} {identifier}, {message.dlc} bytes, belongs to no node of ours"
-        self._events.counted("foreign_frame", f"{self.name}/{identifier}", text)
+    def _foreign(self, identifier: int, dlc: int) -> None:
+        kind = "remote request" if identifier & REMOTE else "frame"
+        width = 8 if identifier & EXTENDED else 3
+        number = f"0x{identifier & IDENTIFIER:0{width}X}"
+        text = f"{kind} {number}, {dlc} bytes, belongs to no node of ours"
+        self._events.counted("foreign_frame", f"{self.name}/{number}", text)
 
     def shutdown(self) -> None:
         try:

@@ -41,7 +41,7 @@ def words(code: int, *, drive: bool) -> str:
     return "unknown error"
 
 
-def parse(data: bytes | bytearray) -> tuple[int, int] | None:
+def parse(data: bytes) -> tuple[int, int] | None:
     """(error code, error register 0x1001) of an EMCY frame; None if it is too short for both."""
     if len(data) < _FRAME.size:
         return None

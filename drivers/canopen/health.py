@@ -66,7 +66,7 @@ class Health:
             self._events.end("bus_deaf", self._where)
         self._become(_TOLD[told])
 
-    def error_frame(self, classes: int, data: bytes | bytearray) -> None:
+    def error_frame(self, classes: int, data: bytes) -> None:
         """An error frame of the controller, ``classes`` being its identifier."""
         state = data[_STATE_BYTE] if classes & _CONTROLLER and len(data) > _STATE_BYTE else 0
         if classes & _BUS_OFF:

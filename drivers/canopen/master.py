@@ -8,6 +8,8 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
 from config.schema.bus import CanopenBus
 from config.schema.robot import CABLES
@@ -249,7 +251,7 @@ class CanopenFieldbus:
             self._supervision.add(Watched(node, arrival, cells=cell.cells))
 
     def _arrival(
-        self, node: Node, rows: tuple[int, ...], ticks: list[int], mapping: Mapping
+        self, node: Node, rows: tuple[int, ...], ticks: NDArray[np.int64], mapping: Mapping
     ) -> Arrival:
         size, channel = mapping.layout.size, node.channel
         arrival = Arrival(

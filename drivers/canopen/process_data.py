@@ -42,7 +42,7 @@ def drive_decoder(
     statuswords, positions, torques = exchange.statuswords, exchange.positions, exchange.torques
     book = arrival.book
 
-    def decode(data: bytearray) -> None:
+    def decode(data: bytes) -> None:
         if len(data) != size:
             refuse(len(data))
         elif book(data):
@@ -78,7 +78,7 @@ def cell_decoder(
     cells, states = exchange.cells, exchange.cell_status
     book = arrival.book
 
-    def decode(data: bytearray) -> None:
+    def decode(data: bytes) -> None:
         if len(data) != size:
             refuse(len(data))
         elif book(data):

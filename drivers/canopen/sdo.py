@@ -36,7 +36,7 @@ class SdoClient:
         self._accepts: Callable[[bytes], bool] = lambda _: False
         self._object = (0, 0)
 
-    def receive(self, data: bytes | bytearray) -> None:
+    def receive(self, data: bytes) -> None:
         reply = self._reply
         if reply is None or reply.done() or len(data) != 8:
             return

@@ -23,11 +23,10 @@ class Stamps:
         self._least_ns = SAME_CLOCK_NS
         self._window_ns = 0
 
-    def of(self, seconds: float, now_ns: int) -> int:
-        """When a frame with this time stamp arrived, ns; never later than ``now_ns``."""
-        if not seconds:
+    def of(self, stamp: int, now_ns: int) -> int:
+        """When a frame with this time stamp (ns) arrived, ns; never later than ``now_ns``."""
+        if not stamp:
             return now_ns
-        stamp = round(seconds * 1e9)
         if self.exact:
             return min(stamp, now_ns)
         if self._offset_ns is None:

@@ -115,7 +115,7 @@ class Supervision:
             self._exchange.cell_status[cell] = 0
         self.trust(watched)
 
-    def _on_heartbeat(self, watched: Watched, data: bytearray) -> None:
+    def _on_heartbeat(self, watched: Watched, data: bytes) -> None:
         node = watched.node
         before = node.monitor.state
         state = node.monitor.receive(data)
@@ -138,7 +138,7 @@ class Supervision:
             self._events.counted("operational_again", node.where, text)
         self.trust(watched)
 
-    def _on_emcy(self, watched: Watched, data: bytearray) -> None:
+    def _on_emcy(self, watched: Watched, data: bytes) -> None:
         node = watched.node
         parsed = emcy.parse(data)
         if parsed is None:

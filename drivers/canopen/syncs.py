@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from config.schema.bus import Master
 from drivers.events import EventLog
 from drivers.exchange import NOT_YET
@@ -66,7 +69,7 @@ class Arrival:
     def __init__(
         self,
         rows: tuple[int, ...],
-        ticks: list[int],
+        ticks: NDArray[np.int64],
         size: int,
         syncs: Syncs,
         master: Master,
@@ -85,7 +88,7 @@ class Arrival:
         self._where = where
         self._answered = self._period = self._gap = self._streak = 0
         self._fresh = False
-        self._data: bytes | bytearray = b""
+        self._data: bytes = b""
 
     def begin(self) -> None:
         """The node was reset: nothing it owed will come, and its next answer is not late."""
@@ -98,7 +101,7 @@ class Arrival:
         """SYNCs since the last PDO."""
         return self._syncs.count - self._period
 
-    def book(self, data: bytes | bytearray) -> bool:
+    def book(self, data: bytes) -> bool:
         """Account for the frame in hand; False if its data are not to be used."""
         syncs = self._syncs
         newest = syncs.count
@@ -116,7 +119,7 @@ class Arrival:
             self._ticks[row] = tick
         return True
 
-    def _irregular(self, newest: int, data: bytes | bytearray) -> bool:
+    def _irregular(self, newest: int, data: bytes) -> bool:
         """Any PDO but the first in its period from a node that owes no other."""
         syncs, events, where = self._syncs, self._events, self._where
         oldest = max(newest - self._late, 1)

@@ -359,18 +359,18 @@ class EthercatFieldbus:
             ticks[slave.axis] = sampled
         for cell in self._cell_rows:
             exchange.cell_tick[cell] = sampled
-        if exchange.error_codes != self._codes:
-            self._tell_errors()
+        codes = exchange.error_codes.tolist()
+        if codes != self._codes:
+            self._tell_errors(codes)
 
-    def _tell_errors(self) -> None:
-        codes = self._exchange.error_codes
+    def _tell_errors(self, codes: list[int]) -> None:
         for slave in self._axes:
             assert slave.axis is not None
             code = codes[slave.axis]
             if code and code != self._codes[slave.axis]:
                 text = f"{slave.title}: 0x{code:04X}: {emcy.words(code, drive=True)}"
                 self._events.counted("drive_error", slave.where, text, kind=code)
-        self._codes = list(codes)
+        self._codes = codes
 
     def _begin_ticking(self, tick: int) -> None:
         self._ticking = True

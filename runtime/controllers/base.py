@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from config.schema.control import Control, TensionLoop
 from config.schema.robot import Robot
-from runtime.compiled import levelling
+from runtime.compiled import platform_wrench, spring
 from runtime.passivity import damping
 from runtime.stiffness import LawTerms
 
 Array = NDArray[np.float64]
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 """The desired orientation, w x y z."""
+NOTHING = np.zeros(3)
 
 
 @dataclass
@@ -68,6 +69,8 @@ class Controller(ABC):
         own, or a stiff baseline would pay for co-contraction that it does not ask for"""
         self.terms = LawTerms()
         """what the law added, where there is a law"""
+        impedance = control.impedance
+        self._rotational = (impedance.rotational_stiffness, impedance.rotational_damping)
         self._weight = np.array([0.0, 0.0, robot.platform.mass * robot.gravity])
 
     @property
@@ -89,27 +92,24 @@ class Controller(ABC):
         """Force (3,) without gravity and inertia, at the stiffness allowed: spring and damper,
         F = K e + D de/dt with D = 2 zeta sqrt(K m)."""
         resistance = damping(self.damping_ratio, stiffness, self._robot.platform.mass)
-        return np.asarray(stiffness * motion.error + resistance * motion.error_rate)
+        return np.asarray(spring(motion.error, motion.error_rate, stiffness, resistance))
 
     def wrench(self, motion: Motion, stiffness: float) -> Array:
         """Wrench (6,) asked of the cables: the controller's force; inertia, weight and the push fed
         forward; and a rotational spring that keeps the platform level."""
-        mass = self._robot.platform.mass
-        result = np.empty(6)
-        result[:3] = self.force(motion, stiffness) + mass * motion.desired_acceleration
-        result[:3] += self._weight + motion.push
-        result[3:] = self._levelling(motion)
-        return result
+        forces = (self.force(motion, stiffness), self._weight, motion.push)
+        return self._levelled(motion, forces, motion.desired_acceleration)
 
-    def _levelling(self, motion: Motion) -> Array:
-        impedance = self._control.impedance
+    def _levelled(
+        self, motion: Motion, forces: tuple[Array, Array, Array], acceleration: Array = NOTHING
+    ) -> Array:
         return np.asarray(
-            levelling(
-                motion.quaternion,
-                motion.angular_velocity,
-                LEVEL,
-                impedance.rotational_stiffness,
-                impedance.rotational_damping,
+            platform_wrench(
+                forces,
+                acceleration,
+                self._robot.platform.mass,
+                (motion.quaternion, motion.angular_velocity, LEVEL),
+                self._rotational,
             )
         )
 
@@ -119,10 +119,8 @@ class Controller(ABC):
         left fight for a place they cannot keep; but level it has to stay."""
         impedance, mass = self._control.impedance, self._robot.platform.mass
         resistance = damping(impedance.damping_ratio, self._control.stiffness.base, mass)
-        result = np.empty(6)
-        result[:3] = self._weight + resistance * motion.error_rate
-        result[3:] = self._levelling(motion)
-        return result
+        drag = spring(NOTHING, motion.error_rate, 0.0, resistance)
+        return self._levelled(motion, (drag, self._weight, NOTHING))
 
     def tensions(self, motion: Motion, stiffness: float, centre: Array) -> Array | None:  # noqa: ARG002
         """Tensions (8,) round ``centre`` for a controller that commands cables; None for one that

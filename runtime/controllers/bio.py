@@ -20,17 +20,18 @@ class Bio(Controller):
         self._law = Law(control.stiffness)
         self.terms = self._law.terms
         self._share = share(control.stiffness.smoothing_hz, control.rates.period)
-        self._read = np.zeros(3)
+        self._error = self._speed = self._force = 0.0
 
     def reset(self) -> None:
-        self._read[:] = 0.0
+        self._error = self._speed = self._force = 0.0
 
     def stiffness(self, motion: Motion) -> float:
         source = self._control.stiffness.velocity_source
         rate = motion.error_rate if source == "error" else motion.velocity
-        now = (norm(motion.error), norm(rate), norm(motion.external))
-        self._read += self._share * (now - self._read)
-        return self._law(*self._read.tolist())
+        self._error += self._share * (norm(motion.error) - self._error)
+        self._speed += self._share * (norm(rate) - self._speed)
+        self._force += self._share * (norm(motion.external) - self._force)
+        return self._law(self._error, self._speed, self._force)
 
 
 class BioIntegral(Bio):

@@ -6,7 +6,7 @@ import numpy as np
 
 from config.schema.control import Control, TensionLoop
 from config.schema.robot import Robot
-from runtime.controllers.base import Array, Controller, Motion
+from runtime.controllers.base import NOTHING, Array, Controller, Motion
 from runtime.kinematics import Kinematics
 
 
@@ -54,7 +54,6 @@ class ConstantTension(Controller):
             return super().tensions(motion, stiffness, centre)
         self._kinematics.evaluate(motion.position, motion.quaternion)
         matrix = self._kinematics.matrix
-        wrench = np.zeros(6)
-        wrench[3:] = self._levelling(motion)
+        wrench = self._levelled(motion, (NOTHING, NOTHING, NOTHING))
         correction = matrix.T @ np.linalg.solve(matrix @ matrix.T, wrench)
         return np.asarray(self._sum / self._ticks + correction)

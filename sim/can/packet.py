@@ -48,8 +48,12 @@ def encode(frames: Iterable[Frame], port: Port) -> bytes:
     )
 
 
-def decode(packet: bytes) -> Iterator[tuple[int, int, int, bool, bytes]]:
-    """Time, identifier with flags, DLC, whether it is one's own, and data of every whole frame."""
+RawFrame = tuple[int, int, int, bool, bytes]
+"""Time (ns), identifier with flags, DLC, whether it is one's own, data."""
+
+
+def decode(packet: bytes) -> Iterator[RawFrame]:
+    """Every whole frame."""
     whole = len(packet) - len(packet) % FRAME.size
     for stamp_ns, identifier, dlc, own, data in FRAME.iter_unpack(packet[:whole]):
         length = 0 if identifier & REMOTE else min(dlc, 8)

@@ -5,6 +5,8 @@ socket. In this process time is the lab's, so nothing can be waited for: a block
 and cyclic messages are sent by the lab's time.
 
 Error frames are laid out as SocketCAN's (`sim.can.error_frames`) and pass every filter, as there.
+
+Who is pressed for time does without messages: `TonusBus.receive_frames` and `TonusBus.send_frame`.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from sim.can import error_frames, packet, registry
 from sim.can.confinement import ErrorState
 from sim.can.cyclic import LabCyclicTask, Modifier
 from sim.can.frame import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame, arbitration_key
+from sim.can.packet import RawFrame
 
 _SEND_BUFFER = 16384
 """Bytes a socket holds of frames the lab has not taken yet: some forty, the host counts its own
@@ -62,6 +65,20 @@ class TonusBus(can.BusABC):
     def _connect(self, bitrate: int | None) -> None:
         raise NotImplementedError
 
+    def receive_frames(self, limit: int) -> Sequence[RawFrame]:
+        """Everything that has arrived, without waiting, oldest first, ``limit`` frames at most."""
+        frames = self._take(limit)
+        if self._filters is None and self._error_frames:
+            return frames
+        return [f for f in frames if self._wanted(_message(*f, self._name))]
+
+    def _take(self, limit: int) -> Sequence[RawFrame]:
+        raise NotImplementedError
+
+    def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
+        """A data frame with an 11-bit identifier; otherwise as `send` of a message."""
+        raise NotImplementedError
+
     def _wanted(self, message: can.Message) -> bool:
         if message.is_error_frame:
             return self._error_frames
@@ -87,8 +104,9 @@ def _checked(message: can.Message) -> int:
 
 
 def _message(
-    stamp_ns: int, identifier: int, dlc: int, data: bytes, channel: str, received: bool
+    stamp_ns: int, identifier: int, dlc: int, own: bool, data: bytes, channel: str
 ) -> can.Message:
+    received = not own
     if identifier <= EXTENDED_ID:  # no flags: a base data frame, nearly always
         return can.Message(
             stamp_ns * 1e-9, identifier, False, False, False, channel, dlc, data, False, received
@@ -141,22 +159,31 @@ class LocalBus(TonusBus):
         Raises `can.CanOperationError` if the queue is full.
         """
         del timeout
+        self._send(_checked(msg), bytes(msg.data), msg.dlc)
+
+    def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
+        del sent_ns
+        self._send(identifier, data, len(data))
+
+    def _send(self, identifier: int, data: bytes, dlc: int) -> None:
         lab = self._lab
         now_ns = self._clock()
         if now_ns > lab.now_ns:
             lab.advance(now_ns)
-        if not self._queue(msg):
+        if not self._queue(identifier, data, dlc):
             raise can.CanOperationError(f"the transmit queue of channel {self._name} is full")
 
-    def _queue(self, message: can.Message) -> bool:
-        """Queue a message at the lab's present; False if there is no room."""
-        identifier = _checked(message)
+    def _queue_message(self, message: can.Message) -> bool:
+        return self._queue(_checked(message), bytes(message.data), message.dlc)
+
+    def _queue(self, identifier: int, data: bytes, dlc: int) -> bool:
+        """Queue a frame at the lab's present; False if there is no room."""
         key = self._keys.get(identifier)
         if key is None:
             key = arbitration_key(identifier)
             if identifier <= BASE_ID:  # of the others there are too many to keep
                 self._keys[identifier] = key
-        frame = Frame(identifier, bytes(message.data), message.dlc, key)
+        frame = Frame(identifier, data, dlc, key)
         port = self._port
         return port.channel.send(port, frame, self._lab.now_ns)
 
@@ -169,7 +196,9 @@ class LocalBus(TonusBus):
         modifier_callback: Modifier | None = None,
     ) -> LabCyclicTask:
         self._lab.advance(self._clock())
-        task = LabCyclicTask(self._lab, self._queue, msgs, period, duration, modifier_callback)
+        task = LabCyclicTask(
+            self._lab, self._queue_message, msgs, period, duration, modifier_callback
+        )
         if autostart:
             task.start()
         return task
@@ -189,19 +218,8 @@ class LocalBus(TonusBus):
 
         Raises `can.CanOperationError` if it would have to wait.
         """
-        received = self._received
-        if not received:
-            self._lab.advance(self._clock())
-        while received:
-            frame = received.popleft()
-            message = _message(
-                frame.stamp_ns,
-                frame.identifier,
-                frame.dlc,
-                frame.data,
-                self._name,
-                frame.sender is not self._port,
-            )
+        while frames := self._take(1):
+            message = _message(*frames[0], self._name)
             if self._wanted(message):
                 return message
         if timeout is None or timeout > 0:
@@ -210,6 +228,14 @@ class LocalBus(TonusBus):
                 " process: poll with recv(timeout=0)"
             )
         return None
+
+    def _take(self, limit: int) -> Sequence[RawFrame]:
+        received = self._received
+        if not received:
+            self._lab.advance(self._clock())
+        port, take = self._port, received.popleft
+        frames = [take() for _ in range(min(limit, len(received)))]
+        return [(f.stamp_ns, f.identifier, f.dlc, f.sender is port, f.data) for f in frames]
 
     def flush_tx_buffer(self) -> None:
         self._port.channel.drop(self._port)
@@ -238,7 +264,9 @@ class SocketBus(TonusBus):
         self._socket.setblocking(False)
         self._poll = select.poll()
         self._poll.register(self._socket, select.POLLIN)
-        self._batch: deque[tuple[int, int, int, bool, bytes]] = deque()
+        self._batch: deque[RawFrame] = deque()
+        self._held = False
+        """the packet they came in is still in the socket"""
         self._state = ErrorState.ACTIVE
         if self._echo:
             self._socket.send(packet.FRAME.pack(0, packet.ECHO, 1, 0, b"\1"))
@@ -252,14 +280,17 @@ class SocketBus(TonusBus):
         identifier = _checked(msg)
         sent_ns = round(max(msg.timestamp, 0.0) * 1e9)
         data = packet.FRAME.pack(sent_ns, identifier, msg.dlc, 0, bytes(msg.data))
+        if timeout is not None and timeout > 0:
+            select.select([], [self._socket], [], timeout)
+        self._send(data)
+
+    def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
+        self._send(packet.FRAME.pack(sent_ns, identifier, len(data), 0, data))
+
+    def _send(self, data: bytes) -> None:
         try:
             self._socket.send(data)
         except BlockingIOError as error:
-            if timeout is not None and timeout > 0:
-                _, ready, _ = select.select([], [self._socket], [], timeout)
-                if ready:
-                    self.send(msg)
-                    return
             raise can.CanOperationError(
                 f"the transmit queue of channel {self._name} is full"
             ) from error
@@ -276,18 +307,41 @@ class SocketBus(TonusBus):
         """The next message that has arrived or arrives within ``timeout`` s; no time is lost on
         those that a filter holds back."""
         while self._batch or self._fill(timeout):
-            stamp_ns, identifier, dlc, own, data = self._batch.popleft()
-            if not self._batch:
-                # The packet stays in the socket until its last frame is out, so that the socket is
-                # readable for as long as there is a frame to be had.
-                self._socket.recv(1)
-            if identifier & ERROR:
-                self._state = error_frames.state(identifier, data, self._state)
-            message = _message(stamp_ns, identifier, dlc, data, self._name, not own)
+            frame = self._batch.popleft()
+            if not self._batch and self._held:
+                self._let_go()
+            self._notice(frame)
+            message = _message(*frame, self._name)
             if self._wanted(message):
                 return message, True
             timeout = 0 if timeout is not None else None
         return None, True
+
+    def _take(self, limit: int) -> Sequence[RawFrame]:
+        if self._held:
+            self._let_go()
+        batch = self._batch
+        while len(batch) < limit:
+            try:
+                data = self._receive(0)
+            except BlockingIOError:
+                break
+            except can.CanOperationError:
+                if not batch:  # what came before it is not lost, and the error is met again
+                    raise
+                break
+            batch.extend(packet.decode(data))
+        frames = [batch.popleft() for _ in range(min(limit, len(batch)))]
+        for frame in frames:
+            if frame[1] & ERROR:
+                self._notice(frame)
+        return frames
+
+    def _notice(self, frame: RawFrame) -> None:
+        """Keep in mind what an error frame tells of the controller."""
+        _, identifier, _, _, data = frame
+        if identifier & ERROR:
+            self._state = error_frames.state(identifier, data, self._state)
 
     @property
     def state(self) -> can.BusState:
@@ -299,19 +353,36 @@ class SocketBus(TonusBus):
         raise NotImplementedError(f"a controller of the lab cannot be set to {new_state}")
 
     def _fill(self, timeout: float | None) -> bool:
-        """Look at the next packet; False if none came in time."""
+        """Look at the next packet; False if none came in time. It stays in the socket until its
+        last frame is out, so that the socket is readable for as long as there is a frame to be had.
+        """
         if timeout is None or timeout > 0:
             self._poll.poll(None if timeout is None else timeout * 1e3)
         try:
-            data = self._socket.recv(packet.PACKET_BYTES, socket.MSG_PEEK)
+            data = self._receive(socket.MSG_PEEK)
         except BlockingIOError:
             return False
+        self._batch.extend(packet.decode(data))
+        self._held = True
+        return bool(self._batch)
+
+    def _let_go(self) -> None:
+        """Of the packet whose frames are all in the batch."""
+        self._socket.recv(1)
+        self._held = False
+
+    def _receive(self, flags: int) -> bytes:
+        """Raises `BlockingIOError` if there is no packet, `can.CanOperationError` if there will be
+        none."""
+        try:
+            data = self._socket.recv(packet.PACKET_BYTES, flags)
+        except BlockingIOError:
+            raise
         except OSError as error:
             raise can.CanOperationError(f"cannot receive on {self._name}: {error}") from error
         if not data:
             raise can.CanOperationError(f"the lab has closed channel {self._name}")
-        self._batch.extend(packet.decode(data))
-        return bool(self._batch)
+        return data
 
     def fileno(self) -> int:
         return self._socket.fileno()

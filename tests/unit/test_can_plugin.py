@@ -221,6 +221,49 @@ def test_state_and_error_frames_cross_the_socket(
     served(tmp_path, monkeypatch, use)
 
 
+def test_frames_without_messages_are_the_same_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One listener takes frames, a few at a time and now and then by message, the other messages."""
+
+    async def use(lab: Lab) -> None:
+        names = ("can0", "can0", "can0")
+        sender, plain, quick = (can.Bus(interface="tonus", channel=name) for name in names)
+        assert isinstance(sender, SocketBus)
+        assert isinstance(quick, SocketBus)
+        channel = lab.channels["can0"]
+        await until(lambda: sum(port.received is not None for port in channel.ports) >= 3)
+        expected: list[tuple[int, int, bytes]] = []
+        found: list[tuple[int, int, bytes]] = []
+        for burst in range(30):
+            for number in range(burst % 7):
+                sender.send_frame(0x100 + number, bytes((burst, number)))
+            heard: list[can.Message] = []
+
+            def all_heard(wanted: int = burst % 7, heard: list[can.Message] = heard) -> bool:
+                heard.extend(drain(plain))
+                return len(heard) >= wanted
+
+            await until(all_heard)
+            expected += [(round(m.timestamp * 1e9), m.arbitration_id, bytes(m.data)) for m in heard]
+            message = quick.recv(0) if burst % 3 == 0 else None
+            if message is not None:
+                found.append(
+                    (round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data))
+                )
+            while frames := quick.receive_frames(2):
+                assert len(frames) <= 2
+                found += [(stamp, identifier, data) for stamp, identifier, _, _, data in frames]
+        while frames := quick.receive_frames(9):
+            found += [(stamp, identifier, data) for stamp, identifier, _, _, data in frames]
+        assert len(expected) > 80
+        assert found == expected
+        for bus in (sender, plain, quick):
+            bus.shutdown()
+
+    served(tmp_path, monkeypatch, use)
+
+
 def test_a_filtered_message_does_not_end_a_recv(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

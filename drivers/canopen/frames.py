@@ -1,0 +1,135 @@
+"""Frames to and from a python-can bus, in the quickest way the bus has.
+
+python-can makes a `can.Message` of every frame and asks the kernel whether there is one before it
+takes it. For the sixty frames of a tick that costs more than everything else the bus needs, so a
+bus that has frames without messages (the lab's, SocketCAN's) is asked for these.
+"""
+
+from __future__ import annotations
+
+import errno
+import socket
+import struct
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import can
+from can.interfaces.socketcan import SocketcanBus
+
+EXTENDED = 1 << 31
+REMOTE = 1 << 30
+ERROR = 1 << 29
+"""Flags above an identifier's 29 bits, as SocketCAN has them (linux/can.h)."""
+IDENTIFIER = ERROR - 1
+
+_CAN_FRAME = struct.Struct("=IB3x8s")
+"""struct can_frame (linux/can.h): identifier with flags, length, data."""
+_TIMESPEC = struct.Struct("@ll")
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)
+_STAMP = 35
+"""SCM_TIMESTAMPNS (asm-generic/socket.h), which python-can switches on."""
+_SECOND_NS = 1_000_000_000
+_FULL = (errno.EAGAIN, errno.ENOBUFS)
+"""The socket's buffer or the interface's queue has no room."""
+
+RawFrame = tuple[int, int, int, bool, bytes]
+"""Time of reception (ns, 0 if the bus has none), identifier with flags, DLC, whether we sent it
+ourselves, data."""
+
+
+@runtime_checkable
+class Frames(Protocol):
+    """Both directions, neither of which waits; errors are `can.CanError` and `OSError`."""
+
+    def receive_frames(self, limit: int) -> Sequence[RawFrame]:
+        """What has arrived, oldest first, ``limit`` frames at most."""
+
+    def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
+        """Queue a data frame with an 11-bit identifier. ``sent_ns`` is the present for a bus in
+        software that must know it exactly; wires do not need it."""
+
+
+class MessageFrames:
+    """Any bus of python-can, by messages."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
+        # Used again and again: a bus has sent or copied a message when its `send` returns.
+        self._outgoing: dict[int, can.Message] = {}
+
+    def receive_frames(self, limit: int) -> Sequence[RawFrame]:
+        receive = self._bus.recv
+        frames: list[RawFrame] = []
+        try:
+            while len(frames) < limit and (message := receive(0)) is not None:
+                identifier = message.arbitration_id
+                identifier |= EXTENDED * message.is_extended_id
+                identifier |= REMOTE * message.is_remote_frame
+                identifier |= ERROR * message.is_error_frame
+                stamp_ns, own = round(message.timestamp * 1e9), not message.is_rx
+                frames.append((stamp_ns, identifier, message.dlc, own, bytes(message.data)))
+        except (can.CanError, OSError):
+            if not frames:  # what came before it is not lost, and the error is met again
+                raise
+        return frames
+
+    def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
+        message = self._outgoing.get(identifier)
+        if message is None:
+            message = can.Message(arbitration_id=identifier, is_extended_id=False)
+            self._outgoing[identifier] = message
+        message.data, message.dlc = bytearray(data), len(data)
+        message.timestamp = sent_ns * 1e-9
+        self._bus.send(message)
+
+
+class SocketcanFrames:
+    """A Linux CAN interface, by the raw socket that python-can has opened and set up: one system
+    call a frame."""
+
+    def __init__(self, opened: socket.socket) -> None:
+        self._socket = opened
+
+    def receive_frames(self, limit: int) -> Sequence[RawFrame]:
+        take = self._socket.recvmsg
+        frames: list[RawFrame] = []
+        try:
+            while len(frames) < limit:
+                packet, ancillary, flags, _ = take(
+                    _CAN_FRAME.size, _ANCILLARY_BYTES, socket.MSG_DONTWAIT
+                )
+                if len(packet) < _CAN_FRAME.size:
+                    raise can.CanOperationError(f"a CAN frame of {len(packet)} bytes")
+                identifier, dlc, data = _CAN_FRAME.unpack(packet)
+                stamp_ns = 0
+                for level, kind, content in ancillary:
+                    if level == socket.SOL_SOCKET and kind == _STAMP:
+                        seconds, ns = _TIMESPEC.unpack_from(content)
+                        stamp_ns = seconds * _SECOND_NS + ns
+                length = 0 if identifier & REMOTE else dlc
+                own = bool(flags & socket.MSG_DONTROUTE)
+                frames.append((stamp_ns, identifier, dlc, own, data[:length]))
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            if not frames:
+                raise can.CanOperationError(str(error.strerror), error.errno) from error
+        return frames
+
+    def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
+        del sent_ns
+        frame = _CAN_FRAME.pack(identifier, len(data), data)
+        try:
+            self._socket.send(frame, socket.MSG_DONTWAIT)
+        except OSError as error:
+            text = "the transmit queue is full" if error.errno in _FULL else str(error.strerror)
+            raise can.CanOperationError(text, error.errno) from error
+
+
+def frames_of(bus: can.BusABC) -> Frames:
+    """The quickest way to a bus' frames."""
+    if isinstance(bus, Frames):
+        return bus
+    if isinstance(bus, SocketcanBus):
+        return SocketcanFrames(bus.socket)
+    return MessageFrames(bus)
