@@ -125,6 +125,8 @@ class Exchange:
         self.untrusted[:] = 0
         self.error_codes[:] = 0
         self.cell_status[:] = 0
+        # Also so that it is compiled before a tick needs it.
+        self.fill(0)
 
     def fill(self, tick: int) -> None:
         """Write the image's inputs as they stand at the start of ``tick``."""

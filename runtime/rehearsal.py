@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from config.schema.robot import CABLES
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 from drivers.process_image import AxisCommand, AxisState, ProcessImage
 from runtime.cycle import ControlCycle
+from runtime.envelope import Envelope
 from runtime.states import Operator, State
 
 TICKS_AFTER_START = 50
@@ -18,6 +20,7 @@ _DELAY_TICKS = 10
 
 def rehearse(config: Config, scenario: Scenario) -> bool:
     """Returns whether the cycle came as far as ACTIVE, which it does with a sound configuration."""
+    _watch(config)
     # This robot's drums do not turn, which a watchful envelope would not let pass.
     watching = config.control.envelope.model_copy(update={"enabled": False})
     control = config.control.model_copy(update={"envelope": watching})
@@ -54,3 +57,17 @@ def rehearse(config: Config, scenario: Scenario) -> bool:
         image.cells["force"][: len(enabled)] = cycle.record.tension.reference
         cycle.step(image, tick, command)
     return False
+
+
+def _watch(config: Config) -> None:
+    """The envelope's own part."""
+    control = config.control
+    envelope = Envelope(
+        control.envelope,
+        control.tension,
+        control.stiffness,
+        config.robot,
+        control.rates.period,
+    )
+    tension, bearing = np.full(CABLES, control.tension.pre), np.ones(CABLES, dtype=bool)
+    envelope(tension, 0.0, np.array(config.robot.home), np.zeros(3), bearing)

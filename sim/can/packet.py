@@ -8,7 +8,6 @@ by its first data byte, for its own frames to come back.
 
 from __future__ import annotations
 
-import os
 import struct
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -23,16 +22,6 @@ FRAME = struct.Struct("<QIBB2x8s")
 ECHO = ERROR
 FRAMES_PER_PACKET = 128
 PACKET_BYTES = FRAMES_PER_PACKET * FRAME.size
-_DIRECTORY = "TONUS_RUNTIME_DIR"
-
-
-def runtime_directory() -> Path:
-    """Where a lab's sockets lie."""
-    chosen = os.environ.get(_DIRECTORY)
-    if chosen:
-        return Path(chosen)
-    user = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(user) / "tonus" if user else Path("/run/tonus")
 
 
 def socket_path(directory: Path, channel: str) -> Path:

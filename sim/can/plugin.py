@@ -20,6 +20,7 @@ from typing import Any, Self, cast
 import can
 from can.typechecking import CanFilters
 
+from config.places import runtime_dir
 from sim.can import error_frames, packet, registry
 from sim.can.confinement import ErrorState
 from sim.can.cyclic import LabCyclicTask, Modifier
@@ -251,7 +252,7 @@ class SocketBus(TonusBus):
 
     def _connect(self, bitrate: int | None) -> None:
         del bitrate
-        path = packet.socket_path(packet.runtime_directory(), self._name)
+        path = packet.socket_path(runtime_dir(), self._name)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         try:

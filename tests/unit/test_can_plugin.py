@@ -224,7 +224,7 @@ def test_state_and_error_frames_cross_the_socket(
 def test_frames_without_messages_are_the_same_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One listener takes frames, a few at a time and now and then by message, the other messages."""
+    """One listener takes frames, few at a time, and now and then a message; the other messages."""
 
     async def use(lab: Lab) -> None:
         names = ("can0", "can0", "can0")

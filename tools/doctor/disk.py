@@ -6,16 +6,14 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from config.places import runtime_dir
+from config.places import IN_MEMORY, file_system, runtime_dir
 from config.schema.realtime import HostLimits
 from runtime.clock import wall_seconds
-from tools.doctor.files import read
 from tools.doctor.finding import Finding, Verdict, graded
 from tools.errors import ToolError
 
 _MIB = 1 << 20
 _LARGEST = 256 * _MIB
-_IN_MEMORY = ("tmpfs", "ramfs", "hugetlbfs")
 
 
 def examine(out: Path, limits: HostLimits, seconds: float) -> list[Finding]:
@@ -53,18 +51,8 @@ def _written(out: Path, limits: HostLimits, seconds: float) -> Finding:
 def _rings() -> Finding:
     """On a disk, the kernel's writing of their pages makes the next record fault, and wait."""
     name, where = "rings", runtime_dir()
-    kind = _file_system(where)
-    if kind in _IN_MEMORY:
+    kind = file_system(where)
+    if kind in IN_MEMORY:
         return Finding(name, f"{where}, in memory ({kind})")
     remedy = "export TONUS_RUNTIME_DIR=/dev/shm/tonus"
     return Finding(name, f"{where}, on a disk ({kind})", Verdict.BETTER, remedy)
-
-
-def _file_system(path: Path) -> str:
-    """Of the longest mount point above it."""
-    best, kind = -1, "unknown"
-    for line in (read("/proc/mounts") or "").splitlines():
-        _, mount, found, *_ = line.split()
-        if path.absolute().is_relative_to(mount) and len(mount) >= best:
-            best, kind = len(mount), found
-    return kind
