@@ -8,7 +8,7 @@ All that is slow (bring-up, files, people) lies before, after or outside the tic
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,7 +21,7 @@ from drivers.fieldbus import BusEvent, Fieldbus, Progress
 from runtime.clock import Stopwatch, now_ns
 from runtime.cycle import ControlCycle
 from runtime.histogram import Histogram
-from runtime.keyframe import Flat, Keyframe
+from runtime.keyframe import Keyframe
 from runtime.operator import Commander
 from runtime.overruns import Overruns
 from runtime.scheduler import Misses, Pacing, Scheduler
@@ -133,7 +133,7 @@ class Daemon:
         self._keyframes, self._keyframe = keyframes, Keyframe(self.cycle)
         self._keyframe_ticks = round(config.recording.keyframe_s / config.control.rates.period)
         self._keyframe_due = 0
-        self._kept: tuple[int, int, Flat] | None = None
+        self._kept: tuple[int, int, Iterator[bytes]] | None = None
         self._due_ns = self._after_ns = 0
         self._overruns = Overruns(config.realtime)
         self.latencies = Latencies()
@@ -251,14 +251,17 @@ class Daemon:
         self._after_ns = wall() - published
 
     def _keep_state(self, tick: int, keyframes: KeyframeSink) -> None:
-        """A keyframe now and then, in two ticks: both halves at once would overrun one."""
-        if self._kept is not None:
-            due_ns, seen_in, flat = self._kept
-            self._kept = None
-            keyframes(due_ns, seen_in, self._keyframe.written(flat))
-        elif tick >= self._keyframe_due:
+        """A keyframe now and then, a step a tick: more would overrun one."""
+        if self._kept is None:
+            if tick < self._keyframe_due:
+                return
             self._keyframe_due = tick + self._keyframe_ticks
-            self._kept = (self._due_ns, tick, self._keyframe.seen())
+            self._kept = (self._due_ns, tick, self._keyframe.steps())
+        due_ns, seen_in, steps = self._kept
+        data = next(steps)
+        if data:
+            self._kept = None
+            keyframes(due_ns, seen_in, data)
 
     def _write_timing(
         self, scheduler: Scheduler, began: int, collected: int, computed: int, published: int

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from runtime.ring import RingWriter
 
@@ -92,18 +93,23 @@ class EventRing(RingWriter):
 class KeyframeRing(RingWriter):
     """The cycle's whole state, every few seconds."""
 
+    _record: NDArray[np.void]
+
     @classmethod
     def open(cls, path: Path, capacity: int = 8) -> Self:
-        return cls.create(path, KEYFRAME.itemsize, capacity, {"kind": "keyframes"})
+        ring = cls.create(path, KEYFRAME.itemsize, capacity, {"kind": "keyframes"})
+        ring._record = np.zeros(1, KEYFRAME)
+        return ring
 
     def write(self, stamp_ns: int, tick: int, state: bytes) -> None:
         """Record the state after ``tick``; one that is too large is left out, and a replay begins
         at an earlier one."""
         if len(state) > KEYFRAME_BYTES:
             return
-        record = np.zeros(1, KEYFRAME)
+        record = self._record
         record["tick"], record["size"] = tick, len(state)
         record["state"][0, : len(state)] = np.frombuffer(state, np.uint8)
+        record["state"][0, len(state) :] = 0
         self.publish(record, stamp_ns)
 
 
