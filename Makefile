@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 
-MINUTES ?= 10
+MINUTES ?= 20
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
@@ -47,7 +47,7 @@ bench: setup
 paper: setup
 	$(BIN)/tonus paper --out out/paper
 
-# MINUTES of cyclictest and the daemon in alternation; the result goes into docs/timing.md.
+# MINUTES of cyclictest and the daemon in alternation, half of it each; the result goes into docs/timing.md.
 bench-realtime: setup
 	$(BIN)/python -m tests.bench.realtime --minutes $(MINUTES) --write
 

@@ -30,11 +30,13 @@ class Played:
 
     wakeup: Array
     """how late; with the ticks missed before it, as cyclictest has it"""
-    step: Array
+    act: Array
     cycle: Array
-    """collect, step and publish"""
+    """collect, act and publish"""
     response: Array
     """from when the tick was due to its outputs' being sent"""
+    whole: Array
+    """the cycle and what follows it: the record, events, people"""
     own: int
     host: int
     late: int
@@ -54,6 +56,7 @@ class Played:
             timing["compute_us"].astype(np.float64),
             cycle.astype(np.float64),
             (wakeup + cycle).astype(np.float64),
+            (cycle + np.append(timing["after_us"][1:], 0.0)).astype(np.float64),
             int(timing["missed_own"][-1]),
             int(timing["missed_host"][-1]),
             int((host > 0).sum()),
@@ -70,7 +73,7 @@ def together(runs: list[Played]) -> Played:
     )
 
 
-_COLUMNS = ("wakeup", "step", "cycle", "response")
+_COLUMNS = ("wakeup", "act", "cycle", "response", "whole")
 
 
 def p99_9(values: Array) -> float:

@@ -1,5 +1,8 @@
 """The daemon with lab and recorder, in alternation with cyclictest: `make bench-realtime`.
 
+A third thing takes its turn: a fixed computation, once a millisecond, by a thread with all that the
+daemon asks of the host. How much longer it takes at times is the host's doing alone.
+
     python -m tests.bench.realtime [--minutes M] [--write]
 
 Prints the figures beside what they are to be; with --write the histogram goes into docs/timing.png
@@ -18,10 +21,12 @@ from pathlib import Path
 import click
 import numpy as np
 from matplotlib.figure import Figure as Picture
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from config import load
+from runtime.clock import Stopwatch
 from runtime.histogram import Histogram
 from runtime.realtime import Hygiene, stolen_jiffies
 from tests.bench.measure import Figure
@@ -29,7 +34,9 @@ from tests.bench.played import CONFIG, Played, p99_9, play, together
 from tools.doctor.wakeup import bare, cyclictest
 from tools.report import style
 
+Array = NDArray[np.float64]
 _STRETCH_S = 30.0
+_STEPS = 10_000
 _SHORT_S, _SHORT_ROUNDS = 10.0, 2
 _PERIOD_NS = 1_000_000
 _WAKEUP_RATIO, _AIM = 6.0, 3.0
@@ -46,6 +53,8 @@ class Alternation:
     daemon: Played
     peer: Histogram
     peer_name: str
+    fixed: Array
+    """us, times that the fixed computation took"""
     steal_percent: float
 
 
@@ -83,6 +92,7 @@ def realtime() -> list[Figure]:
 def alternate(rounds: int, seconds: float, say: Callable[[str], None]) -> Alternation:
     """``seconds`` of each, ``rounds`` times."""
     runs: list[Played] = []
+    fixed: list[Array] = []
     peer, name = Histogram(), "cyclictest"
     before = stolen_jiffies()
     for number in range(1, rounds + 1):
@@ -91,10 +101,31 @@ def alternate(rounds: int, seconds: float, say: Callable[[str], None]) -> Altern
         if found is None:
             name, found = "bare thread", _bare(seconds)
         peer.merge(found)
+        fixed.append(_fixed(seconds / 6.0))
         say(f"round {number} of {rounds}: the daemon for {seconds:g} s and its bring-up")
         runs.append(play(seconds))
     stolen, total = (now - then for now, then in zip(stolen_jiffies(), before, strict=True))
-    return Alternation(together(runs), peer, name, 100.0 * stolen / total if total else 0.0)
+    share = 100.0 * stolen / total if total else 0.0
+    return Alternation(together(runs), peer, name, np.concatenate(fixed), share)
+
+
+def _fixed(seconds: float) -> Array:
+    """us that ever the same computing took, as long as a tick's, after each of a bare thread's
+    wake-ups."""
+    hygiene, now_ns = Hygiene(load(CONFIG)[0].realtime), Stopwatch(running=True).wall_ns
+    spans: list[float] = []
+
+    def compute() -> None:
+        began, total = now_ns(), 0
+        for number in range(_STEPS):
+            total += number
+        spans.append((now_ns() - began) * 1e-3)
+
+    try:
+        bare(seconds, compute)
+        return np.array(spans)
+    finally:
+        hygiene.release()
 
 
 def _bare(seconds: float) -> Histogram:
@@ -121,7 +152,13 @@ def rows(found: Alternation) -> list[Row]:
             f"at most {_WAKEUP_RATIO:g} x, aim {_AIM:g} x",
             ours <= _WAKEUP_RATIO * theirs,
         ),
-        Row("cycle, p99.9", f"{cycle:.0f} us", f"at most {_CYCLE_US:.0f} us", cycle <= _CYCLE_US),
+        Row(
+            "cycle, p99.9",
+            f"{cycle:.0f} us, {_tail(daemon.cycle):.2f} x its median; the fixed computation "
+            f"{_tail(found.fixed):.2f} x",
+            f"at most {_CYCLE_US:.0f} us",
+            cycle <= _CYCLE_US,
+        ),
         Row("ticks missed, our own", str(daemon.own), "0", daemon.own == 0),
         Row(
             "late wake-ups by the host",
@@ -138,6 +175,10 @@ def rows(found: Alternation) -> list[Row]:
     ]
 
 
+def _tail(values: Array) -> float:
+    return p99_9(values) / float(np.median(values))
+
+
 def _per_million(count: int, of: int) -> float:
     return 1e6 * count / of if of else 0.0
 
@@ -147,8 +188,14 @@ def percentiles(found: Alternation) -> list[tuple[str, list[float]]]:
     peer, daemon = found.peer, found.daemon
     table = [(found.peer_name, [peer.at(q) * 1e-3 for q in (0.5, 0.99, 0.999)])]
     table[0][1].append(peer.largest * 1e-3)
-    for name in ("wakeup", "step", "cycle", "response"):
-        values = getattr(daemon, name)
+    for name, values in (
+        ("wakeup", daemon.wakeup),
+        ("act", daemon.act),
+        ("cycle", daemon.cycle),
+        ("response", daemon.response),
+        ("whole", daemon.whole),
+        ("fixed computation", found.fixed),
+    ):
         table.append((name, [float(np.percentile(values, q)) for q in (50.0, 99.0, 99.9, 100.0)]))
     return table
 
@@ -199,7 +246,8 @@ def write(found: Alternation, seconds: float) -> None:
     lines = [
         f"{machine()}. In alternation, {seconds:g} s each: {found.peer.count} wake-ups of "
         f"`{found.peer_name} -p80 -i1000` alone, {len(found.daemon.wakeup)} ticks of the daemon "
-        f"with lab and recorder; {found.steal_percent:.2f} % of processor time stolen. µs.\n",
+        f"with lab and recorder, {len(found.fixed)} fixed computations; "
+        f"{found.steal_percent:.2f} % of processor time stolen. µs.\n",
         "| | p50 | p99 | p99.9 | max |\n|---|---|---|---|---|",
     ]
     for name, values in percentiles(found):

@@ -6,6 +6,7 @@ import ctypes
 import shutil
 import struct
 import subprocess
+from collections.abc import Callable
 
 from config.schema.realtime import HostLimits, RealTime
 from runtime.clock import Stopwatch
@@ -22,8 +23,9 @@ _BINS_US = 20_000
 _REMEDY = "see preemption, isolation and privileges; nothing else heavy beside the daemon"
 
 
-def bare(seconds: float) -> Histogram:
-    """Wake-up latencies of clock_nanosleep with a period of 1 ms, by this thread as it is."""
+def bare(seconds: float, action: Callable[[], object] = lambda: None) -> Histogram:
+    """Wake-up latencies of clock_nanosleep with a period of 1 ms, by this thread as it is, which
+    does ``action`` each time."""
     libc, now_ns = ctypes.CDLL(None), Stopwatch(running=True).wall_ns
     until, found = ctypes.create_string_buffer(_TIMESPEC.size), Histogram()
     due = now_ns() + 2 * _PERIOD_NS
@@ -32,6 +34,7 @@ def bare(seconds: float) -> Histogram:
         libc.clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, until, None)
         late = now_ns() - due
         found.add(late)
+        action()
         due += _PERIOD_NS * (1 + max(late, 0) // _PERIOD_NS)
     return found
 
