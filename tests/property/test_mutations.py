@@ -159,6 +159,7 @@ def contact_softens_before_it_stops(module: ModuleType) -> None:
     assert (amber.grade, amber.bound, amber.fault) == (Grade.AMBER, Bound.CONTACT, Fault.NONE)
     assert LAW.minimum < amber.cap < LAW.maximum
     assert 0.0 < amber.progress < 1.0
+    assert feed(envelope_of(module), 22.0, ticks=1).progress == amber.progress, "at once"
     assert feed(envelope_of(module), 23.8).cap == LAW.minimum
     assert feed(envelope_of(module), 24.9).fault is Fault.NONE
     assert feed(envelope_of(module), 25.0).fault is Fault.CONTACT_LIMIT
@@ -183,6 +184,9 @@ def softness_has_hysteresis(module: ModuleType) -> None:
         assert feed(e, 5.0, ticks=1).progress - before <= SETTINGS.release_rate * PERIOD + 1e-12
         before = e.progress
     assert e.progress == 1.0
+    pressed = feed(envelope_of(module), 23.4)
+    low = pressed.progress
+    assert low < feed(pressed, 21.0, ticks=2000).progress < 1.0, "as far as there is room"
 
 
 def speed_and_place_slow_but_do_not_soften(module: ModuleType) -> None:
@@ -258,12 +262,15 @@ MUTATIONS = (
     Mutation(LIMITER, "self.level - cost", "self.level", storage_and_tank_never_grow),
     Mutation(LIMITER, "min(s.tank_capacity, self.level + s.tank_efficiency * energy)",
              "self.level + s.tank_efficiency * energy", storage_and_tank_never_grow),
-    Mutation(LIMITER, "resistance * _square(step)", "5.0 * resistance * _square(step)",
+    Mutation(LIMITER, "resistance * step", "5.0 * resistance * step", storage_and_tank_never_grow),
+    Mutation(LIMITER, "(error[k] - last[k]) ** 2", "(error[k] + last[k]) ** 2",
              storage_and_tank_never_grow),
+    Mutation(LIMITER, "stretch += error[k] ** 2", "stretch += abs(error[k])",
+             falling_gives_back_no_more_than_it_took),
     Mutation(LIMITER, "0.5 * (before - target) * stretch", "2.0 * (before - target) * stretch",
              falling_gives_back_no_more_than_it_took),
     Mutation(LIMITER, "        self.tank.reset()\n", "", limiter_starts_soft_again),
-    Mutation(LIMITER, "self._last: Array | None = None", "self._last: Array | None = np.zeros(3)",
+    Mutation(LIMITER, "        self._followed = False\n", "        self._followed = True\n",
              limiter_starts_soft_again),
     Mutation(ENVELOPE, "contact >= s.contact_limit", "contact > 2.0 * s.contact_limit",
              contact_softens_before_it_stops),
@@ -278,10 +285,16 @@ MUTATIONS = (
     Mutation(ENVELOPE, "contact + horizon * self._swell)", "contact)", contact_is_predicted),
     Mutation(ENVELOPE, "max(contact, contact + horizon * self._swell)",
              "contact + horizon * self._swell", contact_is_predicted),
-    Mutation(ENVELOPE, "left - self._settings.release_band", "left", softness_has_hysteresis),
-    Mutation(ENVELOPE, "held + self._release", "1.0", softness_has_hysteresis),
-    Mutation(ENVELOPE, "return max(held, min(", "return min(held, min(", softness_has_hysteresis),
-    Mutation(ENVELOPE, "(Bound.CONTACT, Bound.TENSION_HIGH) else", "tuple(Bound) else",
+    Mutation(ENVELOPE, "elif left[i] - band > held[i]", "elif left[i] > held[i]",
+             softness_has_hysteresis),
+    Mutation(ENVELOPE, ", held[i] + release)", ")", softness_has_hysteresis),
+    Mutation(ENVELOPE, "elif left[i] - band > held[i]", "elif left[i] - band > 1.0",
+             softness_has_hysteresis),
+    Mutation(ENVELOPE, "if held[i] < held[least]", "if held[i] > held[least]",
+             contact_softens_before_it_stops),
+    Mutation(ENVELOPE, "held[i] = max(left[i], 0.0)", "held[i] = 0.0",
+             contact_softens_before_it_stops),
+    Mutation(ENVELOPE, "bound in (Bound.CONTACT, Bound.TENSION_HIGH)", "bound in tuple(Bound)",
              speed_and_place_slow_but_do_not_soften),
     Mutation(ENVELOPE, "if stiffening else high", "if not stiffening else high",
              contact_softens_before_it_stops),
@@ -318,8 +331,9 @@ def variant(module: ModuleType, old: str = "", new: str = "") -> ModuleType:
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda m: f"{m.old.strip()} -> {m.new.strip()}")
 def test_each_deliberate_bug_is_caught(mutation: Mutation) -> None:
+    changed = variant(mutation.module, mutation.old, mutation.new)
     with pytest.raises(AssertionError):
-        mutation.caught_by(variant(mutation.module, mutation.old, mutation.new))
+        mutation.caught_by(changed)
 
 
 def test_the_code_as_it_is_passes_every_property_that_catches_a_bug() -> None:
