@@ -55,12 +55,13 @@ class RecorderProcess:
         """Ask for the end and wait for the finished file. Gives the file that took what a recorder
         without its keeper left, None almost always."""
         pipe = self.process.stdin
-        if pipe is not None and self.process.poll() is None:
+        if pipe is not None and not pipe.closed:
             try:
+                # Also where the keeper has been killed: a recorder without it still listens.
                 pipe.write(_QUIT)
                 pipe.close()
             except BrokenPipeError:
-                pass  # it ended by itself; its exit code tells how
+                pass  # both have ended by themselves; the exit code tells how
         if self.process.wait(timeout_s) in (0, INCOMPLETE):
             return None
         return salvage(self.ring_dir, wait=True)

@@ -61,20 +61,33 @@ def test_a_killed_daemon_loses_no_cycle(folder: Path) -> None:
         killed = running.kill()
         wait_for(lambda log=running.log: whole(log))  # type: ignore[misc]
         nothing_missing(reader.published, running.log)
-        told = any(event.name == "daemon_lost" for event in open_log(running.log).events())
-        assert told is killed
+        events = list(open_log(running.log).events())
+        told = any(event.name == "daemon_lost" for event in events)
+        # On a starved host a run may have ended in a fault, and be drawn when it is killed.
+        over = any(event.name == "state" and event.text.endswith("FAULT") for event in events)
+        assert told is killed or (over and not told)
 
 
 @many
 def test_a_killed_recorder_loses_no_cycle(folder: Path) -> None:
     for number, moment in enumerate(moments(2)):
-        running = started(folder, f"recorder{number}")
-        reader = running.reader()
-        clock.pause(moment)
-        os.kill(running.part("tools.recorder_process"), signal.SIGKILL)
-        clock.pause(0.2)
-        assert running.end() in (0, 1), running.text.read_text()
-        nothing_missing(reader.published, *running.out.glob("*.mcap"))
+        lose(folder, f"recorder{number}", "tools.recorder_process", moment)
+
+
+def test_a_killed_keeper_of_the_recorder_ends_nothing(folder: Path) -> None:
+    """The recorder is then nobody's, and goes on to the end all the same."""
+    lose(folder, "keeper", "tools.recorder_keeper", moments(4)[0])
+
+
+def lose(folder: Path, name: str, helper: str, moment: float) -> None:
+    """Kill a helper that the daemon can do without."""
+    running = started(folder, name)
+    reader = running.reader()
+    clock.pause(moment)
+    os.kill(running.part(helper), signal.SIGKILL)
+    clock.pause(0.2)
+    assert running.end() in (0, 1), running.text.read_text()
+    nothing_missing(reader.published, *running.out.glob("*.mcap"))
 
 
 def test_a_killed_lab_is_a_fault(folder: Path) -> None:

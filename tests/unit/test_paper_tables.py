@@ -229,6 +229,18 @@ def test_verdicts_follow_the_data(
     assert judged(changed(campaign(), **{indicator: value}))[name].verdict is expected
 
 
+def test_a_reference_that_never_settles_is_no_missing_data() -> None:
+    rows = []
+    for row in campaign():
+        if row.controller == "pid" and "settling" in row.indicators:
+            rest = {name: v for name, v in row.indicators.items() if name != "settling"}
+            row = replace(row, indicators={**rest, "unsettled": 1.0})  # noqa: PLW2901
+        rows.append(row)
+    claim = judged(Results(rows))["better_settling"]
+    assert (claim.verdict, claim.unit) == (C, "s")
+    assert "in each of its" in claim.sentence
+
+
 def test_the_contact_claim_needs_an_envelope_that_was_needed() -> None:
     rows = [row for row in campaign() if row.key != "open"]
     assert judged(Results(rows))["contact"].verdict is C

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from tools.paper import printed
 from tools.paper.case import Kind
 from tools.paper.claims.wording import LOADS, Text, claim_of, over_trials
-from tools.paper.compare import BIO, REFERENCE, VARIANTS, Match, compared
+from tools.paper.compare import BIO, REFERENCE, VARIANTS, Compared, Match, compared, of
 from tools.paper.printed import Indicator
 from tools.paper.results import Results
 from tools.paper.table import Spread, number
-from tools.paper.verdicts import Claim, Verdict, gain, limit
+from tools.paper.verdicts import Claim, Judgement, Verdict, gain, limit
 
 _WHY = {
     "settling": "All follow one minimum-jerk reference with the same feed-forward. ",
@@ -110,6 +110,8 @@ def _against_pid(
     results: Results, indicator: Indicator, margin: float, paper: str, what: str = ""
 ) -> Claim:
     found = compared(results, indicator)
+    if indicator is printed.SETTLING and (claim := _only_one_settles(found, results, paper)):
+        return claim
     ours = Spread.of(found.improvements(BIO))
     bio, pid = found.spread(BIO), found.spread(REFERENCE)
     said = ""
@@ -148,5 +150,24 @@ def _against_pid(
             said,
             f"{why}The paper does not disclose how its PID was tuned; here all were, with one "
             "budget.",
+        ),
+    )
+
+
+def _only_one_settles(found: Compared, results: Results, paper: str) -> Claim | None:
+    """A percentage of a time that never came cannot be had."""
+    bio = found.spread(BIO)
+    trials = of(results, found.indicator).select(controller=REFERENCE)
+    if bio is None or not trials.rows or not all(r.get("unsettled") for r in trials):
+        return None
+    return claim_of(
+        ("better_settling", f"Better than PID: {found.indicator.label}", paper),
+        1.36,
+        "s",
+        bio,
+        Judgement(Verdict.CONSISTENT, f"consistent: {BIO} settles and {REFERENCE} never does"),
+        Text(
+            f"{REFERENCE} is still on its way at the end in each of its {len(trials.rows)} trials, "
+            "so that there is no percentage."
         ),
     )
