@@ -84,12 +84,12 @@ def start(
     utc_offset_ns: int,
     *,
     priority: int = 0,
-    live_duration_s: float | None = None,
+    live: tuple[float, int] | None = None,
     scene: Scene | None = None,
     tell_events: bool = False,
 ) -> RecorderProcess:
-    """Start a recorder for the rings in ``ring_dir``. With ``live_duration_s`` it also shows the
-    live line on standard output, with ``tell_events`` a line for each event."""
+    """Start a recorder for the rings in ``ring_dir``. With ``live``, what `Live` is made with, it
+    also shows the live line on standard output, with ``tell_events`` a line for each event."""
     job = {
         "recording": recording.model_dump(mode="json"),
         "metadata": metadata,
@@ -98,7 +98,7 @@ def start(
         },
         "utc_offset_ns": utc_offset_ns,
         "priority": priority,
-        "live_duration_s": live_duration_s,
+        "live": live,
         "scene": None if scene is None else asdict(scene),
         "tell_events": tell_events,
         "out": str(out),
@@ -118,8 +118,7 @@ def start(
 def run(ring_dir: Path, out: Path, job: dict[str, Any]) -> bool:
     """Record until asked to stop or left alone. Gives whether all of it could be written."""
     prepare(priority=job["priority"], processor=None, lock_memory=False)
-    duration = job["live_duration_s"]
-    live = Live(duration) if duration is not None else None
+    live = Live(*job["live"]) if job["live"] is not None else None
     recorder = _recorder(ring_dir, out, job, live.update if live else None)
     lines = EventLines(ring_dir, journal=for_journal(os.environ)) if job["tell_events"] else None
     daemon, said = sys.stdin.fileno(), ""

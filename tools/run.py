@@ -155,7 +155,10 @@ class _Stage:
     ) -> None:
         config = order.config
         self._control, self._notifier = control, Notifier({} if order.virtual else os.environ)
-        self._live = order.live and not order.serve
+        rates = order.config.control.rates
+        step_ns = rates.status_divisor * rates.period_ns
+        shown = order.live and not order.serve
+        self._shown = (order.scenario.duration, step_ns) if shown else None
         self._order, self._rings, self._log, self._cleanup = order, rings, log, cleanup
         patience = config.operation.self_test.patience_s
         script = None if order.serve else Script(order.scenario.duration, patience)
@@ -179,7 +182,7 @@ class _Stage:
 
     def virtual(self) -> Result:
         order = self._order
-        live = Live(order.scenario.duration) if self._live else None
+        live = Live(*self._shown) if self._shown else None
         lines = EventLines(self._rings, journal=for_journal(os.environ)) if order.serve else None
         recorder = Recorder(
             self._rings,
@@ -301,7 +304,7 @@ class _Stage:
             self._attachments() | attachments,
             clock.utc_offset_ns(),
             priority=order.config.realtime.of(order.config.realtime.recorder_priority),
-            live_duration_s=order.scenario.duration if self._live else None,
+            live=self._shown,
             tell_events=order.serve,
             scene=Scene.of(order.config),
         )

@@ -146,6 +146,7 @@ class Rates(Section):
 
     period_us: Count
     status_divisor: Count
+    """of the live line on a terminal"""
 
     @property
     def period_ns(self) -> int:

@@ -1,7 +1,8 @@
 """The live line of a run: state, stiffness, tensions, misses, time left.
 
 Paced by run time, so that it costs the same per cycle in real and in virtual time and reads no
-clock of its own. On a terminal one line is rewritten; elsewhere one line a second is printed.
+clock of its own. On a terminal one line is rewritten, `control.rates.status_divisor` ticks apart;
+elsewhere one line a second is printed.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from rich.text import Text
 from runtime.signals import Grade
 from runtime.states import State
 
-_TERMINAL_STEP_NS = 100_000_000
 _PLAIN_STEP_NS = 1_000_000_000
 _STYLES = {Grade.GREEN: "green", Grade.AMBER: "yellow", Grade.RED: "bold red"}
 
@@ -25,15 +25,15 @@ _STYLES = {Grade.GREEN: "green", Grade.AMBER: "yellow", Grade.RED: "bold red"}
 class Live:
     """Shows cycle records as they come; `update` fits the recorder's ``watch``."""
 
-    def __init__(self, duration_s: float, stream: TextIO | None = None) -> None:
-        """``duration_s`` of ACTIVE, to tell what is left."""
+    def __init__(self, duration_s: float, step_ns: int, stream: TextIO | None = None) -> None:
+        """``duration_s`` of ACTIVE, to tell what is left; ``step_ns`` between lines on a terminal."""
         self._duration_s = duration_s
         self._console = Console(file=stream or sys.stdout, highlight=False, soft_wrap=True)
         self._rewriting: Rewriting | None = None
         if self._console.is_terminal:
             self._rewriting = Rewriting(console=self._console, auto_refresh=False, transient=True)
             self._rewriting.start()
-        self._step_ns = _TERMINAL_STEP_NS if self._rewriting else _PLAIN_STEP_NS
+        self._step_ns = step_ns if self._rewriting else _PLAIN_STEP_NS
         self._next_ns: int | None = None
 
     def update(self, record: np.void, stamp_ns: int) -> None:
