@@ -26,7 +26,7 @@ class Live:
     """Shows cycle records as they come; `update` fits the recorder's ``watch``."""
 
     def __init__(self, duration_s: float, step_ns: int, stream: TextIO | None = None) -> None:
-        """``duration_s`` of ACTIVE, to tell what is left; ``step_ns`` between lines on a terminal."""
+        """``duration_s`` of ACTIVE, to tell what is left; ``step_ns`` between terminal lines."""
         self._duration_s = duration_s
         self._console = Console(file=stream or sys.stdout, highlight=False, soft_wrap=True)
         self._rewriting: Rewriting | None = None
