@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time  # noqa: TID251 - another process keeps this lab's time
+from contextlib import suppress
 from pathlib import Path
 
 import can
@@ -39,8 +40,12 @@ def test_python_cans_logger_joins(lab: Path) -> None:
         assert answer.arbitration_id == 0x703
     bus.shutdown()
     lines = [logger.stdout.readline() for _ in range(40)]
-    logger.send_signal(signal.SIGINT)
-    assert logger.wait(10) == 0
+    for _ in range(3):  # Python drops a KeyboardInterrupt that meets it in a destructor
+        logger.send_signal(signal.SIGINT)
+        with suppress(subprocess.TimeoutExpired):
+            logger.wait(5)
+            break
+    assert logger.returncode == 0
     assert sum(" 703 " in line for line in lines) == 20
     assert sum(" 000 " in line for line in lines) == 20
 
