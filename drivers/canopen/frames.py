@@ -1,7 +1,7 @@
 """Frames to and from a python-can bus, in the quickest way the bus has.
 
 python-can makes a `can.Message` of every frame and asks the kernel whether there is one before it
-takes it. For the sixty frames of a tick that costs more than everything else the bus needs, so a
+takes it. For the thirty frames of a tick that costs more than everything else the bus needs, so a
 bus that has frames without messages (the lab's, SocketCAN's) is asked for these.
 """
 
@@ -99,7 +99,7 @@ class SocketcanFrames:
                     _CAN_FRAME.size, _ANCILLARY_BYTES, socket.MSG_DONTWAIT
                 )
                 if len(packet) < _CAN_FRAME.size:
-                    raise can.CanOperationError(f"a CAN frame of {len(packet)} bytes")
+                    raise OSError(errno.EBADMSG, f"a CAN frame of {len(packet)} bytes")
                 identifier, dlc, data = _CAN_FRAME.unpack(packet)
                 stamp_ns = 0
                 for level, kind, content in ancillary:
