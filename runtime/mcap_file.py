@@ -112,7 +112,9 @@ class McapFile:
         self._crc = 0
         self._schemas: dict[str, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._chunks: list[ChunkIndex] = []
+        # Encoded at once: a long run has thousands, and as objects they are ten times as large.
+        self._chunk_indexes = bytearray()
+        self._chunk_count = 0
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}
@@ -235,7 +237,8 @@ class McapFile:
             self._counts[place.channel] += len(place.log_time)
         self._first = start if self._first is None else min(self._first, start)
         self._last = max(self._last, end)
-        self._chunks.append(
+        self._chunk_count += 1
+        self._chunk_indexes += _bytes_of(
             ChunkIndex(
                 chunk_length=length,
                 chunk_start_offset=chunk_at,
@@ -270,37 +273,32 @@ class McapFile:
         """Write the summary and close the file."""
         self._record(DataEnd(data_section_crc=self._crc))
         start = self._offset
-        summary = RecordBuilder()
-        offsets: list[SummaryOffset] = []
         statistics = Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=self._counts,
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunk_count,
             message_count=sum(self._counts.values()),
             message_end_time=self._last,
             message_start_time=self._first or 0,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
-        groups: tuple[tuple[int, Sequence[McapRecord]], ...] = (
-            (Opcode.SCHEMA, list(self._schemas.values())),
-            (Opcode.CHANNEL, list(self._channels.values())),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
-        )
-        for opcode, records in groups:
-            before = summary.count
-            for record in records:
-                record.write(summary)
-            if records:
-                offsets.append(SummaryOffset(opcode, start + before, summary.count - before))
-        offsets_at = start + summary.count
-        for entry in offsets:
-            entry.write(summary)
-        content = _end(summary)
+        content = bytearray()
+        offsets = b""
+        for opcode, group in (
+            (Opcode.SCHEMA, b"".join(map(_bytes_of, self._schemas.values()))),
+            (Opcode.CHANNEL, b"".join(map(_bytes_of, self._channels.values()))),
+            (Opcode.STATISTICS, _bytes_of(statistics)),
+            (Opcode.CHUNK_INDEX, self._chunk_indexes),
+            (Opcode.ATTACHMENT_INDEX, b"".join(map(_bytes_of, self._attachments))),
+            (Opcode.METADATA_INDEX, b"".join(map(_bytes_of, self._metadata))),
+        ):
+            if group:
+                offsets += _bytes_of(SummaryOffset(opcode, start + len(content), len(group)))
+            content += group
+        offsets_at = start + len(content)
+        content += offsets
         # The CRC covers the footer up to itself, so it is made with a zero in its place first.
         footer = _bytes_of(Footer(start, offsets_at, 0))
         crc = zlib.crc32(footer[:-4], zlib.crc32(content))
@@ -310,7 +308,7 @@ class McapFile:
     def _record(self, record: McapRecord) -> int:
         return self._write(_bytes_of(record))
 
-    def _write(self, data: bytes) -> int:
+    def _write(self, data: bytes | bytearray) -> int:
         left = memoryview(data)
         while left:
             left = left[self._file.write(left) :]
@@ -322,10 +320,6 @@ class McapFile:
 def _bytes_of(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    return _end(builder)
-
-
-def _end(builder: RecordBuilder) -> bytes:
     data: bytes = builder.end()  # type: ignore[no-untyped-call]  # mcap annotates only in part
     return data
 
