@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from config.schema.realtime import RealTime
+from config.schema.realtime import Processor, RealTime
 from runtime.errors import DaemonError
 
 _MCL_CURRENT_AND_FUTURE = 1 | 2
@@ -21,6 +21,10 @@ _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
 _NEVER = 2**31 - 1
 _USUAL_TRIM, _USUAL_MMAPS = 128 * 1024, 65536
 _DMA_LATENCY = Path("/dev/cpu_dma_latency")
+_PROCESSORS = Path("/sys/devices/system/cpu")
+_RESUME_LATENCY = "power/pm_qos_resume_latency_us"
+_ANY, _NONE = "0", "n/a"
+"""What the kernel calls no limit, and a limit of 0 (Documentation/ABI sysfs-devices-power)."""
 _STACK_DEPTH = 400
 """nested calls through C, about 300 bytes of stack each"""
 _MIB = 1 << 20
@@ -61,7 +65,7 @@ class Hygiene:
             self._take(_lock())
         self._take(_slack())
         if settings.cpu_dma_latency_us is not None:
-            self._take(_dma_latency(settings.cpu_dma_latency_us))
+            self._take(_stay_awake(settings.cpu_dma_latency_us, settings.daemon_cpu))
         if settings.daemon_cpu is not None:
             self._take(_pin(settings.daemon_cpu))
         if settings.daemon_priority:
@@ -100,9 +104,9 @@ def demand(settings: RealTime) -> None:
         )
 
 
-def prepare(*, priority: int, processor: int | None, lock_memory: bool) -> list[Grant]:
+def prepare(*, priority: int, processor: Processor | None, lock_memory: bool) -> list[Grant]:
     """What a process beside the daemon asks for, for good: SCHED_FIFO (0 for none; children start
-    without it), one processor, locked memory."""
+    without it), processors, locked memory."""
     grants = []
     if priority:
         grants.append(_fifo(priority)[0])
@@ -150,10 +154,19 @@ def _fifo(priority: int) -> tuple[Grant, Undo | None]:
     return Grant(item, True, "reset on fork"), partial(os.sched_setscheduler, 0, before, parameter)
 
 
-def _pin(processor: int) -> tuple[Grant, Undo | None]:
-    item, before = f"processor {processor}", os.sched_getaffinity(0)
+def _meant(processor: Processor) -> set[int]:
+    if isinstance(processor, int):
+        return {processor}
+    usable = os.sched_getaffinity(0)
+    last = {max(usable)}
+    return last if processor == "last" else usable - last or last
+
+
+def _pin(processor: Processor) -> tuple[Grant, Undo | None]:
+    wanted, before = _meant(processor), os.sched_getaffinity(0)
+    item = f"processor {', '.join(map(str, sorted(wanted)))}"
     try:
-        os.sched_setaffinity(0, {processor})
+        os.sched_setaffinity(0, wanted)
     except OSError as error:
         known = f"this host has 0 to {(os.cpu_count() or 1) - 1}"
         return Grant(item, False, f"{error.strerror}; {known}"), None
@@ -176,16 +189,34 @@ def _slack() -> tuple[Grant, Undo | None]:
     return Grant("timer slack", True, f"{_LEAST_SLACK_NS} ns"), undo
 
 
-def _dma_latency(microseconds: int) -> tuple[Grant, Undo | None]:
-    """Holds as long as the file is open: no processor sleeps deeper than it wakes up from."""
+def _stay_awake(microseconds: int, processor: Processor | None) -> tuple[Grant, Undo | None]:
+    """No processor sleeps deeper than it wakes up from in this time; where the daemon has one of
+    its own, only that: a virtual machine whose processors are all kept awake uses up its share of
+    the host, and is then stopped for milliseconds."""
     item = f"CPU DMA latency {microseconds} us"
+    alone = ""
+    if processor is not None:
+        wanted = str(microseconds or _NONE)
+        file = _PROCESSORS / f"cpu{max(_meant(processor))}" / _RESUME_LATENCY
+        try:
+            before = file.read_text(encoding="ascii").strip()
+            file.write_text(wanted, encoding="ascii")
+        except OSError as error:
+            alone = f", not on its own alone: {file}: {error.strerror}"
+        else:
+            # What a killed daemon has left there is nobody's wish.
+            usual = _ANY if before == wanted else before
+            undo = partial(file.write_text, usual, encoding="ascii")
+            return Grant(item, True, "on the daemon's processor while it runs"), undo
     try:
+        # Holds as long as it is open.
         descriptor = os.open(_DMA_LATENCY, os.O_WRONLY | os.O_CLOEXEC)
     except OSError as error:
         detail = f"{_DMA_LATENCY}: {error.strerror}; run as root or let the group write to it"
         return Grant(item, False, detail), None
     os.write(descriptor, struct.pack("i", microseconds))
-    return Grant(item, True, "held while the daemon runs"), partial(os.close, descriptor)
+    detail = f"on every processor while the daemon runs{alone}"
+    return Grant(item, True, detail), partial(os.close, descriptor)
 
 
 def _reserve(mebibytes: int) -> tuple[Grant, Undo | None]:

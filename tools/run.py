@@ -172,8 +172,7 @@ class _Stage:
         self._tap: FrameTap | None = None
         channels = fieldbuses.channels(config)
         if config.recording.raw_frames and channels:
-            frames = FrameRing.open(rings / "frames.ring", channels, ticks * FRAMES_PER_TICK)
-            self._tap = frames.tap
+            self._tap = FrameRing.open(rings / "frames.ring", channels, ticks * FRAMES_PER_TICK)
         self._ticks = ticks
         self._began = 0.0
         self._hygiene: Hygiene | None = None
@@ -294,7 +293,7 @@ class _Stage:
 
     def _recorder_process(self) -> RecorderProcess:
         order = self._order
-        health = doctor.latest(order.config, order.out)
+        realtime, health = order.config.realtime, doctor.latest(order.config, order.out)
         attachments = {"doctor.json": json.dumps(health, indent=2, sort_keys=True).encode()}
         recorder = start(
             self._rings,
@@ -303,7 +302,8 @@ class _Stage:
             self._metadata(_host() | doctor.metadata(health)),
             self._attachments() | attachments,
             clock.utc_offset_ns(),
-            priority=order.config.realtime.of(order.config.realtime.recorder_priority),
+            priority=realtime.of(realtime.recorder_priority),
+            processor=realtime.on(realtime.recorder_cpu),
             live=self._shown,
             tell_events=order.serve,
             scene=Scene.of(order.config),

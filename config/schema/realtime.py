@@ -19,6 +19,10 @@ def _off(value: Any) -> Any:
 
 Priority = Annotated[int, BeforeValidator(no_boolean), Field(ge=0, le=99)]
 WholeNumber = Annotated[int, BeforeValidator(no_boolean), Field(ge=0)]
+Last = Literal["last"]
+"""The last processor of those that the process may use."""
+Processor = WholeNumber | Last | Literal["others"]
+"""By its number, the last one, or all but the last (of a single one, that)."""
 
 
 class HostLimits(Section):
@@ -46,10 +50,13 @@ class RealTime(Section):
     lab_priority: Priority
     recorder_priority: Priority
     lock_memory: bool
-    daemon_cpu: WholeNumber | None = None
-    lab_cpu: WholeNumber | None = None
+    daemon_cpu: WholeNumber | Last | None = None
+    """null: wherever the kernel puts it, which may change"""
+    lab_cpu: Processor | None = None
+    recorder_cpu: Processor | None = None
     cpu_dma_latency_us: WholeNumber | None = None
-    """longest wake-up from idle that processors may take while the daemon runs; null: not asked"""
+    """longest wake-up from idle that the daemon's processor may take while it runs, or every
+    processor if it has none of its own; null: not asked"""
     prefault_mib: WholeNumber = 0
     """MiB of heap touched, and kept from going back to the kernel, before anything is armed"""
     early_wake_us: WholeNumber = 0
@@ -66,6 +73,10 @@ class RealTime(Section):
     def of(self, priority: int) -> int:
         """A priority to be asked for under this policy."""
         return 0 if self.policy == "off" else priority
+
+    def on(self, processor: Processor | None) -> Processor | None:
+        """A processor to be asked for under this policy."""
+        return None if self.policy == "off" else processor
 
     @model_validator(mode="after")
     def _spins_within_the_early_wake(self) -> RealTime:

@@ -10,7 +10,7 @@ import pytest
 
 from config import load
 from config.schema.realtime import RealTime
-from runtime.realtime import Hygiene, RefusedError, demand
+from runtime.realtime import Hygiene, RefusedError, demand, prepare
 from tools.run import Order, run
 
 NO_SUCH_PROCESSOR = 1023
@@ -43,6 +43,47 @@ def test_a_refusal_is_said_and_the_rest_is_had_under_prefer() -> None:
     assert "REFUSED" in refused[0]
     assert f"0 to {(os.cpu_count() or 1) - 1}" in refused[0]
     demand(settings(daemon_cpu=NO_SUCH_PROCESSOR))
+
+
+def test_only_the_daemons_processor_is_kept_awake_where_it_has_one() -> None:
+    last = max(os.sched_getaffinity(0))
+    file = Path(f"/sys/devices/system/cpu/cpu{last}/power/pm_qos_resume_latency_us")
+    hygiene = Hygiene(settings(daemon_cpu="last", cpu_dma_latency_us=0))
+    told = next(str(grant) for grant in hygiene.grants if "DMA" in grant.item)
+    pinned = os.sched_getaffinity(0)
+    awake = file.read_text().strip() if file.exists() else ""
+    hygiene.release()
+    assert pinned == {last}
+    if os.access(file, os.W_OK):
+        assert "on the daemon's processor" in told
+        assert awake == "n/a"
+        assert file.read_text().strip() == "0"
+    else:
+        assert "on every processor" in told or "REFUSED" in told
+    everywhere = Hygiene(settings(daemon_cpu=None, cpu_dma_latency_us=0))
+    everywhere.release()
+    told = next(str(grant) for grant in everywhere.grants if "DMA" in grant.item)
+    assert "every processor" in told or "REFUSED" in told
+
+
+def test_what_a_killed_daemon_left_awake_may_sleep_after_the_next_one() -> None:
+    last = max(os.sched_getaffinity(0))
+    file = Path(f"/sys/devices/system/cpu/cpu{last}/power/pm_qos_resume_latency_us")
+    if not os.access(file, os.W_OK):
+        pytest.skip("this host does not let us say which processor stays awake")
+    file.write_text("n/a")
+    Hygiene(settings(daemon_cpu="last", cpu_dma_latency_us=0)).release()
+    assert file.read_text().strip() == "0"
+
+
+def test_processes_beside_the_daemon_keep_off_its_processor() -> None:
+    usable = os.sched_getaffinity(0)
+    try:
+        prepare(priority=0, processor="others", lock_memory=False)
+        assert os.sched_getaffinity(0) == (usable - {max(usable)} or usable)
+    finally:
+        os.sched_setaffinity(0, usable)
+    assert settings(policy="off").on("others") is None
 
 
 def test_off_asks_for_nothing_of_the_host() -> None:
