@@ -10,8 +10,9 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Callable
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from config.places import LAB_DOOR
 from config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
@@ -49,6 +50,19 @@ class _Client:
         self.connection = connection
         self.port: Port = channel.attach(listens=True)
         self.port.reports = True
+        self.waiting: list[_Sent] = []
+        """frames that have been read and found no room"""
+
+
+class _Sent(NamedTuple):
+    sent_ns: int
+    client: _Client
+    identifier: int
+    dlc: int
+    data: bytes
+
+
+_sent_ns = attrgetter("sent_ns")
 
 
 class _Server:
@@ -72,6 +86,7 @@ class _Server:
         self._listeners: list[tuple[socket.socket, Path]] = []
         self._clients: list[_Client] = []
         self._stalled: list[_Client] = []
+        self._left: list[_Client] = []
         self._bridges: list[Bridge] = []
         self._door: DoorSocket | None = None
         self._tracker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -188,36 +203,67 @@ class _Server:
             self._stalled.remove(client)
 
     def _receive(self, client: _Client) -> None:
-        """Take what a client has sent, as far as its queue has room. A frame that tells when it was
-        sent enters its queue then, unless the lab is past that: how late it is read must not show
-        on the bus. The lab is left there, since another channel's frame may be of the same time."""
-        lab, port = self._lab, client.port
+        """Take what a client has sent. A frame that tells when it was sent enters its queue then,
+        unless the lab is past that: how late it is read must not show on the bus. The lab is left
+        there, since another channel's frame may be of the same time."""
+        frames = self._read(client)
+        if frames and self._clock() - frames[0].sent_ns > self._coalesce_ns:
+            # We are late: the others' frames are older than the last of these.
+            frames += self._read_all(client)
+        self._queue(frames)
+        self._arm()
+
+    def _read_all(self, but: _Client | None = None) -> list[_Sent]:
+        frames: list[_Sent] = []
+        for client in tuple(self._clients):
+            if client is not but and client not in self._stalled:
+                frames += self._read(client)
+        return frames
+
+    def _read(self, client: _Client) -> list[_Sent]:
+        """What a client has sent, as far as its queue has room; the rest waits in its socket, where
+        its own next send will find it full."""
+        port = client.port
+        frames, client.waiting = client.waiting, []
+        if port.room <= len(frames):
+            self._lab.advance(self._clock())
         try:
-            if port.room <= 0:
-                lab.advance(self._clock())
-            while port.room > 0:
+            while port.room > len(frames):
                 packet = client.connection.recv(PACKET_BYTES)
                 now_ns = self._clock()
                 if not packet:
-                    self._leave(client)
-                    break
+                    self._left.append(client)
+                    return frames
                 for sent_ns, identifier, dlc, _, data in decode(packet):
-                    lab.advance(min(sent_ns or now_ns, now_ns))
-                    if identifier == ECHO:
-                        port.echo = data[:1] == b"\1"
-                    elif sound(identifier, dlc):
-                        port.channel.send(port, Frame(identifier, data, dlc), lab.now_ns)
-                    else:
-                        self.unsound_frames += 1
-            else:
-                # The rest waits in the client's socket, where its own next send will find it full.
-                self._loop.remove_reader(client.connection)
-                self._stalled.append(client)
+                    sent = min(sent_ns or now_ns, now_ns)
+                    frames.append(_Sent(sent, client, identifier, dlc, data))
         except BlockingIOError:
-            pass
+            return frames
         except OSError:
+            self._left.append(client)
+            return frames
+        self._loop.remove_reader(client.connection)
+        self._stalled.append(client)
+        return frames
+
+    def _queue(self, frames: list[_Sent]) -> None:
+        """Let the lab have frames, each at its time."""
+        lab = self._lab
+        for sent in sorted(frames, key=_sent_ns):
+            lab.advance(sent.sent_ns)
+            port = sent.client.port
+            if sent.identifier == ECHO:
+                port.echo = sent.data[:1] == b"\1"
+            elif not sound(sent.identifier, sent.dlc):
+                self.unsound_frames += 1
+            elif port.room > 0:
+                frame = Frame(sent.identifier, sent.data, sent.dlc)
+                port.channel.send(port, frame, lab.now_ns)
+            else:
+                sent.client.waiting.append(sent)
+        left, self._left = self._left, []
+        for client in left:
             self._leave(client)
-        self._arm()
 
     def _fail(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """An error in a callback ends the serving; the loop would only log it."""
@@ -234,9 +280,7 @@ class _Server:
         # What was sent before this instant first, or the lab would be past it.
         for port in self._ports:
             port.receive_all()
-        for client in tuple(self._clients):
-            if client not in self._stalled:
-                self._receive(client)
+        self._queue(self._read_all())
         lab.advance(now_ns)
         for client in tuple(self._clients):
             if client.port.received:
@@ -253,6 +297,7 @@ class _Server:
         for client in stalled:
             if client.port.room > 0:
                 self._loop.add_reader(client.connection, self._receive, client)
+                self._queue(self._read(client))
             else:
                 self._stalled.append(client)
         self._arm()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Awaitable, Callable
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +15,7 @@ from lab_bench import Bench
 
 from config import load
 from config.schema.faults import FAULT
+from sim.can import packet
 from sim.can.plugin import LocalBus, SocketBus
 from sim.lab import Lab
 from sim.server import serve
@@ -251,14 +253,54 @@ def test_frames_without_messages_are_the_same_frames(
                 found.append(
                     (round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data))
                 )
-            while frames := quick.receive_frames(2):
+            while (frames := quick.receive_frames(2)).size:
                 assert len(frames) <= 2
-                found += [(stamp, identifier, data) for stamp, identifier, _, _, data in frames]
-        while frames := quick.receive_frames(9):
-            found += [(stamp, identifier, data) for stamp, identifier, _, _, data in frames]
+                found += [(f[0], f[1], f[4]) for f in packet.decode(frames.tobytes())]
+        while (frames := quick.receive_frames(9)).size:
+            found += [(f[0], f[1], f[4]) for f in packet.decode(frames.tobytes())]
         assert len(expected) > 80
         assert found == expected
         for bus in (sender, plain, quick):
+            bus.shutdown()
+
+    served(tmp_path, monkeypatch, use)
+
+
+def test_a_lab_that_is_periods_late_puts_every_frame_on_the_wire_in_its_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two channels, several frames a period, nothing read by the lab for five periods."""
+
+    async def use(lab: Lab) -> None:
+        loop = asyncio.get_running_loop()
+        senders = [can.Bus(interface="tonus", channel=name) for name in ("can0", "can1")]
+        listeners = [can.Bus(interface="tonus", channel=name) for name in ("can0", "can1")]
+        await until(lambda: all(len(lab.channels[n].ports) >= 2 for n in ("can0", "can1")))
+        await asyncio.sleep(0.02)
+        sent: dict[tuple[int, int], int] = {}
+        start = round(loop.time() * 1e9)
+        for period in range(5):
+            for number, sender in enumerate(senders):
+                assert isinstance(sender, SocketBus)
+                at = start + period * 1_000_000 + number * 10_000
+                sender.send_frame(0x100 + period, b"", at)
+                sender.send_frames([(0x200 + period, b""), (0x300 + period, b"")], at + 300_000)
+                for identifier, more in ((0x100, 0), (0x200, 300_000), (0x300, 300_000)):
+                    sent[number, identifier + period] = at + more
+        threading.Event().wait(0.006)  # the whole loop stands
+        found: dict[tuple[int, int], int] = {}
+
+        def all_heard() -> bool:
+            for number, bus in enumerate(listeners):
+                for message in drain(bus):
+                    found[number, message.arbitration_id] = round(message.timestamp * 1e9)
+            return len(found) == len(sent)
+
+        await until(all_heard)
+        late_us = {key: (found[key] - sent[key]) / 1000 for key in sent}
+        # Two frames without data, one behind the other, are over in 100 us.
+        assert max(late_us.values()) < 150, late_us
+        for bus in (*senders, *listeners):
             bus.shutdown()
 
     served(tmp_path, monkeypatch, use)
