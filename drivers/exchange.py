@@ -7,6 +7,7 @@ Because all buses use the same code, the same integers give the same floats to t
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -36,6 +37,7 @@ AXIS = np.dtype(
 )
 CELL = np.dtype([("tick", "i8"), ("value", "f8"), ("status", "i8")])
 
+_WORD = 8
 _STATES = np.frombuffer(STATE_OF, np.uint8)
 _ENABLED = int(AxisState.OPERATION_ENABLED)
 _LOST = int(AxisState.LOST)
@@ -94,8 +96,13 @@ class Exchange:
         places: list[str],
     ) -> None:
         """``places`` names each axis in events."""
-        self._raw_axes = axes = np.zeros(CABLES, AXIS)
-        self._raw_cells = cells = np.zeros(CELLS, CELL)
+        split = CABLES * AXIS.itemsize // _WORD
+        self.integers = np.zeros(split + CELLS * CELL.itemsize // _WORD, np.int64)
+        """everything raw as one row of words, for who knows the `place` of what he writes"""
+        self.reals = self.integers.view(np.float64)
+        """the same words"""
+        self._raw_axes = axes = self.integers[:split].view(AXIS)
+        self._raw_cells = cells = self.integers[split:].view(CELL)
         self.axis_tick, self.untrusted = axes["tick"], axes["untrusted"]
         self.positions, self.torques = axes["position"], axes["torque"]
         self.statuswords, self.error_codes = axes["statusword"], axes["error_code"]
@@ -127,6 +134,10 @@ class Exchange:
         self.cell_status[:] = 0
         # Also so that it is compiled before a tick needs it.
         self.fill(0)
+
+    def place(self, column: NDArray[Any], row: int) -> int:
+        """Where an entry of one of the columns stands among `integers`."""
+        return (_address(column[row:]) - _address(self.integers)) // _WORD
 
     def fill(self, tick: int) -> None:
         """Write the image's inputs as they stand at the start of ``tick``."""
@@ -174,3 +185,8 @@ class Exchange:
                 text = f"axis {axis} was commanded a torque that is no number; it gets 0"
                 self._events.begin("non_finite_torque", place, text)
         self._reported = not all(finite)
+
+
+def _address(array: NDArray[Any]) -> int:
+    address: int = array.__array_interface__["data"][0]
+    return address

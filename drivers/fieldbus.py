@@ -6,13 +6,38 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.process_image import ProcessImage
 
 Progress = Callable[[str], None]
 """Called with one short line for each step of a bring-up."""
 
-FrameTap = Callable[[int, int, int, bytes, bool], None]
-"""(time in ns of the loop's clock, channel number, identifier, data, sent by us)."""
+RAW_FRAME = np.dtype(
+    [
+        ("stamp_ns", "<i8"),  # of reception, 0 if the bus has none
+        ("identifier", "<u4"),  # with SocketCAN's flags: 31 extended, 30 remote, 29 error
+        ("dlc", "u1"),
+        ("own", "u1"),  # sent by ourselves
+        ("padding", "<u2"),
+        ("data", "<i8"),  # eight bytes as they come
+    ]
+)
+"""A CAN frame as it is read."""
+
+
+class FrameTap(Protocol):
+    """Hears every frame of every channel. Times are ns of the loop's clock."""
+
+    def frame(
+        self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
+    ) -> None:
+        """One frame; ``sent`` by us."""
+
+    def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
+        """Frames (n,) of `RAW_FRAME` that have been read by ``now_ns``, those of our own left out;
+        one without a stamp, or with a later one, came now."""
 
 
 @dataclass(frozen=True)

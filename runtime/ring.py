@@ -114,11 +114,15 @@ class RingWriter:
 
     def _release(self, slot: int) -> None:
         """Make the slot just filled readable."""
-        self.count += 1
-        self._words[slot] = self.count
-        self._words[_PUBLISHED_AT] = self.count
+        self._words[slot] = self.count + 1
+        self._publish(1)
         slot += self._stride
         self._slot = slot if slot != self._end else self._first
+
+    def _publish(self, records: int) -> None:
+        """Count so many more, whose slots carry their positions."""
+        self.count += records
+        self._words[_PUBLISHED_AT] = self.count
 
     def close(self) -> None:
         self._words.release()

@@ -96,7 +96,7 @@ class Rings:
         self.truth.publish(true[k : k + 1], k * MS)
         for n in range(FRAMES_PER_TICK):
             data = (1000 * k + n).to_bytes(8, "little")[: 8 - n]
-            self.frames.tap(k * MS + n * 1000, n % 2, 0x181 + n, data, n == 0)
+            self.frames.frame(k * MS + n * 1000, n % 2, 0x181 + n, data, sent=n == 0)
         self.cycle.publish(rows[k : k + 1], k * MS)
         if k and rows["state"]["state"][k] != rows["state"]["state"][k - 1]:
             name = State(int(rows["state"]["state"][k])).name

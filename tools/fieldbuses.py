@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from config.schema.bus import CanopenBus, DirectBus, EthercatBus, SeveralBuses, parts
 from config.schema.root import Config
 from drivers.canopen.master import CanopenFieldbus
@@ -65,11 +68,20 @@ def _wire(lab: Lab | None) -> Callable[[EthercatBus, Callable[[], int]], Wire]:
 
 def _numbered(tap: FrameTap | None, first: int) -> FrameTap | None:
     """The same tap for a bus whose channels are not the first."""
-    if tap is None or not first:
-        return tap
-    return lambda at_ns, channel, identifier, data, ours: tap(
-        at_ns, first + channel, identifier, data, ours
-    )
+    return tap if tap is None or not first else _Numbered(tap, first)
+
+
+class _Numbered:
+    def __init__(self, tap: FrameTap, first: int) -> None:
+        self._tap, self._first = tap, first
+
+    def frame(
+        self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
+    ) -> None:
+        self._tap.frame(stamp_ns, self._first + channel, identifier, data, sent=sent)
+
+    def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
+        self._tap.received(frames, self._first + channel, now_ns)
 
 
 def steering(fieldbus: Fieldbus, pacing: Callable[[], Pacing]) -> Callable[[], Pacing]:

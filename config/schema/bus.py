@@ -142,6 +142,8 @@ class Master(Section):
     """a PDO may answer a SYNC at most so long ago"""
     settle_ticks: Count
     """regular answers in a row after which one that is missing is lost, not late"""
+    copy_us: Count = 250
+    """a second PDO with the data of the first, at most so long after it, may be a copy of it"""
     drain_periods: Count
     """frames taken in one tick, in periods of a full bus: a flood must not hold the tick"""
     flood_frames: Count

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
 from config.schema.bus import CanopenBus
-from drivers.canopen.frames import ERROR, EXTENDED, IDENTIFIER, REMOTE, frames_of
+from drivers.canopen.frames import (
+    ERROR,
+    EXTENDED,
+    IDENTIFIER,
+    REMOTE,
+    FramesTogether,
+    data_of,
+    frames_of,
+)
 from drivers.canopen.health import Health
 from drivers.canopen.identifiers import SYNC
+from drivers.canopen.reception import Reception
 from drivers.canopen.stamps import Stamps
 from drivers.canopen.syncs import FRAME_BITS, INTERFRAME_BITS, Arrival, Syncs
 from drivers.events import EventLog
@@ -18,6 +29,8 @@ from drivers.fieldbus import FrameTap
 
 Handler = Callable[[bytes], None]
 Clock = Callable[[], int]
+
+_SYNC = ((SYNC, b""),)
 
 
 class Channel:
@@ -39,10 +52,12 @@ class Channel:
         self.arrivals: list[Arrival] = []
         """of every node on the channel"""
         self.syncs = Syncs()
+        self.reception = Reception(self.syncs, config.master.late_ticks)
         self.health = Health(self.name, bus, events)
         self._number = number
         self._bus = bus
         self._frames = frames_of(bus)
+        self._together = self._frames if isinstance(self._frames, FramesTogether) else None
         self._clock = clock
         self._tap = tap
         self._events = events
@@ -61,21 +76,35 @@ class Channel:
         self._deaf = False
 
     def send(self, identifier: int, data: bytes) -> None:
-        self._transmit(identifier, data)
+        self._transmit(((identifier, data),), self._clock())
+
+    def send_all(self, frames: Sequence[tuple[int, bytes]]) -> None:
+        """Identifiers and data, in one go where the bus can."""
+        now = self._clock()
+        if self._together is not None:
+            self._transmit(frames, now)
+        else:
+            for frame in frames:
+                self._transmit((frame,), now)
 
     def sync(self, tick: int) -> None:
         now = self._clock()
-        # Devices answer a SYNC from the instant it is on the wire: a bus in software is told it.
-        if not self._transmit(SYNC, b"", now):
+        if not self._transmit(_SYNC, now):
             self._unsent += 1
             return
         self._unsent = 0
         self.syncs.bit_ns = self._bit_ns if self._stamps.exact else 0
         self.syncs.sent(tick, now)
 
-    def _transmit(self, identifier: int, data: bytes, sent_ns: int = 0) -> bool:
+    def _transmit(self, frames: Sequence[tuple[int, bytes]], now: int) -> bool:
+        """Whether all of ``frames`` could be sent; of several, all or none. A bus in software is
+        told the time: devices answer a SYNC from the instant it is on the wire."""
         try:
-            self._frames.send_frame(identifier, data, sent_ns)
+            if len(frames) > 1 and self._together is not None:
+                self._together.send_frames(frames, now)
+            else:
+                for identifier, data in frames:
+                    self._frames.send_frame(identifier, data, now)
         except (can.CanError, OSError) as error:
             self._refused = True
             self._events.begin("transmit_refused", self.name, f"frame not sent: {error}")
@@ -84,15 +113,12 @@ class Channel:
             self._refused = False
             self._events.end("transmit_refused", self.name)
         if self._tap is not None:
-            self._tap(self._clock(), self._number, identifier, data, True)
+            for identifier, data in frames:
+                self._tap.frame(now, self._number, identifier, data, sent=True)
         return True
 
     def drain(self) -> None:
         """Hand every frame that has arrived to its handler."""
-        handlers = self.handlers
-        tap = self._tap
-        stamp_of = self._stamps.of
-        syncs = self.syncs
         now = self._clock()
         try:
             frames = self._frames.receive_frames(self._frames_per_drain)
@@ -100,21 +126,22 @@ class Channel:
             self._deaf = True
             self._events.begin("bus_deaf", self.name, f"cannot receive: {error}")
             return
-        foreign = self._flood_frames if len(frames) >= self._frames_per_drain else 0
-        for stamp_ns, identifier, dlc, own, data in frames:
-            if own:
-                continue
-            syncs.stamp_ns = stamp = stamp_of(stamp_ns, now)
-            if tap is not None:
-                tap(stamp, self._number, identifier, data, False)
-            handler = handlers.get(identifier)  # a flag makes it an identifier of nobody
-            if handler is not None:
-                handler(data)
-            elif identifier & ERROR:
-                self.health.error_frame(identifier & IDENTIFIER, data)
-            else:
-                foreign += 1
-                self._foreign(identifier, dlc)
+        count = len(frames)
+        foreign = self._flood_frames if count >= self._frames_per_drain else 0
+        if count:
+            if not self._stamps.exact:
+                frames = self._stamped(frames, now)
+            if self._tap is not None:
+                self._tap.received(frames, self._number, now)
+            receive, syncs, at = self.reception, self.syncs, 0
+            while True:
+                at, heard_ns = receive(frames, at, now)
+                if heard_ns:
+                    syncs.stamp_ns = heard_ns
+                if at == count:
+                    break
+                foreign += self._handle(frames[at], now)
+                at += 1
         if foreign >= self._flood_frames:
             self._floods += 1
             if self._floods >= self._flood_ticks:
@@ -144,6 +171,32 @@ class Channel:
             # Not every interface can; what it holds then acts once (docs/events.md).
             with contextlib.suppress(NotImplementedError, can.CanError, OSError):
                 self._bus.flush_tx_buffer()
+
+    def _stamped(self, frames: NDArray[np.void], now: int) -> NDArray[np.void]:
+        """The same frames by our clock."""
+        frames = frames.copy()
+        stamps = frames["stamp_ns"]
+        for i, (stamp, own) in enumerate(frames[["stamp_ns", "own"]].tolist()):
+            if not own:
+                stamps[i] = self._stamps.of(stamp, now)
+        return frames
+
+    def _handle(self, frame: np.void, now: int) -> int:
+        """Give one frame to whoever it is for; 1 if that is nobody."""
+        stamp, identifier, dlc, own, _, word = frame.item()
+        if own:
+            return 0
+        self.syncs.stamp_ns = min(stamp, now) if stamp else now
+        data = data_of(identifier, dlc, word)
+        handler = self.handlers.get(identifier)  # a flag makes it an identifier of nobody
+        if handler is not None:
+            handler(data)
+        elif identifier & ERROR:
+            self.health.error_frame(identifier & IDENTIFIER, data)
+        else:
+            self._foreign(identifier, dlc)
+            return 1
+        return 0
 
     def _foreign(self, identifier: int, dlc: int) -> None:
         kind = "remote request" if identifier & REMOTE else "frame"

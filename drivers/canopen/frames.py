@@ -14,7 +14,11 @@ from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import can
+import numpy as np
 from can.interfaces.socketcan import SocketcanBus
+from numpy.typing import NDArray
+
+from drivers.fieldbus import RAW_FRAME
 
 EXTENDED = 1 << 31
 REMOTE = 1 << 30
@@ -32,21 +36,28 @@ _SECOND_NS = 1_000_000_000
 _FULL = (errno.EAGAIN, errno.ENOBUFS)
 """The socket's buffer or the interface's queue has no room."""
 
-RawFrame = tuple[int, int, int, bool, bytes]
-"""Time of reception (ns, 0 if the bus has none), identifier with flags, DLC, whether we sent it
-ourselves, data."""
+_RAW = struct.Struct("<qIBBxx8s")
+"""`RAW_FRAME`"""
 
 
 @runtime_checkable
 class Frames(Protocol):
     """Both directions, neither of which waits; errors are `can.CanError` and `OSError`."""
 
-    def receive_frames(self, limit: int) -> Sequence[RawFrame]:
-        """What has arrived, oldest first, ``limit`` frames at most."""
+    def receive_frames(self, limit: int) -> NDArray[np.void]:
+        """What has arrived, oldest first, (n,) of `RAW_FRAME`; ``limit`` frames at most."""
 
     def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
         """Queue a data frame with an 11-bit identifier. ``sent_ns`` is the present for a bus in
         software that must know it exactly; wires do not need it."""
+
+
+@runtime_checkable
+class FramesTogether(Frames, Protocol):
+    """A bus that takes several frames in one go, or none of them."""
+
+    def send_frames(self, frames: Sequence[tuple[int, bytes]], sent_ns: int) -> None:
+        """`Frames.send_frame` of each identifier and its data."""
 
 
 class MessageFrames:
@@ -57,21 +68,22 @@ class MessageFrames:
         # Used again and again: a bus has sent or copied a message when its `send` returns.
         self._outgoing: dict[int, can.Message] = {}
 
-    def receive_frames(self, limit: int) -> Sequence[RawFrame]:
+    def receive_frames(self, limit: int) -> NDArray[np.void]:
         receive = self._bus.recv
-        frames: list[RawFrame] = []
+        frames: list[bytes] = []
         try:
             while len(frames) < limit and (message := receive(0)) is not None:
                 identifier = message.arbitration_id
                 identifier |= EXTENDED * message.is_extended_id
                 identifier |= REMOTE * message.is_remote_frame
                 identifier |= ERROR * message.is_error_frame
-                stamp_ns, own = round(message.timestamp * 1e9), not message.is_rx
-                frames.append((stamp_ns, identifier, message.dlc, own, bytes(message.data)))
+                stamp_ns, data = round(message.timestamp * 1e9), bytes(message.data)
+                own = not message.is_rx
+                frames.append(_RAW.pack(stamp_ns, identifier, message.dlc, own, data))
         except (can.CanError, OSError):
             if not frames:  # what came before it is not lost, and the error is met again
                 raise
-        return frames
+        return _array(frames)
 
     def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
         message = self._outgoing.get(identifier)
@@ -90,9 +102,9 @@ class SocketcanFrames:
     def __init__(self, opened: socket.socket) -> None:
         self._socket = opened
 
-    def receive_frames(self, limit: int) -> Sequence[RawFrame]:
+    def receive_frames(self, limit: int) -> NDArray[np.void]:
         take = self._socket.recvmsg
-        frames: list[RawFrame] = []
+        frames: list[bytes] = []
         try:
             while len(frames) < limit:
                 packet, ancillary, flags, _ = take(
@@ -108,13 +120,13 @@ class SocketcanFrames:
                         stamp_ns = seconds * _SECOND_NS + ns
                 length = 0 if identifier & REMOTE else dlc
                 own = bool(flags & socket.MSG_DONTROUTE)
-                frames.append((stamp_ns, identifier, dlc, own, data[:length]))
+                frames.append(_RAW.pack(stamp_ns, identifier, dlc, own, data[:length]))
         except BlockingIOError:
             pass
         except OSError as error:
             if not frames:
                 raise can.CanOperationError(str(error.strerror), error.errno) from error
-        return frames
+        return _array(frames)
 
     def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
         del sent_ns
@@ -124,6 +136,16 @@ class SocketcanFrames:
         except OSError as error:
             text = "the transmit queue is full" if error.errno in _FULL else str(error.strerror)
             raise can.CanOperationError(text, error.errno) from error
+
+
+def data_of(identifier: int, dlc: int, word: int) -> bytes:
+    """The data of a frame of `RAW_FRAME`."""
+    length = 0 if identifier & REMOTE else min(dlc, 8)
+    return word.to_bytes(8, "little", signed=True)[:length]
+
+
+def _array(frames: Sequence[bytes]) -> NDArray[np.void]:
+    return np.frombuffer(b"".join(frames), RAW_FRAME)
 
 
 def frames_of(bus: can.BusABC) -> Frames:

@@ -8,8 +8,6 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import can
-import numpy as np
-from numpy.typing import NDArray
 
 from config.schema.bus import CanopenBus
 from config.schema.robot import CABLES
@@ -23,10 +21,11 @@ from drivers.canopen.pdo import Mapping
 from drivers.canopen.process_data import (
     Encode,
     Refusal,
-    cell_decoder,
-    drive_decoder,
+    cell_fields,
     drive_encoder,
+    drive_fields,
 )
+from drivers.canopen.reception import Field
 from drivers.canopen.recovery import Recovery
 from drivers.canopen.supervision import Supervision, Watched
 from drivers.canopen.syncs import Arrival
@@ -96,7 +95,8 @@ class CanopenFieldbus:
         self._buses: list[Channel] = []
         self._nodes: list[Node] = []
         self._drives: dict[int, Node] = {}
-        self._outputs: list[tuple[int, Channel, int, Encode]] = []
+        self._outputs: list[tuple[Channel, list[tuple[int, int, Encode]]]] = []
+        """of each channel: axis, identifier, encoder"""
 
     async def start(self, progress: Progress) -> None:
         """Raises `BringUpError`, one line that names every node that failed and why."""
@@ -132,8 +132,13 @@ class CanopenFieldbus:
 
     def publish(self, tick: int) -> None:
         controlwords, torques = self._exchange.commands()
-        for axis, channel, identifier, encode in self._outputs:
-            channel.send(identifier, encode(controlwords[axis], torques[axis]))
+        for channel, outputs in self._outputs:
+            channel.send_all(
+                [
+                    (number, encode(controlwords[axis], torques[axis]))
+                    for axis, number, encode in outputs
+                ]
+            )
         if tick >= self._next_heartbeat:
             self._next_heartbeat = tick + self._heartbeat_ticks
             self._send_heartbeat()
@@ -163,8 +168,8 @@ class CanopenFieldbus:
             node.started = False
         configured = [node for node in self._nodes if node.configured]
         if configured:
-            for _, channel, identifier, encode in self._outputs:
-                channel.send(identifier, encode(0, 0))
+            for channel, outputs in self._outputs:
+                channel.send_all([(number, encode(0, 0)) for _, number, encode in outputs])
             for channel in self._buses:
                 channel.sync(NOT_YET)
         if self._pump_task is None:
@@ -216,6 +221,9 @@ class CanopenFieldbus:
             0x1029, 1, device.on_communication_error, 1, "behaviour on a communication error"
         )
         mapping = Mapping.of(device.tpdo)
+        outputs: list[tuple[int, int, Encode]] = []
+        if self._bus.channels[number].drives:
+            self._outputs.append((channel, outputs))
         for drive in self._bus.channels[number].drives:
             role = Role(
                 f"drive of axis {drive.axis}",
@@ -226,12 +234,9 @@ class CanopenFieldbus:
                 consumer_ms=device.master_timeout_ms,
             )
             node = self._add_node(channel, drive.node_id, role)
-            arrival = self._arrival(node, (drive.axis,), exchange.axis_tick, mapping)
-            channel.handlers[TPDO1 + drive.node_id] = drive_decoder(
-                mapping, drive.axis, exchange, arrival, self._refusal(node, mapping)
-            )
+            arrival = self._arrival(node, mapping, drive_fields(mapping, drive.axis, exchange))
             self._supervision.add(Watched(node, arrival, axis=drive.axis))
-            self._outputs.append((drive.axis, channel, RPDO1 + drive.node_id, self._drive_rpdo))
+            outputs.append((drive.axis, RPDO1 + drive.node_id, self._drive_rpdo))
             self._drives[drive.axis] = node
 
     def _add_cells(self, channel: Channel, number: int) -> None:
@@ -244,24 +249,26 @@ class CanopenFieldbus:
             title = f"{kind} {', '.join(map(str, cell.cells))}"
             role = Role(title, device, tpdo, force_cell.settings(device, channels))
             node = self._add_node(channel, cell.node_id, role)
-            arrival = self._arrival(node, cell.cells, exchange.cell_tick, mapping)
-            channel.handlers[TPDO1 + cell.node_id] = cell_decoder(
-                mapping, cell.cells, exchange, arrival, self._refusal(node, mapping)
-            )
+            arrival = self._arrival(node, mapping, cell_fields(mapping, cell.cells, exchange))
             self._supervision.add(Watched(node, arrival, cells=cell.cells))
 
-    def _arrival(
-        self, node: Node, rows: tuple[int, ...], ticks: NDArray[np.int64], mapping: Mapping
-    ) -> Arrival:
-        size, channel = mapping.layout.size, node.channel
-        arrival = Arrival(
-            rows, ticks, size, channel.syncs, self._bus.master, self._events, node.where
-        )
+    def _arrival(self, node: Node, mapping: Mapping, fields: list[Field]) -> Arrival:
+        """The account of a node's answers, and the way of those into the exchange."""
+        size, channel, identifier = mapping.layout.size, node.channel, TPDO1 + node.node_id
+        reception = channel.reception
+        answer = reception.add(identifier, size, fields, self._exchange)
+        arrival = Arrival(size, channel.syncs, self._bus.master, self._events, node.where, answer)
         channel.arrivals.append(arrival)
-        return arrival
+        refuse = Refusal(size, self._events, node.where)
 
-    def _refusal(self, node: Node, mapping: Mapping) -> Refusal:
-        return Refusal(mapping.layout.size, self._events, node.where)
+        def decode(data: bytes) -> None:
+            if len(data) != size:
+                refuse(len(data))
+            elif (tick := arrival.book(data)) is not None:
+                reception.store(answer, data, tick)
+
+        channel.handlers[identifier] = decode
+        return arrival
 
     def _add_node(self, channel: Channel, node_id: int, role: Role) -> Node:
         node = Node(channel, node_id, role, self._bus.master)

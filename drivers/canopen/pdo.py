@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntEnum
 
 from drivers.canopen.abort_codes import NO_SUCH_OBJECT
 from drivers.canopen.identifiers import PDO_SPACING, RPDO1, TPDO1
@@ -33,6 +33,14 @@ class Direction(Enum):
     TPDO = (0x1800, 0x1A00, TPDO1)
 
 
+class Kind(IntEnum):
+    """Of a number in a PDO."""
+
+    UNSIGNED = 0
+    SIGNED = 1
+    REAL = 2
+
+
 class PdoError(DriverError):
     """A PDO cannot be described, or reads back other than it was written."""
 
@@ -54,6 +62,14 @@ class Mapping:
         if entry not in self.entries:
             raise PdoError(f"the PDO does not map {_name(entry)}")
         return self.entries.index(entry)
+
+    def bits(self, entry: int) -> tuple[Kind, int, int]:
+        """An object's kind, first bit and length. Raises `PdoError` if it is not mapped."""
+        place = self.position(entry)
+        letter = _format(entry)
+        kind = Kind.REAL if letter == "f" else Kind.SIGNED if letter.islower() else Kind.UNSIGNED
+        before = struct.calcsize("<" + "".join(map(_format, self.entries[:place])))
+        return kind, 8 * before, entry & 0xFF
 
 
 def _format(entry: int) -> str:

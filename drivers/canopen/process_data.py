@@ -1,13 +1,12 @@
-"""PDOs against the exchange: decoders and encoders compiled once from the mapping."""
+"""PDOs against the exchange: what stands where in them, made once from the mapping."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
 from drivers import epos4, force_cell
-from drivers.canopen.channel import Handler
 from drivers.canopen.pdo import Mapping, PdoError
-from drivers.canopen.syncs import Arrival
+from drivers.canopen.reception import Field, mapped, tick_field
 from drivers.events import EventLog
 from drivers.exchange import Exchange
 
@@ -30,65 +29,35 @@ class Refusal:
         self._events.counted(name, self._where, text)
 
 
-def drive_decoder(
-    mapping: Mapping, row: int, exchange: Exchange, arrival: Arrival, refuse: Refusal
-) -> Handler:
+def drive_fields(mapping: Mapping, row: int, exchange: Exchange) -> list[Field]:
     """Raises `PdoError` if the mapping lacks what control needs."""
-    unpack = mapping.layout.unpack
-    size = mapping.layout.size
-    status_at = mapping.position(epos4.STATUSWORD)
-    position_at = mapping.position(epos4.POSITION_ACTUAL)
-    torque_at = mapping.position(epos4.TORQUE_ACTUAL)
-    statuswords, positions, torques = exchange.statuswords, exchange.positions, exchange.torques
-    book = arrival.book
-
-    def decode(data: bytes) -> None:
-        if len(data) != size:
-            refuse(len(data))
-        elif book(data):
-            values = unpack(data)
-            statuswords[row] = values[status_at]
-            positions[row] = values[position_at]
-            torques[row] = values[torque_at]
-
-    return decode
+    wanted = (
+        (epos4.STATUSWORD, exchange.statuswords),
+        (epos4.POSITION_ACTUAL, exchange.positions),
+        (epos4.TORQUE_ACTUAL, exchange.torques),
+    )
+    return [
+        tick_field(exchange.place(exchange.axis_tick, row)),
+        *(mapped(mapping, entry, exchange.place(column, row)) for entry, column in wanted),
+    ]
 
 
-def cell_decoder(
-    mapping: Mapping, rows: Sequence[int], exchange: Exchange, arrival: Arrival, refuse: Refusal
-) -> Handler:
+def cell_fields(mapping: Mapping, rows: Sequence[int], exchange: Exchange) -> list[Field]:
     """``rows`` is the cell on each channel of the amplifier. Raises `PdoError` if the mapping lacks
     a channel's process value."""
-    unpack = mapping.layout.unpack
-    size = mapping.layout.size
-    places = []
+    fields = []
     for channel, row in enumerate(rows, start=1):
         values_of = [force_cell.of_channel(entry, channel) for entry in force_cell.PROCESS_VALUES]
         found = [entry for entry in values_of if entry in mapping.entries]
         if not found:
             raise PdoError(f"the force cell's TPDO maps no process value of channel {channel}")
+        fields.append(tick_field(exchange.place(exchange.cell_tick, row)))
+        value = exchange.place(exchange.cells, row)
+        fields.append(mapped(mapping, found[0], value, floating=True))
         status = force_cell.of_channel(force_cell.STATUS, channel)
-        places.append(
-            (
-                row,
-                mapping.position(found[0]),
-                mapping.position(status) if status in mapping.entries else None,
-            )
-        )
-    cells, states = exchange.cells, exchange.cell_status
-    book = arrival.book
-
-    def decode(data: bytes) -> None:
-        if len(data) != size:
-            refuse(len(data))
-        elif book(data):
-            values = unpack(data)
-            for row, value_at, status_at in places:
-                cells[row] = values[value_at]
-                if status_at is not None:
-                    states[row] = values[status_at]
-
-    return decode
+        if status in mapping.entries:
+            fields.append(mapped(mapping, status, exchange.place(exchange.cell_status, row)))
+    return fields
 
 
 def drive_encoder(mapping: Mapping) -> Encode:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from config.schema.bus import Master
 from drivers.events import EventLog
@@ -14,6 +13,20 @@ HISTORY = 64
 FRAME_BITS = 44
 """A frame without data, and no bit stuffed, up to the end of frame."""
 INTERFRAME_BITS = 3
+ANSWER = np.dtype(
+    [
+        ("answered", "i8"),  # newest SYNC that has been
+        ("period", "i8"),  # newest SYNC after which an answer came
+        ("fresh", "i8"),  # the node was reset, and has not answered since
+        ("data", "i8"),  # of the last answer
+        ("stamp_ns", "i8"),  # when it came
+        ("bits", "i8"),  # of a SYNC and an answer, in a row
+        ("size", "i8"),  # bytes of an answer
+        ("first", "i8"),  # of its fields
+        ("fields", "i8"),
+    ]
+)
+"""What is known of a node's answers; the last three are for who takes them apart."""
 
 
 class Syncs:
@@ -29,13 +42,15 @@ class Syncs:
         self.count = 0
         self.stamp_ns = 0
         self.bit_ns = 0
-        self.ticks = [NOT_YET] * HISTORY
-        self.times_ns = [0] * HISTORY
+        self.ticks = np.full(HISTORY, NOT_YET)
+        self.times_ns = np.zeros(HISTORY, np.int64)
 
     @property
     def answered_ns(self) -> int:
         """From the last SYNC to the last frame heard since; 0 without one."""
-        return max(self.stamp_ns - self.times_ns[self.count % HISTORY], 0) if self.count else 0
+        if not self.count:
+            return 0
+        return max(self.stamp_ns - int(self.times_ns[self.count % HISTORY]), 0)
 
     def sent(self, tick: int, now_ns: int) -> None:
         self.count += 1
@@ -52,7 +67,8 @@ class Arrival:
     and where two arrive in one period, as old as the oldest. A SYNC is no longer open when a second
     PDO in one period has made up for it, when it is ``late_ticks`` SYNCs old, or when
     ``settle_ticks`` periods in a row brought one PDO each: then the gap was a loss and no delay.
-    A second PDO with the data of the first may be a copy, and makes up for nothing.
+    A second PDO with the data of the first and less than ``copy_us`` behind it may be a copy, and
+    makes up for nothing.
     A PDO that had arrived before a SYNC and itself could have crossed the wire does not answer it,
     however late it is read.
 
@@ -62,66 +78,49 @@ class Arrival:
     """
 
     __slots__ = (
-        "_answered", "_bits", "_data", "_events", "_fresh", "_gap", "_late", "_period", "_rows",
-        "_settle", "_streak", "_syncs", "_ticks", "_where",
+        "_answer", "_bits", "_copy_ns", "_events", "_gap", "_late", "_settle", "_streak", "_syncs",
+        "_where",
     )  # fmt: skip
 
     def __init__(
         self,
-        rows: tuple[int, ...],
-        ticks: NDArray[np.int64],
         size: int,
         syncs: Syncs,
         master: Master,
         events: EventLog,
         where: str,
+        answer: np.void | None = None,
     ) -> None:
-        """``ticks[row]`` for each of ``rows`` gets the tick that was sampled; ``size`` is the PDO's
-        in bytes."""
+        """``size`` is the PDO's in bytes. ``answer`` (`ANSWER`) is kept where compiled code, which
+        books regular answers itself (`Reception`), sees it."""
         self._bits = 2 * FRAME_BITS + INTERFRAME_BITS + 8 * size
-        self._rows = rows
-        self._ticks = ticks
+        self._answer = np.zeros(1, ANSWER)[0] if answer is None else answer
+        self._answer["bits"] = self._bits
         self._syncs = syncs
         self._late = master.late_ticks
         self._settle = master.settle_ticks
+        self._copy_ns = master.copy_us * 1000
         self._events = events
         self._where = where
-        self._answered = self._period = self._gap = self._streak = 0
-        self._fresh = False
-        self._data: bytes = b""
+        self._gap = self._streak = 0
 
     def begin(self) -> None:
         """The node was reset: nothing it owed will come, and its next answer is not late."""
-        self._answered = self._period = self._syncs.count
+        self._keep(self._syncs.count, self._syncs.count)
         self._gap = self._streak = 0
-        self._fresh = True
+        self._answer["fresh"] = 1
 
     @property
     def silence(self) -> int:
         """SYNCs since the last PDO."""
-        return self._syncs.count - self._period
+        return self._syncs.count - int(self._answer["period"])
 
-    def book(self, data: bytes) -> bool:
-        """Account for the frame in hand; False if its data are not to be used."""
-        syncs = self._syncs
-        newest = syncs.count
-        if (
-            self._answered + 1 != newest
-            or self._period == newest
-            or self._fresh
-            or syncs.stamp_ns < syncs.times_ns[newest % HISTORY] + self._bits * syncs.bit_ns
-        ):
-            return self._irregular(newest, data)
-        self._answered = self._period = newest
-        self._data = data
-        tick = syncs.ticks[newest % HISTORY]
-        for row in self._rows:
-            self._ticks[row] = tick
-        return True
-
-    def _irregular(self, newest: int, data: bytes) -> bool:
-        """Any PDO but the first in its period from a node that owes no other."""
+    def book(self, data: bytes) -> int | None:
+        """Account for the frame in hand: the tick its data were sampled in, or None if they are not
+        to be used."""
         syncs, events, where = self._syncs, self._events, self._where
+        answer = self._answer
+        newest = syncs.count
         oldest = max(newest - self._late, 1)
         period = newest
         sent_ns = syncs.stamp_ns - self._bits * syncs.bit_ns
@@ -130,15 +129,18 @@ class Arrival:
         if period < oldest:
             if newest:
                 events.counted("late_pdo", where, f"an answer came {self._late} SYNCs late")
-            return False
-        if self._fresh:
-            self._fresh = False
-            self._answered = self._period = period - 1
-        before, self._period = self._period, max(period, self._period)
-        if period <= self._answered or (period <= before and data == self._data):
+            return None
+        if answer["fresh"]:
+            answer["fresh"] = 0
+            self._keep(period - 1, period - 1)
+        answered, before, word = int(answer["answered"]), int(answer["period"]), word_of(data)
+        self._keep(answered, max(period, before))
+        stamp_ns, last_ns = syncs.stamp_ns, int(answer["stamp_ns"])
+        again = word == answer["data"] and stamp_ns - last_ns < self._copy_ns
+        if period <= answered or (period <= before and again):
             events.counted("duplicate_pdo", where, "a second answer to one SYNC")
-            return False
-        answers = max(self._answered + 1, oldest)
+            return None
+        answers = max(answered + 1, oldest)
         if period > before + 1:
             text = f"SYNCs without an answer: {period - before - 1}"
             events.counted("missing_pdo", where, text)
@@ -153,10 +155,15 @@ class Arrival:
             if self._streak >= self._settle:
                 answers, self._gap = period, 0
         booked = max(self._gap, oldest) if self._gap and period <= before else answers
-        self._answered, self._data = answers, data
+        answer["answered"], answer["data"], answer["stamp_ns"] = answers, word, stamp_ns
         if answers == period:
             self._gap = 0
-        tick = syncs.ticks[booked % HISTORY]
-        for row in self._rows:
-            self._ticks[row] = tick
-        return True
+        return int(syncs.ticks[booked % HISTORY])
+
+    def _keep(self, answered: int, period: int) -> None:
+        self._answer["answered"], self._answer["period"] = answered, period
+
+
+def word_of(data: bytes) -> int:
+    """Up to eight bytes as one signed number, little-endian."""
+    return int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)

@@ -13,12 +13,27 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from sim.can.frame import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame
 
 if TYPE_CHECKING:
     from sim.can.bus import Port
 
 FRAME = struct.Struct("<QIBB2x8s")
+FRAMES = np.dtype(
+    [
+        ("stamp_ns", "<i8"),
+        ("identifier", "<u4"),
+        ("dlc", "u1"),
+        ("own", "u1"),
+        ("padding", "<u2"),
+        ("data", "<i8"),  # the eight bytes
+    ]
+)
+"""`FRAME` again, for many at once."""
+_FLAGS_AT = 8 + 3
+"""the highest byte of the identifier"""
 ECHO = ERROR
 FRAMES_PER_PACKET = 128
 PACKET_BYTES = FRAMES_PER_PACKET * FRAME.size
@@ -47,6 +62,11 @@ def decode(packet: bytes) -> Iterator[RawFrame]:
     for stamp_ns, identifier, dlc, own, data in FRAME.iter_unpack(packet[:whole]):
         length = 0 if identifier & REMOTE else min(dlc, 8)
         yield stamp_ns, identifier, dlc, bool(own), data[:length]
+
+
+def flagged(packet: bytes) -> bool:
+    """Whether a frame's identifier carries a flag; most do not."""
+    return bool(packet[_FLAGS_AT :: FRAME.size].strip(b"\0"))
 
 
 def sound(identifier: int, dlc: int) -> bool:

@@ -12,6 +12,7 @@ from drivers.canopen.master import CanopenFieldbus
 from drivers.process_image import AxisCommand, AxisState, ProcessImage
 from runtime.clock import VirtualTimeLoop
 from sim.lab import Lab
+from tests.unit.fake_can import Tap
 
 CONFIG, SCENARIO = load("config/can.yaml", scenario="hold")
 PERIOD_S = CONFIG.control.rates.period
@@ -25,10 +26,9 @@ class Bench:
         assert isinstance(loop, VirtualTimeLoop)
         self.lab = Lab(CONFIG, SCENARIO.lab, seed=1, clock=loop.now_ns)
         self.image = ProcessImage()
-        self.frames: list[tuple[int, int, int, bytes, bool]] = []
-        self.fieldbus = CanopenFieldbus(
-            CONFIG, self.image, lambda *frame: self.frames.append(frame), open_bus=open_bus
-        )
+        tap = Tap()
+        self.frames = tap.seen
+        self.fieldbus = CanopenFieldbus(CONFIG, self.image, tap, open_bus=open_bus)
         self.tick = 0
 
     async def ticks(self, count: int) -> None:

@@ -54,9 +54,10 @@ class Node:
         self.syncs.bit_ns = US if stamped else 0
         self.ticks = [NOT_YET]
         self.events = EventLog()
-        self.arrival = Arrival((0,), self.ticks, 8, self.syncs, MASTER, self.events, "can0/1")
+        self.arrival = Arrival(8, self.syncs, MASTER, self.events, "can0/1")
         self.held = NOT_YET
         self._stamped = stamped
+        self.constant = False
 
     def play(self, arrivals: list[tuple[int, int]], ticks: int) -> list[int]:
         """Age of the measurement in each tick; none is younger than the one that is held."""
@@ -67,8 +68,9 @@ class Node:
             while waiting and waiting[0][0] <= now:
                 stamp, truth = waiting.pop(0)
                 self.syncs.stamp_ns = stamp if self._stamped else now
-                if self.arrival.book(truth.to_bytes(2, "little")):
-                    self.held = truth
+                data = b"" if self.constant else truth.to_bytes(2, "little")
+                if (booked := self.arrival.book(data)) is not None:
+                    self.held, self.ticks = truth, [booked]
             assert self.ticks[0] <= self.held
             ages.append(tick - 1 - self.ticks[0])
             self.syncs.sent(tick, now)
@@ -141,8 +143,7 @@ def test_frames_that_waited_unread_are_booked_to_their_own_time() -> None:
         node.syncs.sent(tick, tick * PERIOD_NS)
     for tick in range(4):
         node.syncs.stamp_ns = tick * PERIOD_NS + EARLIEST_NS
-        assert node.arrival.book(bytes(8))
-        assert node.ticks == [tick]
+        assert node.arrival.book(bytes(8)) == tick
     assert node.events.take() == []
 
 
@@ -151,18 +152,29 @@ def test_a_frame_older_than_any_open_sync_is_not_used() -> None:
     for tick in range(HISTORY + 10):
         node.syncs.sent(tick, tick * PERIOD_NS)
     node.syncs.stamp_ns = EARLIEST_NS
-    assert not node.arrival.book(bytes(8))
-    assert node.ticks == [NOT_YET]
+    assert node.arrival.book(bytes(8)) is None
     assert [event.name for event in node.events.take()] == ["late_pdo"]
 
 
 @pytest.mark.parametrize("late", [1, 8, HISTORY - 1])
 def test_a_long_silence_leaves_no_sample_younger_than_was_configured(late: int) -> None:
-    syncs, ticks = Syncs(), [NOT_YET]
+    syncs = Syncs()
     master = MASTER.model_copy(update={"late_ticks": late})
-    arrival = Arrival((0,), ticks, 8, syncs, master, EventLog(), "")
+    arrival = Arrival(8, syncs, master, EventLog(), "")
     for tick in range(200):
         syncs.sent(tick, tick * PERIOD_NS)
     syncs.stamp_ns = 200 * PERIOD_NS
-    assert arrival.book(bytes(8))
-    assert ticks == [199 - late]
+    assert arrival.book(bytes(8)) == 199 - late
+
+
+@pytest.mark.parametrize("late_us", [1000, 1200])
+def test_one_late_answer_with_constant_data_costs_age_once(late_us: int) -> None:
+    """A cell that nothing touches says the same in every period."""
+    node = Node(stamped=True)
+    phase = EARLIEST_NS + 500 * US
+    arrivals = [(tick * PERIOD_NS + phase, tick) for tick in range(40)]
+    arrivals[20] = (20 * PERIOD_NS + EARLIEST_NS + late_us * US, 20)
+    node.constant = True
+    ages = node.play(arrivals, 40)
+    assert max(ages[21:23]) <= 2
+    assert ages[24:] == [0] * 16

@@ -9,9 +9,12 @@ from collections.abc import Coroutine
 from typing import Any, TypeVar
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
 from config import Config, load
 from config.schema.bus import CanopenBus
+from drivers.canopen.frames import data_of
 from drivers.canopen.master import CanopenFieldbus
 from drivers.fieldbus import FrameTap
 from drivers.process_image import ProcessImage
@@ -119,6 +122,24 @@ class ScriptedBus(can.BusABC):
     def take_sent(self) -> list[tuple[int, bytes]]:
         taken, self.sent = self.sent, []
         return taken
+
+
+class Tap:
+    """Keeps what it hears: time, channel, identifier, data, sent by us."""
+
+    def __init__(self) -> None:
+        self.seen: list[tuple[int, int, int, bytes, bool]] = []
+
+    def frame(
+        self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
+    ) -> None:
+        self.seen.append((stamp_ns, channel, identifier, data, sent))
+
+    def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
+        for stamp_ns, identifier, dlc, own, _, word in frames.tolist():
+            if not own:
+                at = stamp_ns if 0 < stamp_ns < now_ns else now_ns
+                self.frame(at, channel, identifier, data_of(identifier, dlc, word), sent=False)
 
 
 def in_virtual_time(work: Coroutine[Any, Any, Result]) -> Result:

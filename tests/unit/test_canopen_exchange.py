@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from fake_can import Robot, in_virtual_time
+from fake_can import Robot, Tap, in_virtual_time
 
 from drivers.process_image import NEVER, AxisCommand, AxisState
 
@@ -105,10 +105,10 @@ def test_irregular_frames_are_told_apart_and_harm_nothing() -> None:
         assert image.axes["angle"][0] == pytest.approx(7 * INCREMENT)
 
         can0.put(0x181, b"\x37\x16\x01")
-        can0.put(0x182, bytes(9))
+        can0.put(0x191, bytes(5))
         bus.collect(3)
         assert names(robot) == ["short_pdo", "long_pdo"]
-        assert list(image.axes["age"][:2]) == [1, 2]
+        assert [image.axes["age"][0], image.cells["age"][0]] == [1, 2]
         assert image.axes["angle"][0] == pytest.approx(7 * INCREMENT)
 
         robot.put_axis(0, position=8)  # the answer that was missing, then the one that is due
@@ -279,7 +279,8 @@ def test_a_bus_that_refuses_frames_is_told_once_an_episode() -> None:
 
 
 def test_the_tap_sees_both_ways() -> None:
-    seen: list[tuple[int, int, int, bytes, bool]] = []
+    tap = Tap()
+    seen = tap.seen
 
     def script(robot: Robot) -> None:
         seen.clear()
@@ -287,7 +288,7 @@ def test_the_tap_sees_both_ways() -> None:
         robot.put_cell(2, 5)
         robot.fieldbus.collect(1)
 
-    robot = Robot(tap=lambda *frame: seen.append(frame))
+    robot = Robot(tap=tap)
     run(script, robot)
     assert [frame[1:] for frame in seen[:4]] == [(n, 0x080, b"", True) for n in range(4)]
     assert (1, 0x180 + 19, b"\x05\0\0\0", False) in [frame[1:] for frame in seen]
@@ -332,18 +333,15 @@ def test_a_second_start_begins_anew_at_tick_zero() -> None:
 
 
 def test_frames_are_stamped_on_our_clock_whatever_the_bus_keeps() -> None:
-    stamps: list[int] = []
-
-    def tap(stamp: int, number: int, identifier: int, data: bytes, sent: bool) -> None:
-        if not sent:
-            stamps.append(stamp)
+    tap = Tap()
 
     def script(robot: Robot) -> None:
         robot.fieldbus.collect(0)
-        stamps.clear()
+        tap.seen.clear()
         for seconds in (1.7e9, 1.7e9 + 0.25, 1.7e9 + 0.2, 1.7e9 + 0.24):
             robot.buses["can0"].put(0x181, bytes(8), timestamp=seconds)
         robot.fieldbus.collect(1)
+        stamps = [frame[0] for frame in tap.seen if not frame[4]]
         now = stamps[0]
         # The least delay seen so far stands for the difference of the clocks.
         assert stamps[1] == now

@@ -9,18 +9,27 @@ from collections import deque
 from typing import Any
 
 import can
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from drivers.canopen.frames import (
     ERROR,
     EXTENDED,
     REMOTE,
     Frames,
+    FramesTogether,
     MessageFrames,
     SocketcanFrames,
+    data_of,
     frames_of,
 )
+from drivers.fieldbus import RAW_FRAME
 from tests.unit.fake_can import ScriptedBus
+
+
+def heard(frames: NDArray[np.void]) -> list[tuple[int, int, int, bool, bytes]]:
+    return [(s, n, dlc, bool(own), data_of(n, dlc, w)) for s, n, dlc, own, _, w in frames.tolist()]
 
 
 def test_messages_become_frames_with_their_flags() -> None:
@@ -32,13 +41,13 @@ def test_messages_become_frames_with_their_flags() -> None:
     bus.put(0x182, b"\3", is_rx=False)
     frames = frames_of(bus)
     assert isinstance(frames, MessageFrames)
-    assert list(frames.receive_frames(4)) == [
+    assert heard(frames.receive_frames(4)) == [
         (1_500_000_000, 0x181, 2, False, b"\1\2"),
         (0, 0x18DA00F1 | EXTENDED, 0, False, b""),
         (0, 0x701 | REMOTE, 1, False, b""),
         (0, 0x004 | ERROR, 8, False, bytes(8)),
     ]
-    assert list(frames.receive_frames(4)) == [(0, 0x182, 1, True, b"\3")]
+    assert heard(frames.receive_frames(4)) == [(0, 0x182, 1, True, b"\3")]
     frames.send_frame(0x201, b"\5\6")
     assert bus.take_sent() == [(0x201, b"\5\6")]
 
@@ -97,13 +106,13 @@ def test_socketcan_frames_are_read_as_the_kernel_lays_them_out() -> None:
     frame, _, _ = raw.waiting[0]  # type: ignore[misc]
     raw.waiting.append((frame, [], socket.MSG_DONTROUTE))
     frames = SocketcanFrames(raw)  # type: ignore[arg-type]
-    assert list(frames.receive_frames(3)) == [
+    assert heard(frames.receive_frames(3)) == [
         (1_700_000_000_123_456_789, 0x181, 2, False, b"\1\2"),
         (5, 0x18DA00F1 | EXTENDED, 8, False, bytes(range(8))),
         (6, 0x701 | REMOTE, 1, False, b""),
     ]
-    assert list(frames.receive_frames(3)) == [(0, 0x181, 2, True, b"\1\2")]
-    assert list(frames.receive_frames(3)) == []
+    assert heard(frames.receive_frames(3)) == [(0, 0x181, 2, True, b"\1\2")]
+    assert heard(frames.receive_frames(3)) == []
 
 
 def test_socketcan_errors_are_python_cans() -> None:
@@ -128,7 +137,10 @@ def test_socketcan_errors_are_python_cans() -> None:
 
 
 def test_the_labs_buses_need_no_messages() -> None:
+    from sim.can import packet
     from sim.can.plugin import LocalBus, SocketBus
 
     for kind in (LocalBus, SocketBus):
         assert issubclass(kind, Frames)
+    assert issubclass(SocketBus, FramesTogether)
+    assert packet.FRAMES.descr == RAW_FRAME.descr

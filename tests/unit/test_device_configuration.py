@@ -5,21 +5,19 @@ from __future__ import annotations
 import asyncio
 import struct
 
+import numpy as np
 import pytest
 
 from config import load
 from drivers import epos4, force_cell
 from drivers.canopen.pdo import Direction, Mapping, PdoError, configure, silence
-from drivers.canopen.process_data import (
-    Refusal,
-    cell_decoder,
-    drive_decoder,
-    drive_encoder,
-)
-from drivers.canopen.syncs import Arrival, Syncs
+from drivers.canopen.process_data import cell_fields, drive_encoder, drive_fields
+from drivers.canopen.reception import Reception
+from drivers.canopen.syncs import Syncs, word_of
 from drivers.errors import SdoAbortError
 from drivers.events import CAPACITY, EventLog
 from drivers.exchange import Exchange
+from drivers.fieldbus import RAW_FRAME
 from drivers.process_image import ProcessImage
 from drivers.setting import Kind, Setting, SettingError, apply
 
@@ -106,19 +104,18 @@ def test_mappings_in_any_order_and_form_mean_the_same() -> None:
     cell = CONFIG.fieldbus.force_cell.model_copy(update={"tpdo": (0x61500108, 0x61300120)})
     image, events, syncs = ProcessImage(), EventLog(), Syncs()
     exchange = Exchange(CONFIG.robot, cell, CONFIG.control.freshness, image, events, [""] * 8)
-    refuse = Refusal(0, events, "")
-
-    def arrival(row: int, ticks: list[int]) -> Arrival:
-        return Arrival((row,), ticks, 8, syncs, CONFIG.fieldbus.master, events, "")
-
-    of_cell, of_drive = arrival(4, exchange.cell_tick), arrival(2, exchange.axis_tick)
+    reception = Reception(syncs, 8)
+    of_cell = Mapping.of(cell.tpdo)
+    of_drive = Mapping.of([0x60770010, 0x60640020, 0x60410010])
+    reception.add(0x191, 5, cell_fields(of_cell, (4,), exchange), exchange)
+    reception.add(0x183, 8, drive_fields(of_drive, 2, exchange), exchange)
     syncs.sent(0, 0)
-    mapping = Mapping.of(cell.tpdo)
-    frame = bytearray(struct.pack("<Bf", 3, -12.5))
-    cell_decoder(mapping, (4,), exchange, of_cell, refuse)(frame)
-    drive = Mapping.of([0x60770010, 0x60640020, 0x60410010])
-    frame = bytearray(struct.pack("<hiH", -500, -50_176, 0x1637))
-    drive_decoder(drive, 2, exchange, of_drive, refuse)(frame)
+    sent = (
+        (0x191, struct.pack("<Bf", 3, -12.5)),
+        (0x183, struct.pack("<hiH", -500, -50_176, 0x1637)),
+    )
+    frames = np.array([(5, each, len(d), 0, 0, word_of(d)) for each, d in sent], RAW_FRAME)
+    assert reception(frames, 0, 9) == (2, 5)
     exchange.fill(1)
     assert (image.cells["force"][4], image.cells["status"][4]) == (-12.5, 3)
     assert image.axes["angle"][2] == pytest.approx(-6.283185307179586)

@@ -42,7 +42,7 @@ class Run:
             cycles.publish(record.data, stamp)
             self.records[tick] = record.data[0]
             for channel in (0, 1):
-                frames.tap(stamp, channel, 0x181, bytes([tick % 256, channel]), False)
+                frames.frame(stamp, channel, 0x181, bytes([tick % 256, channel]), sent=False)
             if tick % 300 == 0:
                 events.write(stamp, tick, Level.WARNING, "something", "can0/1", f"in tick {tick}")
             if tick % every == 0:

@@ -1,0 +1,173 @@
+"""The regular answers of a tick, booked and taken apart by compiled code.
+
+A channel brings some five TPDOs a tick, and nearly every one as it should: whole, in its own
+period even if it is read later, from a node that owes no other. Those are booked here, frame by
+frame in the order they came. What is different in any way stops the kernel; `Channel` looks at
+that frame and goes on behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from drivers.canopen.pdo import Kind, Mapping
+from drivers.canopen.syncs import ANSWER, HISTORY, Syncs, word_of
+from drivers.exchange import NOT_YET, Exchange
+from drivers.fieldbus import RAW_FRAME
+
+_IDENTIFIERS = 1 << 11
+_NODES = 127
+_NOBODY = -1
+_TICK = -1
+
+FIELD = np.dtype([("kind", "i8"), ("shift", "i8"), ("bits", "i8"), ("place", "i8"), ("real", "i8")])
+
+
+class Field(NamedTuple):
+    """One value of a PDO, and its place among the exchange's words; in the order of `FIELD`."""
+
+    kind: int
+    """`Kind`, or the tick of the sample"""
+    shift: int
+    """its first bit"""
+    bits: int
+    place: int
+    floating: bool
+    """the place holds a float"""
+
+
+def tick_field(place: int) -> Field:
+    """The tick that was sampled."""
+    return Field(_TICK, 0, 0, place, False)
+
+
+def mapped(mapping: Mapping, entry: int, place: int, *, floating: bool = False) -> Field:
+    """A mapped object. Raises `PdoError` if it is not mapped."""
+    kind, shift, bits = mapping.bits(entry)
+    return Field(kind, shift, bits, place, floating)
+
+
+@njit(cache=True)
+def _store(
+    word: int,
+    tick: int,
+    fields: NDArray[np.void],
+    first: int,
+    count: int,
+    integers: NDArray[np.int64],
+    reals: NDArray[np.float64],
+) -> None:
+    """Take eight bytes apart."""
+    for i in range(first, first + count):
+        field = fields[i]
+        if field.kind == _TICK:
+            integers[field.place] = tick
+            continue
+        value = (word << (64 - field.shift - field.bits)) >> (64 - field.bits)
+        if field.kind == Kind.UNSIGNED and field.bits < 64:
+            value &= (1 << field.bits) - 1
+        if field.kind == Kind.REAL:
+            reals[field.place] = np.int32(value).view(np.float32)
+        elif field.real:
+            reals[field.place] = value
+        else:
+            integers[field.place] = value
+
+
+@njit(cache=True)
+def _receive(
+    frames: NDArray[np.void],
+    at: int,
+    now_ns: int,
+    newest: int,
+    late: int,
+    bit_ns: int,
+    times_ns: NDArray[np.int64],
+    ticks: NDArray[np.int64],
+    slots: NDArray[np.int16],
+    answers: NDArray[np.void],
+    fields: NDArray[np.void],
+    integers: NDArray[np.int64],
+    reals: NDArray[np.float64],
+) -> tuple[int, int]:
+    """Book regular answers from frame ``at`` on: the first frame that is none, or their number, and
+    when the last one came (0: there was none)."""
+    heard_ns = 0
+    for i in range(at, frames.shape[0]):
+        frame = frames[i]
+        if frame.own:
+            continue
+        if frame.identifier >= slots.shape[0]:
+            return i, heard_ns
+        slot = slots[frame.identifier]
+        if slot == _NOBODY:
+            return i, heard_ns
+        answer = answers[slot]
+        stamp_ns = frame.stamp_ns if 0 < frame.stamp_ns < now_ns else now_ns
+        sent_ns = stamp_ns - answer.bits * bit_ns
+        due = answer.answered + 1
+        if (
+            frame.dlc != answer.size
+            or answer.period >= due
+            or answer.fresh
+            or not newest - late <= due <= newest
+            or sent_ns < times_ns[due % HISTORY]
+            or (due < newest and sent_ns >= times_ns[(due + 1) % HISTORY])
+        ):
+            return i, heard_ns
+        answer.answered = due
+        answer.period = due
+        answer.data = frame.data
+        answer.stamp_ns = stamp_ns
+        heard_ns = stamp_ns
+        tick = ticks[due % HISTORY]
+        _store(frame.data, tick, fields, answer.first, answer.fields, integers, reals)
+    return frames.shape[0], heard_ns
+
+
+class Reception:
+    """Who answers on a channel, and what is in the answers."""
+
+    def __init__(self, syncs: Syncs, late_ticks: int) -> None:
+        self._syncs = syncs
+        self._late = late_ticks
+        self._slots = np.full(_IDENTIFIERS, _NOBODY, np.int16)
+        self._answers = np.zeros(_NODES, ANSWER)
+        self._nodes = 0
+        self._fields = np.zeros(0, FIELD)
+        self._words = (np.zeros(0, np.int64), np.zeros(0))
+
+    def add(
+        self, identifier: int, size: int, fields: Sequence[Field], exchange: Exchange
+    ) -> np.void:
+        """A node's PDO of ``size`` bytes; all of a channel go into one ``exchange``. Its account of
+        answers is for `Arrival`."""
+        slot, self._nodes = self._nodes, self._nodes + 1
+        self._slots[identifier] = slot
+        answer: np.void = self._answers[slot]
+        answer["size"], answer["first"], answer["fields"] = size, len(self._fields), len(fields)
+        self._fields = np.concatenate((self._fields, np.array(fields, FIELD)))
+        self._words = (exchange.integers, exchange.reals)
+        self(np.zeros(0, RAW_FRAME), 0, 0)  # compiles it before a tick needs it
+        self.store(answer, bytes(size), NOT_YET)
+        return answer
+
+    def __call__(self, frames: NDArray[np.void], at: int, now_ns: int) -> tuple[int, int]:
+        """Book what is regular of ``frames`` (n,), from ``at`` on and up to the first that is not:
+        its index, or n, and the time of the last that was, 0 if none was."""
+        syncs = self._syncs
+        result: tuple[int, int] = _receive(
+            frames, at, now_ns, syncs.count, self._late, syncs.bit_ns, syncs.times_ns, syncs.ticks,
+            self._slots, self._answers, self._fields, *self._words,
+        )  # fmt: skip
+        return result
+
+    def store(self, answer: np.void, data: bytes, tick: int) -> None:
+        """Take an answer apart that `Arrival` has booked to ``tick``."""
+        first, count = int(answer["first"]), int(answer["fields"])
+        _store(word_of(data), tick, self._fields, first, count, *self._words)
