@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from config.schema.realtime import Processor, RealTime
+from config.schema.realtime import Processor, Processors, RealTime
 from runtime.errors import DaemonError
 
 _MCL_CURRENT_AND_FUTURE = 1 | 2
@@ -22,6 +22,7 @@ _NEVER = 2**31 - 1
 _USUAL_TRIM, _USUAL_MMAPS = 128 * 1024, 65536
 _DMA_LATENCY = Path("/dev/cpu_dma_latency")
 _PROCESSORS = Path("/sys/devices/system/cpu")
+_INTERRUPTS = Path("/proc/interrupts")
 _RESUME_LATENCY = "power/pm_qos_resume_latency_us"
 _ANY, _NONE = "0", "n/a"
 """What the kernel calls no limit, and a limit of 0 (Documentation/ABI sysfs-devices-power)."""
@@ -67,7 +68,7 @@ class Hygiene:
         if settings.cpu_dma_latency_us is not None:
             self._take(_stay_awake(settings.cpu_dma_latency_us, settings.daemon_cpu))
         if settings.daemon_cpu is not None:
-            self._take(_pin(settings.daemon_cpu))
+            self._take(_pin({_number(settings.daemon_cpu)}))
         if settings.daemon_priority:
             self._take(_fifo(settings.daemon_priority))
         self._take(_freeze())
@@ -88,6 +89,20 @@ class Hygiene:
             self._undo.append(undo)
 
 
+def settled(settings: RealTime) -> RealTime:
+    """The same with every processor by its number: asked once, so that all processes of a run go
+    by the same answer."""
+    if settings.daemon_cpu is None:
+        return settings
+    usable = os.sched_getaffinity(0)
+    daemon = _number(settings.daemon_cpu)
+    others = tuple(sorted(usable - {daemon} or usable))
+    beside = {
+        key: others for key in ("lab_cpu", "recorder_cpu") if getattr(settings, key) == "others"
+    }
+    return settings.model_copy(update={"daemon_cpu": daemon, **beside})
+
+
 def demand(settings: RealTime) -> None:
     """With the policy ``require``, ask for everything and give it back, before anything is started.
 
@@ -104,14 +119,14 @@ def demand(settings: RealTime) -> None:
         )
 
 
-def prepare(*, priority: int, processor: Processor | None, lock_memory: bool) -> list[Grant]:
+def prepare(*, priority: int, processors: Processors | None, lock_memory: bool) -> list[Grant]:
     """What a process beside the daemon asks for, for good: SCHED_FIFO (0 for none; children start
     without it), processors, locked memory."""
     grants = []
     if priority:
         grants.append(_fifo(priority)[0])
-    if processor is not None:
-        grants.append(_pin(processor)[0])
+    if processors is not None:
+        grants.append(_pin(_numbers(processors))[0])
     if lock_memory:
         grants.append(_lock()[0])
     return grants
@@ -154,16 +169,36 @@ def _fifo(priority: int) -> tuple[Grant, Undo | None]:
     return Grant(item, True, "reset on fork"), partial(os.sched_setscheduler, 0, before, parameter)
 
 
-def _meant(processor: Processor) -> set[int]:
-    if isinstance(processor, int):
-        return {processor}
-    usable = os.sched_getaffinity(0)
-    last = {max(usable)}
-    return last if processor == "last" else usable - last or last
+def _number(processor: Processor) -> int:
+    return _quietest(os.sched_getaffinity(0)) if processor == "quietest" else processor
 
 
-def _pin(processor: Processor) -> tuple[Grant, Undo | None]:
-    wanted, before = _meant(processor), os.sched_getaffinity(0)
+def _numbers(processors: Processors) -> set[int]:
+    if processors == "others":
+        usable = os.sched_getaffinity(0)
+        return usable - {_quietest(usable)} or usable
+    return {processors} if isinstance(processors, int) else set(processors)
+
+
+def _quietest(usable: set[int]) -> int:
+    """Disk and network interrupts, and what follows them, are booked to whom they interrupt, for
+    milliseconds now and then. Of equals it is the last."""
+    try:
+        lines = _INTERRUPTS.read_text(encoding="ascii").splitlines()
+    except OSError:
+        return max(usable)
+    columns = [int(name.removeprefix("CPU")) for name in lines[0].split()]
+    served = dict.fromkeys(columns, 0)
+    for line in lines[1:]:
+        label, *fields = line.split()
+        if label.rstrip(":").isdigit():  # a device's, not the kernel's own
+            for column, count in zip(columns, fields, strict=False):
+                served[column] += int(count)
+    return min(usable, key=lambda processor: (served.get(processor, 0), -processor))
+
+
+def _pin(wanted: set[int]) -> tuple[Grant, Undo | None]:
+    before = os.sched_getaffinity(0)
     item = f"processor {', '.join(map(str, sorted(wanted)))}"
     try:
         os.sched_setaffinity(0, wanted)
@@ -197,7 +232,7 @@ def _stay_awake(microseconds: int, processor: Processor | None) -> tuple[Grant, 
     alone = ""
     if processor is not None:
         wanted = str(microseconds or _NONE)
-        file = _PROCESSORS / f"cpu{max(_meant(processor))}" / _RESUME_LATENCY
+        file = _PROCESSORS / f"cpu{_number(processor)}" / _RESUME_LATENCY
         try:
             before = file.read_text(encoding="ascii").strip()
             file.write_text(wanted, encoding="ascii")

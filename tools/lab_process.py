@@ -90,7 +90,7 @@ async def work(
     """
     realtime = config.realtime
     priority = realtime.of(realtime.lab_priority)
-    prepare(priority=priority, processor=realtime.on(realtime.lab_cpu), lock_memory=False)
+    prepare(priority=priority, processors=realtime.on(realtime.lab_cpu), lock_memory=False)
     now = clock.loop_clock()
     lab = Lab(config, scenario.lab, seed=seed, clock=now, truth=truth, start_ns=now(), nodes=nodes)
 

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from config.schema.control import Recording
-from config.schema.realtime import Processor
+from config.schema.realtime import Processors
 from runtime.realtime import prepare
 from runtime.recorder import Recorder, Watch
 from runtime.ring import RingReader
@@ -85,7 +85,7 @@ def start(
     utc_offset_ns: int,
     *,
     priority: int = 0,
-    processor: Processor | None = None,
+    processors: Processors | None = None,
     live: tuple[float, int] | None = None,
     scene: Scene | None = None,
     tell_events: bool = False,
@@ -100,7 +100,7 @@ def start(
         },
         "utc_offset_ns": utc_offset_ns,
         "priority": priority,
-        "processor": processor,
+        "processors": processors,
         "live": live,
         "scene": None if scene is None else asdict(scene),
         "tell_events": tell_events,
@@ -120,7 +120,7 @@ def start(
 
 def run(ring_dir: Path, out: Path, job: dict[str, Any]) -> bool:
     """Record until asked to stop or left alone. Gives whether all of it could be written."""
-    prepare(priority=job["priority"], processor=job["processor"], lock_memory=False)
+    prepare(priority=job["priority"], processors=job["processors"], lock_memory=False)
     live = Live(*job["live"]) if job["live"] is not None else None
     recorder = _recorder(ring_dir, out, job, live.update if live else None)
     lines = EventLines(ring_dir, journal=for_journal(os.environ)) if job["tell_events"] else None

@@ -36,7 +36,7 @@ from runtime.daemon import Daemon, Latencies, Outcome
 from runtime.errors import DaemonError
 from runtime.notify import Notifier
 from runtime.operator import Console, Script
-from runtime.realtime import Grant, Hygiene, demand, stolen_jiffies
+from runtime.realtime import Grant, Hygiene, demand, settled, stolen_jiffies
 from runtime.recorder import Recorder
 from runtime.rehearsal import rehearse
 from runtime.ring import RingWriter
@@ -160,6 +160,7 @@ class _Stage:
         shown = order.live and not order.serve
         self._shown = (order.scenario.duration, step_ns) if shown else None
         self._order, self._rings, self._log, self._cleanup = order, rings, log, cleanup
+        self._realtime = settled(config.realtime)
         patience = config.operation.self_test.patience_s
         script = None if order.serve else Script(order.scenario.duration, patience)
         self._console = Console(script)
@@ -226,7 +227,7 @@ class _Stage:
 
     def real(self) -> Result:
         order = self._order
-        realtime = order.config.realtime
+        realtime = self._realtime
         lab = self._lab_process()
         recorder = self._recorder_process()
         early, spin = realtime.early_wake_us * 1000, realtime.spin_us * 1000
@@ -287,13 +288,14 @@ class _Stage:
         order = self._order
         if order.config.lab is None:
             return None
-        lab = start_lab(order.config, order.scenario, order.seed, self._rings, self._ticks)
+        config = order.config.model_copy(update={"realtime": self._realtime})
+        lab = start_lab(config, order.scenario, order.seed, self._rings, self._ticks)
         self._cleanup.callback(lab.stop)
         return lab
 
     def _recorder_process(self) -> RecorderProcess:
         order = self._order
-        realtime, health = order.config.realtime, doctor.latest(order.config, order.out)
+        realtime, health = self._realtime, doctor.latest(order.config, order.out)
         attachments = {"doctor.json": json.dumps(health, indent=2, sort_keys=True).encode()}
         recorder = start(
             self._rings,
@@ -303,7 +305,7 @@ class _Stage:
             self._attachments() | attachments,
             clock.utc_offset_ns(),
             priority=realtime.of(realtime.recorder_priority),
-            processor=realtime.on(realtime.recorder_cpu),
+            processors=realtime.on(realtime.recorder_cpu),
             live=self._shown,
             tell_events=order.serve,
             scene=Scene.of(order.config),

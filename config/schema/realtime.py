@@ -19,10 +19,10 @@ def _off(value: Any) -> Any:
 
 Priority = Annotated[int, BeforeValidator(no_boolean), Field(ge=0, le=99)]
 WholeNumber = Annotated[int, BeforeValidator(no_boolean), Field(ge=0)]
-Last = Literal["last"]
-"""The last processor of those that the process may use."""
-Processor = WholeNumber | Last | Literal["others"]
-"""By its number, the last one, or all but the last (of a single one, that)."""
+Processor = WholeNumber | Literal["quietest"]
+"""By its number, or the one that has served the fewest interrupts of devices so far."""
+Processors = WholeNumber | tuple[WholeNumber, ...] | Literal["others"]
+"""By their numbers, or all but the daemon's (the same, where there is one only)."""
 
 
 class HostLimits(Section):
@@ -50,10 +50,10 @@ class RealTime(Section):
     lab_priority: Priority
     recorder_priority: Priority
     lock_memory: bool
-    daemon_cpu: WholeNumber | Last | None = None
+    daemon_cpu: Processor | None = None
     """null: wherever the kernel puts it, which may change"""
-    lab_cpu: Processor | None = None
-    recorder_cpu: Processor | None = None
+    lab_cpu: Processors | None = None
+    recorder_cpu: Processors | None = None
     cpu_dma_latency_us: WholeNumber | None = None
     """longest wake-up from idle that the daemon's processor may take while it runs, or every
     processor if it has none of its own; null: not asked"""
@@ -74,9 +74,9 @@ class RealTime(Section):
         """A priority to be asked for under this policy."""
         return 0 if self.policy == "off" else priority
 
-    def on(self, processor: Processor | None) -> Processor | None:
-        """A processor to be asked for under this policy."""
-        return None if self.policy == "off" else processor
+    def on(self, processors: Processors | None) -> Processors | None:
+        """Processors to be asked for under this policy."""
+        return None if self.policy == "off" else processors
 
     @model_validator(mode="after")
     def _spins_within_the_early_wake(self) -> RealTime:

@@ -10,7 +10,8 @@ import pytest
 
 from config import load
 from config.schema.realtime import RealTime
-from runtime.realtime import Hygiene, RefusedError, demand, prepare
+from runtime import realtime
+from runtime.realtime import Hygiene, RefusedError, demand, prepare, settled
 from tools.run import Order, run
 
 NO_SUCH_PROCESSOR = 1023
@@ -46,14 +47,14 @@ def test_a_refusal_is_said_and_the_rest_is_had_under_prefer() -> None:
 
 
 def test_only_the_daemons_processor_is_kept_awake_where_it_has_one() -> None:
-    last = max(os.sched_getaffinity(0))
-    file = Path(f"/sys/devices/system/cpu/cpu{last}/power/pm_qos_resume_latency_us")
-    hygiene = Hygiene(settings(daemon_cpu="last", cpu_dma_latency_us=0))
+    quiet = settled(settings(daemon_cpu="quietest")).daemon_cpu
+    file = Path(f"/sys/devices/system/cpu/cpu{quiet}/power/pm_qos_resume_latency_us")
+    hygiene = Hygiene(settings(daemon_cpu="quietest", cpu_dma_latency_us=0))
     told = next(str(grant) for grant in hygiene.grants if "DMA" in grant.item)
     pinned = os.sched_getaffinity(0)
     awake = file.read_text().strip() if file.exists() else ""
     hygiene.release()
-    assert pinned == {last}
+    assert pinned == {quiet}
     if os.access(file, os.W_OK):
         assert "on the daemon's processor" in told
         assert awake == "n/a"
@@ -72,18 +73,41 @@ def test_what_a_killed_daemon_left_awake_may_sleep_after_the_next_one() -> None:
     if not os.access(file, os.W_OK):
         pytest.skip("this host does not let us say which processor stays awake")
     file.write_text("n/a")
-    Hygiene(settings(daemon_cpu="last", cpu_dma_latency_us=0)).release()
+    Hygiene(settings(daemon_cpu=last, cpu_dma_latency_us=0)).release()
     assert file.read_text().strip() == "0"
 
 
 def test_processes_beside_the_daemon_keep_off_its_processor() -> None:
     usable = os.sched_getaffinity(0)
     try:
-        prepare(priority=0, processor="others", lock_memory=False)
-        assert os.sched_getaffinity(0) == (usable - {max(usable)} or usable)
+        prepare(priority=0, processors="others", lock_memory=False)
+        beside = os.sched_getaffinity(0)
     finally:
         os.sched_setaffinity(0, usable)
+    found = settled(settings(daemon_cpu="quietest", lab_cpu="others", recorder_cpu=0))
+    assert beside == set(found.lab_cpu) == (usable - {found.daemon_cpu} or usable)
+    assert found.recorder_cpu == 0
     assert settings(policy="off").on("others") is None
+
+
+def test_the_quietest_processor_has_served_the_fewest_interrupts_of_devices(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = tmp_path / "interrupts"
+    monkeypatch.setattr(realtime, "_INTERRUPTS", table)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3})
+    table.write_text(
+        "           CPU0       CPU1       CPU2       CPU3\n"
+        " 36:          0          3          7          1  PCI-MSIX 1-edge  virtio1-req.0\n"
+        " 38:          9          0          0          2  PCI-MSIX 1-edge  virtio2-input.0\n"
+        "LOC:          0     999999          0          0  Local timer interrupts\n"
+        "ERR:          0\n"
+    )
+    assert settled(settings(daemon_cpu="quietest", lab_cpu="others")).daemon_cpu == 3
+    assert settled(settings(daemon_cpu="quietest", lab_cpu="others")).lab_cpu == (0, 1, 2)
+    assert settled(settings(daemon_cpu=None, lab_cpu="others")).lab_cpu == "others"
+    table.unlink()
+    assert settled(settings(daemon_cpu="quietest")).daemon_cpu == 3
 
 
 def test_off_asks_for_nothing_of_the_host() -> None:
