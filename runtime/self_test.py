@@ -95,7 +95,8 @@ class SelfTest:
 
     def _tared(self, cycle: ControlCycle) -> str:
         offsets = cycle.tare.tolist()
-        return f"offsets of {min(offsets):.2f} to {max(offsets):.2f} N are taken out"
+        kind = "offsets" if self._config.control.sequence.tare is None else "stated offsets"
+        return f"{kind} of {min(offsets):.2f} to {max(offsets):.2f} N are taken out"
 
     def _tare(self, cycle: ControlCycle) -> Iterator[str]:
         limit = self._config.control.sequence.tare_limit

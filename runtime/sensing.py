@@ -4,6 +4,7 @@ have fresh measurements behind them."""
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
@@ -214,10 +215,11 @@ class Sensing:
         """s of readings collected."""
         return self._samples * self._period
 
-    def apply_tare(self) -> int:
-        """Zero the cells; returns the number of samples used."""
+    def apply_tare(self, stated: Sequence[float] | None) -> int:
+        """Zero the cells, by offsets (9,) N that were ``stated`` or else by their mean reading;
+        returns the number of readings there were."""
         samples = self._samples
-        self.tare = self._sum / max(samples, 1)
+        self.tare = self._sum / max(samples, 1) if stated is None else np.array(stated)
         self._sum = np.zeros(CELLS)
         self._samples = 0
         self.force[:] = 0.0

@@ -307,7 +307,7 @@ class Sequence:
         sensing.collect_tare(image)
         if sensing.tare_time < self._settings.tare_s:
             return None
-        sensing.apply_tare()
+        sensing.apply_tare(self._settings.tare)
         beyond = np.abs(sensing.tare) > self._settings.tare_limit
         if beyond.any():
             return self._raise(Fault.CELL_BAD, int(beyond.argmax()))

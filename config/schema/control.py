@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from config.schema.base import Count, Fraction, NonNegative, Positive, Section
+from config.schema.bus import CELLS
 from config.schema.robot import Rates, Tension
 
 
@@ -288,6 +289,8 @@ class Sequence(Section):
     """fewest tracker poses that make a reference"""
     tare_limit: Positive
     """N: a larger reading of an unloaded cell is a defect and not an offset"""
+    tare: Annotated[tuple[float, ...], Field(min_length=CELLS, max_length=CELLS)] | None = None
+    """N: offsets of the cells, stated; null: what they read at the start, unloaded, is measured"""
     reference_slew: Positive
     """1/s: how fast the scenario's time may slow down or pick up"""
 

@@ -149,6 +149,22 @@ def test_tare_takes_the_offset_out() -> None:
     np.testing.assert_allclose(statue.record.tension.measured, 0.0, atol=1e-12)
 
 
+def test_a_stated_tare_stands_in_for_a_measured_one() -> None:
+    """What a cell reads beyond it stays to be seen: the platform hangs, say."""
+    stated, load = np.linspace(-1.0, 1.0, 9), 0.75
+    sequence = CONTROL.sequence.model_copy(update={"tare": tuple(stated.tolist())})
+    control = CONTROL.model_copy(update={"sequence": sequence})
+    statue = Statue(ControlCycle(CONFIG.robot, control, CONFIG.tracker, SCENARIO.reference))
+
+    def spoil(image: ProcessImage) -> None:
+        image.cells["force"] += stated + load
+
+    go_on(statue, spoil, 60)
+    assert statue.at(State.STANDBY)
+    np.testing.assert_allclose(statue.record.force_cells.tare, stated)
+    np.testing.assert_allclose(statue.record.tension.measured, load, atol=1e-12)
+
+
 def test_a_drive_that_does_not_come_up_in_time_is_named() -> None:
     statue = Statue().until(State.REFERENCING)
 

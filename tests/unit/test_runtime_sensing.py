@@ -139,7 +139,7 @@ def test_the_tare_is_the_mean_of_fresh_readings() -> None:
     image.cells["force"], image.cells["age"][4] = 99.0, FRESHNESS.measurement_ticks + 1
     sensing.collect_tare(image)
     assert sensing.tare_time == pytest.approx(10 * PERIOD)
-    assert sensing.apply_tare() == 10
+    assert sensing.apply_tare(None) == 10
     np.testing.assert_allclose(sensing.tare, offset, atol=1e-12)
     image.cells["force"] = offset + 3.0
     for tick in range(200):
