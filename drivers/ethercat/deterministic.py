@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from config.schema.bus import EthercatBus
@@ -30,7 +30,7 @@ from drivers.ethercat.frames import (
     station,
 )
 from drivers.ethercat.port import FrameExchange, FramePort, InjectedPort
-from drivers.ethercat.status import AL_CONTROL, SlaveStatus, StatusFrames
+from drivers.ethercat.status import AL_CONTROL, StateAccess, StatusFrames
 from drivers.ethercat.wire import FIRST_STATION, Found, Sizes
 from drivers.setting import ObjectAccess
 
@@ -87,7 +87,7 @@ class _Station:
         )
 
 
-class DeterministicMaster:
+class DeterministicMaster(StateAccess):
     """A `Wire` on any `FramePort`."""
 
     def __init__(
@@ -99,6 +99,7 @@ class DeterministicMaster:
     ) -> None:
         """``exchange`` is the segment, ``clock`` gives ns of the loop's time. ``beside`` is a port
         for another master's help: it carries what is not process data."""
+        super().__init__()
         self.inputs: list[bytes] = []
         self.reference_ns: int | None = None
         self._bus = bus
@@ -108,7 +109,6 @@ class DeterministicMaster:
         self._states: FramePort = InjectedPort(exchange, clock)
         self._frame_ns = round(bus.clocks.frame_us * 1e3)
         self._slaves: list[_Slave] = []
-        self._status: StatusFrames | None = None
         self._index = _FIRST_INDEX
         self._cycle_index = 0
         self._watchdog_ms = bus.master.watchdog_ms
@@ -179,7 +179,7 @@ class DeterministicMaster:
         self._slaves = [_Slave(FIRST_STATION + number) for number in range(count)]
         for number in range(count):
             await self._start_slave(number)
-        self._status = StatusFrames(self._states, [slave.address for slave in self._slaves])
+        self.states = StatusFrames(self._states, [slave.address for slave in self._slaves])
         return [slave.found for slave in self._slaves]
 
     async def _start_slave(self, number: int) -> None:
@@ -351,17 +351,6 @@ class DeterministicMaster:
                 place = each.inputs_at - _LOGICAL
                 self.inputs[number] = data[place : place + each.sizes.inputs]
         return image.counter
-
-    def look(self) -> None:
-        if self._status is not None:
-            self._status.look()
-
-    def looked(self) -> list[SlaveStatus | None] | None:
-        return self._status.looked() if self._status is not None else None
-
-    def control(self, words: Mapping[int, int]) -> None:
-        if self._status is not None:
-            self._status.control(words)
 
     def close(self) -> None:
         for port in (self._acyclic, self._cyclic, self._states):

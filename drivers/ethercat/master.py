@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -21,9 +20,11 @@ from drivers import epos4
 from drivers.canopen import emcy
 from drivers.errors import BringUpError, DriverError
 from drivers.ethercat.al import ERROR, AlState
+from drivers.ethercat.phase import Phase
+from drivers.ethercat.recovery import Recovery
 from drivers.ethercat.slave import Slave, decoder, encoder, slaves
 from drivers.ethercat.status import SlaveStatus
-from drivers.ethercat.watch import Watch, Watched
+from drivers.ethercat.watch import Watch
 from drivers.ethercat.wire import Found, Wire
 from drivers.events import EventLog
 from drivers.exchange import Exchange
@@ -33,12 +34,8 @@ from drivers.process_image import ProcessImage
 Clock = Callable[[], int]
 OpenWire = Callable[[EthercatBus, Clock], Wire]
 _POLL_S = 1e-3
-_FITS_TICKS = 4
-"""The reference clock in a frame may be off by so much: a frame can leave late, and indices repeat
-after 16."""
 _ASK_AGAIN = 50
 """Polls after which a change of state is asked for again: the frame may have been lost."""
-_REMEMBERED = 64
 _FAREWELL = 3
 """Frames with zeros at the end: one may be lost."""
 
@@ -96,6 +93,7 @@ class EthercatFieldbus:
         self._outputs = list(self._idle)
         self._expected = sum(each.counts for each in self._slaves)
         self._watch = Watch(bus, exchange, self._events)
+        self._recovery = Recovery(bus, self._watch, self._events, self._set_clocks, self._look_soon)
         self._wire: Wire | None = None
         self._now: Clock = _loop_clock
         self._pump_task: asyncio.Task[None] | None = None
@@ -103,12 +101,7 @@ class EthercatFieldbus:
         self._found = 0
         self._sent_tick: int | None = None
         self._sent_ns = 0
-        self._ahead_ns: int | None = None
-        self._known_ahead_ns: int | None = None
-        self._phase_ns = 0
-        self._pulses: deque[int] = deque(maxlen=_REMEMBERED)
-        """SYNC0's number less the tick's: the least is that of a frame that was on time"""
-        self._shift_ns = round(bus.clocks.shift_us * 1e3)
+        self._phase = Phase(bus.clocks, self._period_ns)
         self._codes = [0] * CABLES
         self._next_look = 0
         self._look_now = False
@@ -131,13 +124,13 @@ class EthercatFieldbus:
                     raise BringUpError(
                         f"bring-up failed: {slave.where} ({slave.title}): {error}"
                     ) from error
-            ahead_ns = await wire.align_clocks()
-            self._phase_ns = self._phase_of(ahead_ns)
+            self._phase.align(await wire.align_clocks())
             await wire.map([each.sizes for each in self._slaves], self._bus.master.watchdog_ms)
             for slave in self._slaves:
-                await wire.start_sync(slave.number, self._period_ns, self._phase_ns)
+                await wire.start_sync(slave.number, self._period_ns, self._phase.sync0_ns)
             await self._reach(AlState.SAFEOP)
-            self._ahead_ns = self._known_ahead_ns = None
+            self._phase.lose()
+            self._phase.forget()
             self._pump_task = asyncio.get_running_loop().create_task(self._pump())
             progress("in SAFEOP, waiting for the clocks")
             await self._settle()
@@ -166,9 +159,6 @@ class EthercatFieldbus:
         for number, there in enumerate(found, start=1):
             progress(f"  {self._bus.interface}/{number} {there}")
         raise BringUpError("bring-up failed: " + "; ".join(problems))
-
-    def _phase_of(self, ahead_ns: int) -> int:
-        return (ahead_ns + self._shift_ns) % self._period_ns
 
     async def _reach(self, state: AlState) -> None:
         """Ask every slave for ``state`` and wait until all are there. Raises `BringUpError`."""
@@ -211,7 +201,7 @@ class EthercatFieldbus:
                 away = None
             else:
                 away = max(abs(status.difference_ns) for status in found if status is not None)
-                if away <= clocks.settle_ns and self._ahead_ns is not None:
+                if away <= clocks.settle_ns and self._phase.known:
                     return
             if loop.time() >= end:
                 seen = "no answer" if away is None else f"{away} ns apart"
@@ -263,13 +253,8 @@ class EthercatFieldbus:
         return self._bus.clocks.pacing == "distributed_clock"
 
     def phase_error_ns(self, due_ns: int) -> int | None:
-        """How much later a tick is due than it should be for SYNC0 to come ``shift_us`` after it,
-        within half a period either way; None unless the last frame came back."""
-        if self._ahead_ns is None:
-            return None
-        period = self._period_ns
-        late = due_ns + self._ahead_ns + self._shift_ns - self._phase_ns
-        return (late + period // 2) % period - period // 2
+        """`Phase.error_ns`."""
+        return self._phase.error_ns(due_ns)
 
     def _send(self, outputs: list[bytes], tick: int | None) -> None:
         assert self._wire is not None
@@ -302,7 +287,7 @@ class EthercatFieldbus:
         return True
 
     def _lose(self, waited_ns: int, tick: int | None) -> None:
-        self._ahead_ns = None
+        self._phase.lose()
         if tick is None:
             return
         lost = self.lost
@@ -314,40 +299,24 @@ class EthercatFieldbus:
         self._events.counted("frame_lost", self._bus.interface, text)
 
     def _clock_fits(self, reference_ns: int | None) -> bool:
-        """Whether the reference clock in a frame is that of when it was sent. Frame indices repeat
-        every 16, so an answer that is late by as many looks like the one that is awaited."""
         if reference_ns is None:
             return True
-        ahead = reference_ns - self._sent_ns
-        known = self._known_ahead_ns
-        if known is not None and abs(ahead - known) > _FITS_TICKS * self._period_ns:
+        if not self._phase.fits(reference_ns, self._sent_ns):
             return False
-        self._ahead_ns = self._known_ahead_ns = ahead
-        self._guard(reference_ns)
+        if self._ticking:
+            where, after = self._bus.interface, self._phase.near_sync0_ns(reference_ns)
+            if after is None:
+                self._events.end("frame_near_sync", where)
+            else:
+                text = f"the frame passed {after / 1000:.0f} us after SYNC0"
+                self._events.begin("frame_near_sync", where, text)
         return True
 
     def _sampled_in(self, tick: int, sent: int) -> int:
-        """The tick whose SYNC0 took the sample in the frame that ``sent`` published. It is another
-        one when the host held us up between the two: the frame then passed late."""
         reference_ns = self._wire.reference_ns if self._wire is not None else None
         if reference_ns is None:
             return sent
-        pulse = (reference_ns - self._phase_ns) // self._period_ns
-        self._pulses.append(pulse - sent)
-        return min(pulse - min(self._pulses), tick - 1)
-
-    def _guard(self, reference_ns: int) -> None:
-        """A frame that passes together with SYNC0 carries one sample or the next, nobody knows."""
-        if not self._ticking:
-            return
-        after = (reference_ns - self._phase_ns) % self._period_ns
-        guard = self._bus.clocks.guard_us * 1e3
-        where = self._bus.interface
-        if guard <= after <= self._period_ns - guard:
-            self._events.end("frame_near_sync", where)
-        else:
-            text = f"the frame passed {after / 1000:.0f} us after SYNC0"
-            self._events.begin("frame_near_sync", where, text)
+        return self._phase.sampled_in(reference_ns, tick, sent)
 
     def _take_inputs(self, inputs: list[bytes], sampled: int) -> None:
         exchange = self._exchange
@@ -376,7 +345,7 @@ class EthercatFieldbus:
         self._ticking = True
         self._stop_pump()
         self._next_look = tick
-        self._pulses.clear()
+        self._phase.count_anew()
         # What the pump sent last is nobody's sample.
         self._sent_tick = None
 
@@ -397,61 +366,22 @@ class EthercatFieldbus:
         return next(slave for slave in self._slaves if slave.axis == axis)
 
     async def recover(self) -> None:
-        """Slaves that lost everything are configured anew, and with them all clocks are set; then
-        every slave that is not in OP goes there."""
-        wire = self._wire
-        assert wire is not None
-        waiting = [watched for watched in self._watch.watched if watched.left]
-        anew = [watched for watched in waiting if watched.lost_everything]
-        for watched in self._watch.watched:
-            self._watch.forgive(watched)
-        for watched in anew:
-            slave = watched.slave
-            watched.busy = True
-            try:
-                await wire.reconfigure(slave.number)
-                await slave.configure(wire.objects(slave.number))
-                await wire.remap(slave.number)
-            except DriverError as error:
-                waiting.remove(watched)
-                self._give_up(watched, error)
-        if any(watched in waiting for watched in anew):
-            await self._set_clocks(wire)
-        for watched in anew:
-            watched.busy = False
-        for watched in waiting:
-            if watched.left:  # it may have come back meanwhile
-                await self._bring_back(watched)
+        assert self._wire is not None
+        await self._recovery(self._wire)
 
     async def _set_clocks(self, wire: Wire) -> None:
+        """Raises `DriverError`."""
         try:
-            self._phase_ns = self._phase_of(await wire.align_clocks())
+            self._phase.align(await wire.align_clocks())
             for slave in self._slaves:
-                await wire.start_sync(slave.number, self._period_ns, self._phase_ns)
-        except DriverError as error:
-            self._events.add("recovery_failed", self._bus.interface, f"clocks: {error}")
-        # The frame that is under way still carries the old time.
-        self._known_ahead_ns, self._sent_ns = None, 0
-        self._pulses.clear()
+                await wire.start_sync(slave.number, self._period_ns, self._phase.sync0_ns)
+        finally:
+            # The frame that is under way still carries the old time.
+            self._sent_ns = 0
+            self._phase.forget()
 
-    async def _bring_back(self, watched: Watched) -> None:
-        assert self._wire is not None
-        why = watched.left
-        loop = asyncio.get_running_loop()
-        end = loop.time() + self._bus.master.state_timeout_ms * 1e-3
-        while watched.left:
-            if loop.time() >= end:
-                self._give_up(watched, f"stays in {watched.status or 'silence'}")
-                return
-            self._watch.bring_back(watched, self._wire)
-            self._look_now = True
-            await asyncio.sleep(3 * _POLL_S)
-        slave = watched.slave
-        self._events.add("recovered", slave.where, f"{slave.title} ({why}) is in OP again")
-
-    def _give_up(self, watched: Watched, why: object) -> None:
-        slave = watched.slave
-        self._events.add("recovery_failed", slave.where, f"{slave.title}: {why}")
+    def _look_soon(self) -> None:
+        self._look_now = True
 
     async def stop(self) -> None:
         """Power off, then all slaves to PREOP by way of SAFEOP; safe at any point."""

@@ -16,7 +16,7 @@ import asyncio
 import contextlib
 import os
 import socket
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -27,7 +27,7 @@ from drivers.ethercat.al import AlState, name
 from drivers.ethercat.deterministic import DeterministicMaster
 from drivers.ethercat.port import PacketPort, packet_sockets, select
 from drivers.ethercat.slave import RX_ASSIGNMENT, TX_ASSIGNMENT
-from drivers.ethercat.status import SlaveStatus, StatusFrames
+from drivers.ethercat.status import StateAccess, StatusFrames
 from drivers.ethercat.wire import FIRST_STATION, Found, Sizes
 from drivers.setting import ObjectAccess
 
@@ -40,7 +40,7 @@ _MAP = ((0x0400, 2), (0x0420, 2), (0x0810, 16), (0x0600, 48))
 """Watchdog, sync managers 2 and 3, FMMUs: what makes process data of a slave's memory."""
 
 
-class SoemMaster:
+class SoemMaster(StateAccess):
     """A `Wire` on pysoem.
 
     Everything that may wait runs in one thread beside the loop, with the interpreter lock released
@@ -56,6 +56,7 @@ class SoemMaster:
                 "EtherCAT needs pysoem, which is not installed; add it with: "
                 "pip install 'tonus[ethercat]'"
             ) from error
+        super().__init__()
         self._soem: Any = pysoem
         self._bus = bus
         self._clock = clock
@@ -64,7 +65,6 @@ class SoemMaster:
         self._master: Any = None
         self._slaves: list[Any] = []
         self._port: PacketPort | None = None
-        self._status: StatusFrames | None = None
         self._clocked = False
         self._helper: DeterministicMaster | None = None
         self._blocks: list[list[tuple[int, bytes]]] = []
@@ -139,7 +139,7 @@ class SoemMaster:
                 )
         assert self._port is not None
         stations = [FIRST_STATION + number for number in range(count)]
-        self._status = StatusFrames(self._port, stations)
+        self.states = StatusFrames(self._port, stations)
         return [Found(each.man, each.id, each.rev, each.name) for each in self._slaves]
 
     def objects(self, slave: int) -> ObjectAccess:
@@ -320,17 +320,6 @@ class SoemMaster:
         self.reference_ns = self._master.dc_time if self._clocked else None
         self.inputs = [slave.input for slave in self._slaves]
         return counter
-
-    def look(self) -> None:
-        if self._status is not None:
-            self._status.look()
-
-    def looked(self) -> list[SlaveStatus | None] | None:
-        return self._status.looked() if self._status is not None else None
-
-    def control(self, words: Mapping[int, int]) -> None:
-        if self._status is not None:
-            self._status.control(words)
 
     def close(self) -> None:
         if self._thread is not None:

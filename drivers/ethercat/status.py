@@ -92,3 +92,22 @@ class StatusFrames:
             orders.append(Datagram(Command.FPWR, address, word.to_bytes(2, "little")))
         if orders:
             self._port.send(build(_CONTROL_INDEX, orders))
+
+
+class StateAccess:
+    """The part of a `drivers.ethercat.wire.Wire` that asks for states and sets them, once it is
+    known of whom."""
+
+    def __init__(self) -> None:
+        self.states: StatusFrames | None = None
+
+    def look(self) -> None:
+        if self.states is not None:
+            self.states.look()
+
+    def looked(self) -> list[SlaveStatus | None] | None:
+        return self.states.looked() if self.states is not None else None
+
+    def control(self, words: Mapping[int, int]) -> None:
+        if self.states is not None:
+            self.states.control(words)
