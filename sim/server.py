@@ -236,6 +236,8 @@ class _Server:
                     return frames
                 for sent_ns, identifier, dlc, _, data in decode(packet):
                     sent = min(sent_ns or now_ns, now_ns)
+                    if frames:  # a client's own keep their order
+                        sent = max(sent, frames[-1].sent_ns)
                     frames.append(_Sent(sent, client, identifier, dlc, data))
         except BlockingIOError:
             return frames
