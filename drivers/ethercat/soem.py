@@ -37,6 +37,8 @@ _SYSTEM = 0x0910
 _REGISTER_TIMEOUT_US = 2000
 _TRIES = 3
 _MAP = ((0x0400, 2), (0x0420, 2), (0x0810, 16), (0x0600, 48))
+_CLOCKS_APART_NS = 5_000_000
+"""More than any frame takes; what is left the clocks themselves make good."""
 """Watchdog, sync managers 2 and 3, FMMUs: what makes process data of a slave's memory."""
 
 
@@ -120,27 +122,35 @@ class SoemMaster(StateAccess):
         # A try takes 2 ms; SOEM's own limit leaves no second one for a frame that was lost.
         soem.settings.timeouts.ret = _TRIES * _REGISTER_TIMEOUT_US
         for _ in range(_TRIES):
-            count = master.config_init()
-            if count > 0:
+            problem = self._initialise()
+            if not problem:
                 break
         else:
-            raise BringUpError(f"bring-up failed: nobody answers on {self._bus.interface}")
+            raise BringUpError(f"bring-up failed: {problem}")
         # From here on: before, it would leave the slaves in INIT.
         master.manual_state_change = True
         self._slaves = list(master.slaves)
         master.state_check(soem.PREOP_STATE, self._bus.master.state_timeout_ms * 1000)
         master.read_state()
+        assert self._port is not None
+        stations = [FIRST_STATION + number for number in range(len(self._slaves))]
+        self.states = StatusFrames(self._port, stations)
+        return [Found(each.man, each.id, each.rev, each.name) for each in self._slaves]
+
+    def _initialise(self) -> str:
+        """All slaves to PREOP; what is wrong, if anything: a frame that was lost has SOEM set a
+        slave up wrongly."""
+        soem, master = self._soem, self._master
+        if master.config_init() <= 0:
+            return f"nobody answers on {self._bus.interface}"
         for number, slave in enumerate(self._slaves):
             if slave.state != AlState.PREOP:
-                raise BringUpError(
-                    f"bring-up failed: {self._bus.interface}/{number + 1} stays in "
+                return (
+                    f"{self._bus.interface}/{number + 1} stays in "
                     f"{name(slave.state & 0xF)}, asked for PREOP: AL status "
                     f"0x{slave.al_status:04X} {soem.al_status_code_to_string(slave.al_status)}"
                 )
-        assert self._port is not None
-        stations = [FIRST_STATION + number for number in range(count)]
-        self.states = StatusFrames(self._port, stations)
-        return [Found(each.man, each.id, each.rev, each.name) for each in self._slaves]
+        return ""
 
     def objects(self, slave: int) -> ObjectAccess:
         return _Objects(self, slave)
@@ -184,14 +194,27 @@ class SoemMaster(StateAccess):
                 f"bring-up failed: no slave on {self._bus.interface} has a distributed clock"
             )
         self._clocked = True
-        ahead = []
+        for _ in range(_TRIES):
+            ahead = [self._ahead(slave) for slave in range(len(self._slaves))]
+            apart, number = max((abs(each - ahead[0]), slave) for slave, each in enumerate(ahead))
+            if apart <= _CLOCKS_APART_NS:
+                return ahead[0]
+            # A frame of its measuring was lost, which SOEM does not notice.
+            self._master.config_dc()
+        raise BringUpError(
+            f"bring-up failed: {self._bus.interface}/{number + 1}: its clock cannot be set: it is "
+            f"{apart / 1e6:.0f} ms from that of the first"
+        )
+
+    def _ahead(self, slave: int) -> int:
+        """ns by which a slave's time is ahead of the loop's; the quickest answer says it best."""
+        answers = []
         for _ in range(_TRIES):
             before = self._clock()
-            system = int.from_bytes(self._register(0, _SYSTEM, 8), "little")
+            system = int.from_bytes(self._register(slave, _SYSTEM, 8), "little")
             after = self._clock()
-            ahead.append((after - before, system - (before + after) // 2))
-        # The quickest answer says it best.
-        return min(ahead)[1]
+            answers.append((after - before, system - (before + after) // 2))
+        return min(answers)[1]
 
     def _register(self, slave: int, register: int, size: int) -> bytes:
         read = self._slaves[slave]._fprd
