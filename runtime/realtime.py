@@ -6,12 +6,12 @@ import ctypes
 import gc
 import os
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from config.schema.realtime import Processor, Processors, RealTime
+from runtime.awake import Choice, Comparison, Undo, compare
 from runtime.errors import DaemonError
 
 _MCL_CURRENT_AND_FUTURE = 1 | 2
@@ -29,8 +29,6 @@ _ANY, _NONE = "0", "n/a"
 _STACK_DEPTH = 400
 """nested calls through C, about 300 bytes of stack each"""
 _MIB = 1 << 20
-
-Undo = Callable[[], object]
 
 
 class RefusedError(DaemonError):
@@ -66,7 +64,8 @@ class Hygiene:
             self._take(_lock())
         self._take(_slack())
         if settings.cpu_dma_latency_us is not None:
-            self._take(_stay_awake(settings.cpu_dma_latency_us, settings.daemon_cpu))
+            processor = None if settings.awake == "all" else settings.daemon_cpu
+            self._take(_stay_awake(settings.cpu_dma_latency_us, processor))
         if settings.daemon_cpu is not None:
             self._take(_pin({_number(settings.daemon_cpu)}))
         if settings.daemon_priority:
@@ -101,6 +100,22 @@ def settled(settings: RealTime) -> RealTime:
         key: others for key in ("lab_cpu", "recorder_cpu") if getattr(settings, key) == "others"
     }
     return settings.model_copy(update={"daemon_cpu": daemon, **beside})
+
+
+def compared(settings: RealTime) -> Comparison | None:
+    """What speaks for which processors to be kept awake; None where nobody has to know. The
+    settings are `settled`."""
+    daemon, latency_us = settings.daemon_cpu, settings.cpu_dma_latency_us
+    others = os.sched_getaffinity(0) - {daemon}
+    if settings.policy == "off" or settings.awake != "measured":
+        return None
+    if latency_us is None or not isinstance(daemon, int) or not others:
+        return None
+
+    def hold(choice: Choice) -> Undo | None:
+        return _stay_awake(latency_us, daemon if choice == "own" else None)[1]
+
+    return compare(daemon, max(others), hold)
 
 
 def demand(settings: RealTime) -> None:
@@ -225,9 +240,7 @@ def _slack() -> tuple[Grant, Undo | None]:
 
 
 def _stay_awake(microseconds: int, processor: Processor | None) -> tuple[Grant, Undo | None]:
-    """No processor sleeps deeper than it wakes up from in this time; where the daemon has one of
-    its own, only that: a virtual machine whose processors are all kept awake uses up its share of
-    the host, and is then stopped for milliseconds."""
+    """A processor, or none for all, sleeps no deeper than it wakes up from in this time."""
     item = f"CPU DMA latency {microseconds} us"
     alone = ""
     if processor is not None:

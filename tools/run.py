@@ -36,7 +36,7 @@ from runtime.daemon import Daemon, Latencies, Outcome
 from runtime.errors import DaemonError
 from runtime.notify import Notifier
 from runtime.operator import Console, Script
-from runtime.realtime import Grant, Hygiene, demand, settled, stolen_jiffies
+from runtime.realtime import Grant, Hygiene, compared, demand, settled, stolen_jiffies
 from runtime.recorder import Recorder
 from runtime.rehearsal import rehearse
 from runtime.ring import RingWriter
@@ -227,6 +227,10 @@ class _Stage:
 
     def real(self) -> Result:
         order = self._order
+        comparison = compared(self._realtime)
+        if comparison is not None:
+            order.say(str(comparison))
+            self._realtime = self._realtime.model_copy(update={"awake": comparison.better})
         realtime = self._realtime
         lab = self._lab_process()
         recorder = self._recorder_process()

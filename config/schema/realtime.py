@@ -55,8 +55,10 @@ class RealTime(Section):
     lab_cpu: Processors | None = None
     recorder_cpu: Processors | None = None
     cpu_dma_latency_us: WholeNumber | None = None
-    """longest wake-up from idle that the daemon's processor may take while it runs, or every
-    processor if it has none of its own; null: not asked"""
+    """longest wake-up from idle that a processor may take while the daemon runs; null: not asked"""
+    awake: Literal["own", "all", "measured"] = "own"
+    """of which processors that is asked: the daemon's, if it has one of its own; all; or what is
+    found to be better at the start of a run"""
     prefault_mib: WholeNumber = 0
     """MiB of heap touched, and kept from going back to the kernel, before anything is armed"""
     early_wake_us: WholeNumber = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ import pytest
 from config import load
 from config.schema.realtime import RealTime
 from runtime import realtime
-from runtime.realtime import Hygiene, RefusedError, demand, prepare, settled
+from runtime.awake import Choice, Comparison, compare
+from runtime.realtime import Hygiene, RefusedError, compared, demand, prepare, settled
 from tools.run import Order, run
 
 NO_SUCH_PROCESSOR = 1023
@@ -64,6 +66,41 @@ def test_only_the_daemons_processor_is_kept_awake_where_it_has_one() -> None:
     everywhere = Hygiene(settings(daemon_cpu=None, cpu_dma_latency_us=0))
     everywhere.release()
     told = next(str(grant) for grant in everywhere.grants if "DMA" in grant.item)
+    assert "every processor" in told or "REFUSED" in told
+
+
+def test_all_are_kept_awake_where_others_answer_late_otherwise() -> None:
+    held: list[str] = []
+    usable = os.sched_getaffinity(0)
+    processor = max(usable)
+
+    def hold(choice: Choice) -> Callable[[], object]:
+        held.append(choice)
+        return lambda: held.append("free")
+
+    found = compare(processor, processor, hold)
+    assert held == ["own", "free", "all", "free"] * 3
+    assert found.own_us > 0.0
+    assert found.all_us > 0.0
+    assert os.sched_getaffinity(0) == usable
+    assert Comparison(own_us=1500.0, all_us=90.0).better == "all"
+    assert Comparison(own_us=60.0, all_us=20.0).better == "own", "soon enough as it is"
+    assert Comparison(own_us=90.0, all_us=400.0).better == "own", "the host stops all of it"
+    assert Comparison(own_us=1500.0, all_us=1200.0).better == "own", "no great help"
+
+
+def test_it_is_measured_only_where_it_matters() -> None:
+    for changes in (
+        {"awake": "own"},
+        {"awake": "all"},
+        {"policy": "off"},
+        {"cpu_dma_latency_us": None},
+        {"daemon_cpu": None},
+    ):
+        assert compared(settled(settings(**{"awake": "measured", **changes}))) is None
+    hygiene = Hygiene(settings(awake="all", cpu_dma_latency_us=0))
+    hygiene.release()
+    told = next(str(grant) for grant in hygiene.grants if "DMA" in grant.item)
     assert "every processor" in told or "REFUSED" in told
 
 
