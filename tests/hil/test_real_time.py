@@ -72,14 +72,15 @@ def _spared_by_the_host(
     environment: dict[str, str], out: Path, *arguments: str
 ) -> subprocess.CompletedProcess[str]:
     """A run; again, up to five times, if it ended in a fault and the host took ticks from it:
-    no controller is to blame for a robot that was left alone."""
+    no controller is to blame for a robot that was left alone. Skips on a host that always does."""
     for _ in range(5):
         result = _run(environment, "run", *arguments, "--out", str(out))
         if result.returncode != 1:
-            break
+            return result
         summary = json.loads((out / "summary.json").read_text())
         assert summary["missed_by_host"] > 0, result.stdout + result.stderr
-    return result
+        assert summary["state"] != "FAULT" or "tonus doctor tells" in result.stdout
+    pytest.skip(f"the host took ticks from each of five runs, {summary['missed_by_host']} at last")
 
 
 def test_a_run_leaves_log_summary_and_picture(tmp_path: Path, environment: dict[str, str]) -> None:

@@ -210,6 +210,10 @@ def _tell(summary: Summary, result: Result, files: list[Path]) -> None:
         rows.append(("contact peak", f"{summary['contact_peak_n']:.1f} N"))
     if result.unrecorded:
         rows.append(("not recorded", f"the end of the run: {result.unrecorded}"))
+    if result.outcome.fault is not Fault.NONE and summary["missed_by_host"]:
+        stolen = f"({result.steal_percent:.1f} % of all time was stolen)"
+        rows.append(("the host", f"took ticks from this run {stolen}, and may be why it stopped;"))
+        rows.append(("", "tonus doctor tells what to change, and --virtual needs no such host"))
     click.echo()
     for name, value in rows:
         click.echo(f"  {name:<15} {value}")
