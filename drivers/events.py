@@ -69,6 +69,11 @@ EVENTS: dict[str, Meaning] = {
         "fewer slaves took part in an exchange than should", "its inputs are not used"
     ),
     "slave_silent": Meaning("a slave takes no part in any exchange", _LOST),
+    "ring_open": Meaning(
+        "a cable of a ring is out; every slave is reached from one end or the other",
+        "the exchange goes on as far as the master can; one more cable stops the robot",
+    ),
+    "ring_closed": Meaning("all cables of a ring are there again", ""),
     "slave_left_op": Meaning(
         "a slave left OP, with its AL status code", "its axis is lost until it is in OP again"
     ),

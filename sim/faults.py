@@ -158,10 +158,8 @@ class Faults:
 
     def _end_same(self, fault: Any, kind: type[Any]) -> None:
         """End what lasts of this kind at the same place."""
-        place = (fault.channel, getattr(fault, "node", None))
         for item in tuple(self._lasting):
-            there: Any = item.fault
-            if isinstance(there, kind) and (there.channel, getattr(there, "node", None)) == place:
+            if isinstance(item.fault, kind) and _place(item.fault) == _place(fault):
                 self._end(item)
 
     def active(self) -> list[ActiveFault]:
@@ -251,6 +249,10 @@ class Faults:
                 and (item.fault.channel, item.fault.node) == (fault.channel, fault.node)
             )
         ]
+
+
+def _place(fault: Any) -> tuple[object, ...]:
+    return (fault.channel, getattr(fault, "node", None), getattr(fault, "behind", None))
 
 
 def _list(names: Mapping[str, object] | list[str]) -> str:

@@ -9,15 +9,18 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter
 
 from config import load
+from config.schema.bus import EthercatBus
 from config.schema.faults import Fault
 from config.schema.root import Config
 from drivers.ethercat.deterministic import DeterministicMaster
 from drivers.ethercat.master import EthercatFieldbus
+from drivers.ethercat.ring import injected_ring
 from drivers.fieldbus import BusEvent
 from drivers.process_image import AxisCommand, ProcessImage
 from runtime import clock
 from runtime.scheduler import VirtualPacing
 from runtime.steering import SteeredPacing
+from sim.ethercat.ring import Ring
 from sim.lab import Lab
 
 Result = TypeVar("Result")
@@ -38,12 +41,13 @@ class SegmentBench:
             clock=clock.loop_clock(),
         )
         self.segment = self.lab.segments[SEGMENT]
+        self._ring = Ring(self.segment)
         self.between: Callable[[bytes, bytes | None], bytes | None] | None = None
         self.image = ProcessImage()
         self.fieldbus = EthercatFieldbus(
             self.config,
             self.image,
-            lambda bus, now: DeterministicMaster(bus, self._exchange, now),
+            self._master,
         )
         self.events: list[BusEvent] = []
         self.said: list[str] = []
@@ -51,8 +55,13 @@ class SegmentBench:
         self.due_ns = 0
         self._pacing: SteeredPacing | None = None
 
+    def _master(self, bus: EthercatBus, now_ns: Callable[[], int]) -> DeterministicMaster:
+        ring = bus.redundant_interface is not None
+        states = injected_ring(self._ring.through, now_ns) if ring else None
+        return DeterministicMaster(bus, self._exchange, now_ns, states=states)
+
     def _exchange(self, frame: bytes, at_ns: int) -> bytes | None:
-        answer = self.segment.exchange(frame, at_ns)
+        answer = self._ring.around(frame, at_ns)
         return self.between(frame, answer) if self.between is not None else answer
 
     async def start(self) -> None:

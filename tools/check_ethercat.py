@@ -112,9 +112,7 @@ def _slaves(bus: EthercatBus) -> Finding:
 
 
 def _interfaces(config: Config, bus: EthercatBus) -> Iterator[Finding]:
-    names = [bus.interface]
-    if bus.redundant_interface is not None:
-        names.append(bus.redundant_interface)
+    names = bus.interfaces
     if config.lab is not None:
         far = config.lab.ethercat
         text = "the lab has no end of the segment" if far is None else far.interface

@@ -13,6 +13,7 @@ from drivers.canopen.master import CanopenFieldbus
 from drivers.direct import DirectFieldbus
 from drivers.ethercat.deterministic import DeterministicMaster
 from drivers.ethercat.master import EthercatFieldbus
+from drivers.ethercat.ring import injected_ring
 from drivers.ethercat.soem import SoemMaster
 from drivers.ethercat.wire import Wire
 from drivers.fieldbus import Fieldbus, FrameTap
@@ -21,6 +22,7 @@ from drivers.several import SeveralFieldbuses
 from runtime import clock
 from runtime.scheduler import Pacing
 from runtime.steering import SteeredPacing
+from sim.ethercat.ring import Ring
 from sim.lab import Lab
 from tools.errors import ToolError
 
@@ -63,7 +65,16 @@ def _wire(lab: Lab | None) -> Callable[[EthercatBus, Callable[[], int]], Wire]:
     if lab is None:
         return SoemMaster
     segments = lab.segments
-    return lambda bus, now_ns: DeterministicMaster(bus, segments[bus.interface].exchange, now_ns)
+
+    def deterministic(bus: EthercatBus, now_ns: Callable[[], int]) -> Wire:
+        segment = segments[bus.interface]
+        if bus.redundant_interface is None:
+            return DeterministicMaster(bus, segment.exchange, now_ns)
+        ring = Ring(segment)
+        states = injected_ring(ring.through, now_ns)
+        return DeterministicMaster(bus, ring.around, now_ns, states=states)
+
+    return deterministic
 
 
 def _numbered(tap: FrameTap | None, first: int) -> FrameTap | None:

@@ -324,6 +324,14 @@ class EthercatBus(Section):
         _once("slave", *_rows(slaves), complete=True)
         return slaves
 
+    @property
+    def interfaces(self) -> list[str]:
+        """One, or both ends of a ring."""
+        ends = [self.interface]
+        if self.redundant_interface is not None:
+            ends.append(self.redundant_interface)
+        return ends
+
     def identity(self, slave: Slave) -> Identity:
         """What a slave has to be."""
         return slave.identity or (self.drive if not slave.cells else self.force_cell).identity

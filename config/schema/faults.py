@@ -171,7 +171,7 @@ class CableBreak(_Lasting):
 
     kind: Literal["cable_break"]
     behind: Annotated[int, Field(ge=0)]
-    """so many slaves still answer"""
+    """so many slaves still answer; in a ring the others do from its far end"""
 
 
 class WrongIdentity(_LastingOfNode):

@@ -1,7 +1,7 @@
 """A small EtherCAT master whose frames go through a function: for virtual time and for tests.
 
 It does what a segment of ours needs and no more: a line of slaves with CoE, sync managers and SII
-as ETG prescribes them, distributed clocks with the first slave as reference, no redundancy. It
+as ETG prescribes them, distributed clocks with the first slave as reference. It
 reads no clock but the one it is given, so the same segment answers the same, byte for byte.
 """
 
@@ -96,9 +96,11 @@ class DeterministicMaster(StateAccess):
         exchange: FrameExchange,
         clock: Callable[[], int],
         beside: FramePort | None = None,
+        states: FramePort | None = None,
     ) -> None:
         """``exchange`` is the segment, ``clock`` gives ns of the loop's time. ``beside`` is a port
-        for another master's help: it carries what is not process data."""
+        for another master's help: it carries what is not process data. ``states`` is one for what
+        `StateAccess` sends, where that is not the segment: a ring's ends."""
         super().__init__()
         self.inputs: list[bytes] = []
         self.reference_ns: int | None = None
@@ -106,7 +108,7 @@ class DeterministicMaster(StateAccess):
         self._clock = clock
         self._acyclic: FramePort = beside or InjectedPort(exchange, clock)
         self._cyclic: FramePort = InjectedPort(exchange, clock)
-        self._states: FramePort = InjectedPort(exchange, clock)
+        self._states: FramePort = states or InjectedPort(exchange, clock)
         self._frame_ns = round(bus.clocks.frame_us * 1e3)
         self._slaves: list[_Slave] = []
         self._index = _FIRST_INDEX

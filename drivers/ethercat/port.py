@@ -16,6 +16,9 @@ from drivers.ethercat.frames import ETHERTYPE, INDEX_AT
 
 FrameExchange = Callable[[bytes, int], bytes | None]
 """(Ethernet frame, time in ns of the loop's clock) to what came back of it, None for nothing."""
+FrameCrossing = Callable[[bytes, int, int], tuple[bytes, int] | None]
+"""The same through a ring: the end, 0 or 1, it goes in at, and with the answer the one it comes out
+at."""
 
 OURS = 0x80
 """Frames of our own carry this index or a higher one; SOEM's stay below 16."""
@@ -30,6 +33,9 @@ class FramePort(Protocol):
 
     instant: bool
     """an answer that is not there right after `send` never comes"""
+    turned: int | None
+    """datagrams of the last answer that the near end of a ring served, while that is open; else
+    None"""
 
     def send(self, frame: bytes, after_ns: int = 0) -> None:
         """``after_ns``: in virtual time, so much later than now."""
@@ -44,6 +50,7 @@ class InjectedPort:
     """The far end is a function; time is the loop's."""
 
     instant = True
+    turned: int | None = None
 
     def __init__(self, exchange: FrameExchange, clock: Callable[[], int]) -> None:
         self._exchange = exchange
@@ -67,6 +74,7 @@ class PacketPort:
     own answers, told apart by the index."""
 
     instant = False
+    turned: int | None = None
 
     def __init__(self, interface: str) -> None:
         """Raises `BringUpError`."""

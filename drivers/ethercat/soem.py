@@ -25,7 +25,8 @@ from drivers.canopen.abort_codes import NO_SUCH_OBJECT
 from drivers.errors import BringUpError, SdoAbortError, SdoError, SdoTimeoutError
 from drivers.ethercat.al import AlState, name
 from drivers.ethercat.deterministic import DeterministicMaster
-from drivers.ethercat.port import PacketPort, packet_sockets, select
+from drivers.ethercat.port import FramePort, PacketPort, packet_sockets, select
+from drivers.ethercat.ring import RingPort
 from drivers.ethercat.slave import RX_ASSIGNMENT, TX_ASSIGNMENT
 from drivers.ethercat.status import StateAccess, StatusFrames
 from drivers.ethercat.wire import FIRST_STATION, Found, Sizes
@@ -36,9 +37,9 @@ Result = TypeVar("Result")
 _SYSTEM = 0x0910
 _REGISTER_TIMEOUT_US = 2000
 _TRIES = 3
-_MAP = ((0x0400, 2), (0x0420, 2), (0x0810, 16), (0x0600, 48))
 _CLOCKS_APART_NS = 5_000_000
 """More than any frame takes; what is left the clocks themselves make good."""
+_MAP = ((0x0400, 2), (0x0420, 2), (0x0810, 16), (0x0600, 48))
 """Watchdog, sync managers 2 and 3, FMMUs: what makes process data of a slave's memory."""
 
 
@@ -66,7 +67,7 @@ class SoemMaster(StateAccess):
         self._thread: ThreadPoolExecutor | None = None
         self._master: Any = None
         self._slaves: list[Any] = []
-        self._port: PacketPort | None = None
+        self._port: FramePort | None = None
         self._clocked = False
         self._helper: DeterministicMaster | None = None
         self._blocks: list[list[tuple[int, bytes]]] = []
@@ -88,24 +89,21 @@ class SoemMaster(StateAccess):
         return await self._beside(self._scan)
 
     def _open(self) -> None:
-        bus, soem = self._bus, self._soem
+        soem = self._soem
         before = packet_sockets()
         master = soem.Master()
-        interfaces = [bus.interface]
-        if bus.redundant_interface is not None:
-            interfaces.append(bus.redundant_interface)
-        for interface in interfaces:
+        for interface in self._bus.interfaces:
             if interface not in {there for _, there in socket.if_nameindex()}:
                 raise BringUpError(
                     f"bring-up failed: there is no network interface {interface}; "
                     "see docs/ethercat.md for how to make or name one"
                 )
         try:
-            master.open(*interfaces)
+            master.open(*self._bus.interfaces)
         except ConnectionError as error:
             raise BringUpError(
-                f"bring-up failed: {bus.interface} cannot be opened: {error}; raw sockets need "
-                "root or CAP_NET_RAW"
+                f"bring-up failed: {' or '.join(self._bus.interfaces)} cannot be opened: {error}; "
+                "raw sockets need root or CAP_NET_RAW"
             ) from error
         self._master = master
         for descriptor, target in packet_sockets().items():
@@ -113,7 +111,12 @@ class SoemMaster(StateAccess):
                 self._descriptors.append(descriptor)
                 with socket.socket(fileno=os.dup(descriptor)) as each:
                     select(each, ours=False)
-        self._port = PacketPort(bus.interface)
+        self._port = self._beside_soem()
+
+    def _beside_soem(self) -> FramePort:
+        """A port for frames of our own."""
+        ports = [PacketPort(interface) for interface in self._bus.interfaces]
+        return RingPort(*ports) if len(ports) > 1 else ports[0]
 
     def _scan(self) -> list[Found]:
         soem, master = self._soem, self._master
@@ -129,9 +132,6 @@ class SoemMaster(StateAccess):
             raise BringUpError(f"bring-up failed: {problem}")
         # From here on: before, it would leave the slaves in INIT.
         master.manual_state_change = True
-        self._slaves = list(master.slaves)
-        master.state_check(soem.PREOP_STATE, self._bus.master.state_timeout_ms * 1000)
-        master.read_state()
         assert self._port is not None
         stations = [FIRST_STATION + number for number in range(len(self._slaves))]
         self.states = StatusFrames(self._port, stations)
@@ -143,6 +143,9 @@ class SoemMaster(StateAccess):
         soem, master = self._soem, self._master
         if master.config_init() <= 0:
             return f"nobody answers on {self._bus.interface}"
+        self._slaves = list(master.slaves)
+        master.state_check(soem.PREOP_STATE, self._bus.master.state_timeout_ms * 1000)
+        master.read_state()
         for number, slave in enumerate(self._slaves):
             if slave.state != AlState.PREOP:
                 return (
@@ -247,7 +250,7 @@ class SoemMaster(StateAccess):
     async def map(self, sizes: Sequence[Sizes], watchdog_ms: int) -> None:
         await self._beside(lambda: self._map(sizes, watchdog_ms))
         self._helper = helper = DeterministicMaster(
-            self._bus, lambda *_: None, self._clock, PacketPort(self._bus.interface)
+            self._bus, lambda *_: None, self._clock, self._beside_soem()
         )
         helper.know(len(self._slaves))
         self._blocks = [

@@ -17,7 +17,9 @@ _DIFFERENCE = 0x092C
 _STATUS = struct.Struct("<HHH")  # 0x0130, reserved, 0x0134
 _STATUS_INDEX, _CONTROL_INDEX = OURS, OURS + 1
 _SIGN = 1 << 31
-_BYTES = 2 * 12 + _STATUS.size + 4
+_QUESTIONS = 2
+"""Datagrams for a slave."""
+_BYTES = _QUESTIONS * 12 + _STATUS.size + 4
 """Of one slave in a frame, headers included."""
 MOST = MAXIMUM_DATA // _BYTES
 """Slaves that one frame can ask."""
@@ -54,6 +56,9 @@ class StatusFrames:
         self._port = port
         self._stations = stations
         self._question: list[Datagram] = []
+        self.open_after: int | None = None
+        """slaves on the near side of an open ring, as the last answer had it; None: closed, or a
+        line"""
         for address in stations:
             ask = Datagram(Command.FPRD, station(address, _AL_STATUS), bytes(_STATUS.size))
             self._question.append(ask)
@@ -74,8 +79,10 @@ class StatusFrames:
                 break
         else:
             return None
+        turned = self._port.turned
+        self.open_after = None if turned is None else turned // _QUESTIONS
         found: list[SlaveStatus | None] = []
-        for status, difference in zip(answers[::2], answers[1::2], strict=True):
+        for status, difference in zip(answers[::_QUESTIONS], answers[1::_QUESTIONS], strict=True):
             if not status.counter:
                 found.append(None)
                 continue
@@ -107,6 +114,10 @@ class StateAccess:
 
     def looked(self) -> list[SlaveStatus | None] | None:
         return self.states.looked() if self.states is not None else None
+
+    @property
+    def open_after(self) -> int | None:
+        return self.states.open_after if self.states is not None else None
 
     def control(self, words: Mapping[int, int]) -> None:
         if self.states is not None:

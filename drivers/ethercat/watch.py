@@ -42,11 +42,14 @@ class Watch:
         self._recovers = bus.master.state_policy == "recover"
         self._attempts = bus.master.attempts
         self._limit_ns = bus.clocks.limit_ns
+        self._ends = bus.interfaces
         self._exchange = exchange
         self._events = events
+        self._open_after: int | None = None
 
     def begin(self, slaves: list[Slave]) -> None:
         self.watched = [Watched(slave) for slave in slaves]
+        self._open_after = None
 
     @property
     def complete(self) -> bool:
@@ -55,6 +58,9 @@ class Watch:
 
     def see(self, found: list[SlaveStatus | None], wire: Wire) -> None:
         """The answer to a look at all slaves."""
+        if wire.open_after != self._open_after:
+            self._open_after = wire.open_after
+            self._tell_of_the_ring(wire.open_after)
         for watched, status in zip(self.watched, found, strict=True):
             if status != watched.status or watched.left:
                 self._judge(watched, status, wire)
@@ -111,6 +117,16 @@ class Watch:
         """Cells need no mark: in SAFEOP they are still measured, below it the counter is wrong."""
         if watched.slave.axis is not None:
             self._exchange.untrusted[watched.slave.axis] = not good
+
+    def _tell_of_the_ring(self, after: int | None) -> None:
+        events, here = self._events, self._ends[0]
+        events.end("ring_open", here)
+        if after is None:
+            events.add("ring_closed", here, "all cables are there again")
+            return
+        places = [here, *(each.slave.where for each in self.watched), *self._ends[1:]]
+        text = f"no cable between {places[after]} and {places[after + 1]}"
+        events.begin("ring_open", here, text)
 
     def _look_at_the_clock(self, slave: Slave, status: SlaveStatus) -> None:
         if abs(status.difference_ns) <= self._limit_ns:

@@ -48,6 +48,11 @@ class Wire(Protocol):
     reference_ns: int | None
     """the reference clock when the last frame passed it; None without distributed clocks"""
 
+    @property
+    def open_after(self) -> int | None:
+        """Slaves on the near side of an open ring, as `looked` last had it; None: closed, or a
+        line."""
+
     async def scan(self) -> list[Found]:
         """Open the interface, count the slaves, bring them to PREOP. Raises `BringUpError`."""
 

@@ -83,8 +83,9 @@ def check(segment: Segment, fault: Fault) -> None:
     if isinstance(fault, Disconnect):
         return
     if isinstance(fault, CableBreak):
-        if fault.behind >= count:
-            raise LabError(f"{what}: behind must be less than the {count} slaves there are")
+        if fault.behind >= count + segment.ring:
+            most = f"at most the {count}" if segment.ring else f"less than the {count}"
+            raise LabError(f"{what}: behind must be {most} slaves there are")
         return
     if fault.node > count:
         raise LabError(

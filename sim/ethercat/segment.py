@@ -364,7 +364,8 @@ class Segment:
     # -- the cable -------------------------------------------------------------------------------
 
     def cut(self, place: int) -> None:
-        """Break the cable before the slave of this place, from 0: only so many answer."""
+        """Break the cable before the slave of this place, from 0: only so many answer. A ring has
+        one more, back from the last."""
         self._breaks.add(place)
         self._rewire()
 
@@ -385,7 +386,7 @@ class Segment:
 
     def _cuts(self) -> set[int]:
         """Where frames turn back."""
-        cuts = {place for place in self._breaks if place < len(self.slaves)}
+        cuts = {place for place in self._breaks if place < len(self.slaves) + self.ring}
         for place, slave in enumerate(self.slaves):
             if not slave.powered:
                 cuts |= {place, place + 1}

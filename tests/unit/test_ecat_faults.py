@@ -252,6 +252,59 @@ def test_a_cable_break_names_everyone_behind_it() -> None:
     run(main)
 
 
+RING = {"fieldbus.redundant_interface": "tonus0r"}
+
+
+@pytest.mark.parametrize("behind", [0, 6, 10])
+def test_a_ring_bridges_a_cable_break_and_tells_where_it_is(behind: int) -> None:
+    async def main() -> None:
+        bench = await _enabled(RING)
+        bench.inject("cable_break", behind=behind, duration=0.2)
+        for _ in range(150):
+            await bench.run(1)
+            assert (bench.image.axes["state"] == AxisState.OPERATION_ENABLED).all()
+            assert (bench.image.axes["age"] <= 1).all()
+            assert (bench.image.cells["age"] <= 1).all()
+        ends = ["tonus0", *(f"tonus0/{number}" for number in range(1, 11)), "tonus0r"]
+        (event,) = bench.named("ring_open")
+        assert event.where == "tonus0"
+        assert event.text.startswith(f"no cable between {ends[behind]} and {ends[behind + 1]};")
+        assert {event.name for event in bench.events} == {"ring_open"}
+        await bench.run(200)
+        assert bench.named("ring_closed")
+        _ends_with_its_reaction(bench)
+
+    run(main)
+
+
+def test_a_ring_with_two_breaks_names_those_between_them() -> None:
+    async def main() -> None:
+        bench = await _enabled(RING)
+        bench.inject("cable_break", behind=3)
+        await _watched(bench, 150)
+        bench.inject("cable_break", behind=6)
+        await _watched(bench, 40)
+        silent = {event.where for event in bench.named("slave_silent")}
+        assert silent == {f"tonus0/{number}" for number in (4, 5, 6)}
+        assert (bench.image.axes["state"] == AxisState.LOST).all()
+
+    run(main)
+
+
+def test_in_a_ring_a_slave_without_power_silences_only_itself() -> None:
+    async def main() -> None:
+        bench = await _enabled(RING)
+        bench.inject("power_loss", node=4, duration=0.05)
+        await _watched(bench, 80)
+        assert {event.where for event in bench.named("slave_silent")} == {"tonus0/4"}
+        await beside(bench, bench.fieldbus.recover())
+        assert not bench.named("recovery_failed"), bench.named("recovery_failed")
+        await bench.run(20)
+        assert [slave.state for slave in bench.segment.slaves] == [State.OP] * 10
+
+    run(main)
+
+
 def test_a_drive_error_is_told_in_words() -> None:
     async def main() -> None:
         bench = await _enabled()
