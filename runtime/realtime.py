@@ -103,19 +103,21 @@ def settled(settings: RealTime) -> RealTime:
 
 
 def compared(settings: RealTime) -> Comparison | None:
-    """What speaks for which processors to be kept awake; None where nobody has to know. The
-    settings are `settled`."""
+    """What speaks for which processors to be kept awake; None where nobody has to know, or none
+    can be. The settings are `settled`."""
     daemon, latency_us = settings.daemon_cpu, settings.cpu_dma_latency_us
-    others = os.sched_getaffinity(0) - {daemon}
-    if settings.policy == "off" or settings.awake != "measured":
+    usable = os.sched_getaffinity(0)
+    if settings.policy == "off" or settings.awake != "measured" or latency_us is None:
         return None
-    if latency_us is None or not isinstance(daemon, int) or not others:
+    if not isinstance(daemon, int) or daemon not in usable or len(usable) == 1:
+        return None
+    if not os.access(_DMA_LATENCY, os.W_OK):
         return None
 
     def hold(choice: Choice) -> Undo | None:
         return _stay_awake(latency_us, daemon if choice == "own" else None)[1]
 
-    return compare(daemon, max(others), hold)
+    return compare(daemon, max(usable - {daemon}), hold)
 
 
 def demand(settings: RealTime) -> None:

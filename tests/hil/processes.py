@@ -81,8 +81,17 @@ class Running:
         self._reader = RingReader.open(path)
         return self._reader
 
+    def kill_part(self, module: str) -> bool:
+        """Whether a helper was killed: a starved host may have ended the run in a fault before."""
+        try:
+            os.kill(self.part(module), signal.SIGKILL)
+        except ProcessLookupError:
+            assert self.process.wait(60) == 1, self.text.read_text()
+            return False
+        return True
+
     def part(self, module: str) -> int:
-        """Process id of a helper."""
+        """Process id of a helper. Raises `ProcessLookupError`."""
         for directory in Path("/proc").glob("[0-9]*"):
             try:
                 words = (directory / "cmdline").read_bytes().split(b"\0")
@@ -91,7 +100,7 @@ class Running:
             ours = any(str(self.rings).encode() in word for word in words)
             if ours and words[1:3] == [b"-m", module.encode()]:
                 return int(directory.name)
-        raise AssertionError(f"no {module} runs")
+        raise ProcessLookupError(f"no {module} runs")
 
     def end(self, seconds: float = 60.0) -> int:
         """By a controlled stop."""

@@ -96,6 +96,7 @@ def test_it_is_measured_only_where_it_matters() -> None:
         {"policy": "off"},
         {"cpu_dma_latency_us": None},
         {"daemon_cpu": None},
+        {"daemon_cpu": NO_SUCH_PROCESSOR},
     ):
         assert compared(settled(settings(**{"awake": "measured", **changes}))) is None
     hygiene = Hygiene(settings(awake="all", cpu_dma_latency_us=0))

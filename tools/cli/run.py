@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,11 @@ from tools.summary import Summary, missed_in, summarise, truth_at_cycles
 @click.option("--duration", type=click.FloatRange(min=0.1), help="Seconds in ACTIVE.")
 @click.option("--controller", help="Controller by name, instead of the configuration's.")
 @click.option("--virtual", is_flag=True, help="As fast as the processor allows, deterministic.")
+@click.option(
+    "--or-virtual",
+    is_flag=True,
+    help="If the host takes ticks and a fault follows, once more with --virtual, in OUT/virtual.",
+)
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the lab's noise.")
 @click.option("--serve", is_flag=True, help="Wait for `tonus ctl` instead of playing a scenario.")
 @click.option("--socket", type=click.Path(path_type=Path), help="Control socket.")
@@ -46,6 +52,7 @@ def run(
     controller: str | None,
     *,
     virtual: bool,
+    or_virtual: bool,
     seed: int | None,
     serve: bool,
     socket: Path | None,
@@ -58,6 +65,8 @@ def run(
     With --serve it waits for commands (`tonus ctl`) until it is interrupted, in a new numbered
     folder in OUT each time.
     """
+    if or_virtual and (serve or as_json):
+        raise click.UsageError("--or-virtual plays a scenario twice: leave --serve or --json out")
     overrides: dict[str, Any] = {}
     if controller is not None:
         overrides["control.controller"] = controller
@@ -86,20 +95,32 @@ def run(
         others=others,
         socket=socket,
     )
+    good, disturbed = _play(order, as_json=as_json)
+    if or_virtual and disturbed:
+        click.echo("\nonce more in virtual time, which no host disturbs:")
+        again = replace(order, virtual=True, out=out / "virtual")
+        good, _ = _play(again, as_json=as_json)
+    raise click.exceptions.Exit(0 if good else 1)
+
+
+def _play(order: Order, *, as_json: bool) -> tuple[bool, bool]:
+    """Whether it came to a good end, and whether the host may be why it did not."""
     result = carry_out(order)
-    if serve:
-        _tell_served(result, as_json=as_json)
-    else:
-        summary = _summary(order, result)
-        picture = out / "overview.png"
-        overview(open_log(result.log), settings, picture)
-        if as_json:
-            click.echo(json.dumps(summary, indent=2))
-        else:
-            _tell(summary, result, [*segments(result.log), out / "summary.json", picture])
     outcome = result.outcome
     good = outcome.fault is Fault.NONE and not outcome.obstacle and not outcome.overrun
-    raise click.exceptions.Exit(0 if good else 1)
+    if order.serve:
+        _tell_served(result, as_json=as_json)
+        return good, False
+    summary = _summary(order, result)
+    disturbed = outcome.fault is not Fault.NONE and summary["missed_by_host"] > 0
+    picture = order.out / "overview.png"
+    overview(open_log(result.log), order.config, picture)
+    if as_json:
+        click.echo(json.dumps(summary, indent=2))
+    else:
+        files = [*segments(result.log), order.out / "summary.json", picture]
+        _tell(summary, result, files, disturbed=disturbed)
+    return good, disturbed
 
 
 def _tell_served(result: Result, *, as_json: bool) -> None:
@@ -183,7 +204,7 @@ def _largest_load(log: Log) -> tuple[float, float] | None:
     return float(force.max()), float(np.linalg.norm(away[at_most], axis=1).max())
 
 
-def _tell(summary: Summary, result: Result, files: list[Path]) -> None:
+def _tell(summary: Summary, result: Result, files: list[Path], *, disturbed: bool) -> None:
     """What a newcomer wants to see, the verdict last."""
 
     def span(key: str, unit: str) -> str:
@@ -210,7 +231,7 @@ def _tell(summary: Summary, result: Result, files: list[Path]) -> None:
         rows.append(("contact peak", f"{summary['contact_peak_n']:.1f} N"))
     if result.unrecorded:
         rows.append(("not recorded", f"the end of the run: {result.unrecorded}"))
-    if result.outcome.fault is not Fault.NONE and summary["missed_by_host"]:
+    if disturbed:
         stolen = f"({result.steal_percent:.1f} % of all time was stolen)"
         rows.append(("the host", f"took ticks from this run {stolen}, and may be why it stopped;"))
         rows.append(("", "tonus doctor tells what to change, and --virtual needs no such host"))
