@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hil.processes import attempts, taken_by_the_host
 
 from tools.log import open as open_log
 from tools.log.several import segments
@@ -37,11 +38,12 @@ def recorders(ring_dir_of: int) -> list[int]:
     return found
 
 
-def test_nothing_is_missing(tmp_path: Path) -> None:
+def run_and_kill(out: Path, runtime: Path) -> tuple[int, str]:
+    """How many recorders were killed, and what the run said."""
     command = [sys.executable, "-m", "tools.cli", "run", "config/can.yaml", "--duration", "4"]
-    environment = {**os.environ, "TONUS_RUNTIME_DIR": str(tmp_path / "run")}
+    environment = {**os.environ, "TONUS_RUNTIME_DIR": str(runtime)}
     with subprocess.Popen(
-        [*command, "--out", str(tmp_path)],
+        [*command, "--out", str(out)],
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -63,8 +65,18 @@ def test_nothing_is_missing(tmp_path: Path) -> None:
                 timers = [threading.Timer(delay, kill) for delay in KILLS_S]
                 for timer in timers:
                     timer.start()
-    assert len(killed) == len(KILLS_S), "".join(said)
-    log = open_log(tmp_path / "run.mcap")
+    return len(killed), "".join(said)
+
+
+def test_nothing_is_missing(tmp_path: Path) -> None:
+    for out in attempts(tmp_path):
+        killed, said = run_and_kill(out, tmp_path / "run")
+        # Starved of its processor a recorder may be away for longer than the rings last, which the
+        # log then tells.
+        if not taken_by_the_host(out):
+            break
+    assert killed == len(KILLS_S), said
+    log = open_log(out / "run.mcap")
     ticks = log["/tonus/timing"]["tick"]
     assert sum(int(count) for count in log.recorded.values()) == 0
     missed = log["/tonus/timing"]["missed_own"][-1] + log["/tonus/timing"]["missed_host"][-1]
@@ -74,4 +86,4 @@ def test_nothing_is_missing(tmp_path: Path) -> None:
     restarted = names.count("recorder_restarted")
     # One killed before its first chunk has left nothing to go on from, and its file is begun anew.
     assert 1 <= restarted <= len(KILLS_S)
-    assert len(segments(tmp_path / "run.mcap")) == 1 + restarted
+    assert len(segments(out / "run.mcap")) == 1 + restarted
