@@ -1,8 +1,8 @@
 """A small EtherCAT master whose frames go through a function: for virtual time and for tests.
 
 It does what a segment of ours needs and no more: a line of slaves with CoE, sync managers and SII
-as ETG prescribes them, distributed clocks with the first slave as reference. It
-reads no clock but the one it is given, so the same segment answers the same, byte for byte.
+as ETG prescribes them, distributed clocks with the first slave as reference. It reads no clock but
+the one it is given, so the same segment answers the same, byte for byte.
 """
 
 from __future__ import annotations

@@ -70,24 +70,29 @@ def test_a_killed_daemon_loses_no_cycle(folder: Path) -> None:
 
 @many
 def test_a_killed_recorder_loses_no_cycle(folder: Path) -> None:
-    for number, moment in enumerate(moments(2)):
+    killed = sum(
         lose(folder, f"recorder{number}", "tools.recorder_process", moment)
+        for number, moment in enumerate(moments(2))
+    )
+    assert killed, "the host ended every run in a fault before its recorder could be killed"
 
 
 def test_a_killed_keeper_of_the_recorder_ends_nothing(folder: Path) -> None:
     """The recorder is then nobody's, and goes on to the end all the same."""
-    lose(folder, "keeper", "tools.recorder_keeper", moments(4)[0])
+    if not lose(folder, "keeper", "tools.recorder_keeper", moments(4)[0]):
+        pytest.skip("the host ended the run in a fault before its keeper could be killed")
 
 
-def lose(folder: Path, name: str, helper: str, moment: float) -> None:
-    """Kill a helper that the daemon can do without."""
+def lose(folder: Path, name: str, helper: str, moment: float) -> bool:
+    """Kill a helper that the daemon can do without; whether it was still there."""
     running = started(folder, name)
     reader = running.reader()
     clock.pause(moment)
-    running.kill_part(helper)
+    killed = running.kill_part(helper)
     clock.pause(0.2)
     assert running.end() in (0, 1), running.text.read_text()
     nothing_missing(reader.published, *running.out.glob("*.mcap"))
+    return killed
 
 
 def test_a_killed_lab_is_a_fault(folder: Path) -> None:
@@ -103,6 +108,8 @@ def test_a_killed_lab_is_a_fault(folder: Path) -> None:
         assert said.rstrip().splitlines()[-1].startswith("FAULT: "), said
         nothing_missing(reader.published, running.log)
     print(f"killed {killed} of {KILLS}; the others had ended in a fault before")
+    if not killed:
+        pytest.skip("the host ended every run in a fault before its lab could be killed")
 
 
 @pytest.mark.long

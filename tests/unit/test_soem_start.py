@@ -1,0 +1,99 @@
+"""SOEM does not notice frames that it loses while it sets slaves up; our start does."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from config import load
+from config.schema.bus import EthercatBus
+from drivers.errors import BringUpError
+from drivers.ethercat.soem import SoemMaster
+
+pytest.importorskip("pysoem", reason="pysoem is not installed: the extra ethercat")
+PREOP, INIT = 2, 1
+AWAY_NS = 300_000_000
+
+
+class Soem:
+    """pysoem's master with three slaves; ``bad`` times its calls leave the last one wrong."""
+
+    def __init__(self, bad: int) -> None:
+        self.bad = bad
+        self.calls = 0
+        self.slaves = [self._slave(number) for number in range(3)]
+        self.sdo_read_timeout = self.sdo_write_timeout = 0
+
+    def _slave(self, number: int) -> Any:
+        def fprd(register: int, size: int, timeout_us: int) -> bytes:
+            del register, timeout_us
+            away = AWAY_NS if number == 2 and self._wrong else 0
+            return (1_000_000_000 + away).to_bytes(size, "little")
+
+        return SimpleNamespace(
+            man=1, id=2, rev=3, name="", state=PREOP, al_status=0, index=number, _fprd=fprd
+        )
+
+    @property
+    def _wrong(self) -> bool:
+        return self.calls <= self.bad
+
+    def config_init(self) -> int:
+        self.calls += 1
+        self.slaves[2].state = INIT if self._wrong else PREOP
+        self.slaves[2].al_status = 0x16 if self._wrong else 0
+        return len(self.slaves)
+
+    def config_dc(self) -> bool:
+        self.calls += 1
+        return True
+
+    def state_check(self, state: int, timeout_us: int) -> int:
+        del timeout_us
+        return state
+
+    def read_state(self) -> int:
+        return INIT
+
+
+def _master(bad: int, monkeypatch: pytest.MonkeyPatch) -> tuple[SoemMaster, Soem]:
+    bus = load("config/ethercat.yaml")[0].fieldbus
+    assert isinstance(bus, EthercatBus)
+    master, fake = SoemMaster(bus, lambda: 0), Soem(bad)
+
+    def open_() -> None:
+        master._master = fake
+        master._slaves = list(fake.slaves)
+        master._port = SimpleNamespace()  # type: ignore[assignment]
+
+    monkeypatch.setattr(master, "_open", open_)
+    return master, fake
+
+
+def test_a_slave_left_below_preop_is_set_up_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, fake = _master(2, monkeypatch)
+    assert len(asyncio.run(master.scan())) == 3
+    assert fake.calls == 3
+
+
+def test_one_that_never_comes_is_named_with_its_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, _ = _master(99, monkeypatch)
+    with pytest.raises(BringUpError, match=r"tonus0/3 stays in INIT, asked for PREOP: .*0x0016"):
+        asyncio.run(master.scan())
+
+
+def test_clocks_that_are_apart_are_set_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, fake = _master(1, monkeypatch)
+    master._open()
+    assert asyncio.run(master.align_clocks()) == 1_000_000_000
+    assert fake.calls == 2
+
+
+def test_a_clock_that_cannot_be_set_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, _ = _master(99, monkeypatch)
+    master._open()
+    with pytest.raises(BringUpError, match=r"tonus0/3: its clock cannot be set: it is 300 ms"):
+        asyncio.run(master.align_clocks())
