@@ -146,12 +146,16 @@ def test_a_state_is_set_on_both_sides_of_a_break(cable: Cable, states: StatusFra
     ],
     ids=["another index", "a header", "half"],
 )
-def test_a_stranger_or_a_part_of_a_frame_is_no_answer(
+def test_a_stranger_or_a_part_of_a_frame_is_no_answer_and_hides_none(
     cable: Cable, changed: Callable[[bytes], bytes]
 ) -> None:
+    damaged = {FAR}
+
     def through(frame: bytes, at_ns: int, end: int) -> tuple[bytes, int] | None:
         answer = cable.through(frame, at_ns, end)
-        return answer and (changed(answer[0]), answer[1])
+        return answer and (changed(answer[0]) if end in damaged else answer[0], answer[1])
 
-    port = injected_ring(through, lambda: cable.bench.now + 10_000)
-    assert _heard(StatusFrames(port, STATIONS)) is None
+    states = StatusFrames(injected_ring(through, lambda: cable.bench.now + 10_000), STATIONS)
+    assert _heard(states) == [True] * SLAVES
+    damaged.add(NEAR)
+    assert _heard(states) is None
