@@ -8,8 +8,10 @@ that a client would notice; frames that end within ``lab.bus.coalesce_us`` go ou
 from __future__ import annotations
 
 import asyncio
+import select
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -83,7 +85,8 @@ class _Server:
         self._target = (config.tracker.address, config.tracker.port)
         self._loop = asyncio.get_running_loop()
         self._failed: asyncio.Future[None] = self._loop.create_future()
-        self._listeners: list[tuple[socket.socket, Path]] = []
+        self._listeners: dict[int, tuple[socket.socket, Path, Channel]] = {}
+        self._knocks = select.poll()
         self._clients: list[_Client] = []
         self._stalled: list[_Client] = []
         self._left: list[_Client] = []
@@ -160,16 +163,17 @@ class _Server:
         except OSError as error:
             listener.close()
             raise LabError(f"{path} cannot be opened: {error}") from error
-        self._listeners.append((listener, path))
+        self._listeners[listener.fileno()] = listener, path, channel
         listener.listen(_BACKLOG)
-        self._loop.add_reader(listener, self._accept, listener, channel)
+        self._knocks.register(listener, select.POLLIN)
+        self._loop.add_reader(listener, self._accept)
 
     def close(self) -> None:
         self._loop.set_exception_handler(None)
         self._wake.close()
         if self._door is not None:
             self._door.close()
-        for listener, path in self._listeners:
+        for listener, path, _ in self._listeners.values():
             self._loop.remove_reader(listener)
             listener.close()
             path.unlink(missing_ok=True)
@@ -183,16 +187,18 @@ class _Server:
             close_pair(ours)
         self._tracker.close()
 
-    def _accept(self, listener: socket.socket, channel: Channel) -> None:
-        try:
-            connection, _ = listener.accept()
-        except BlockingIOError:
-            return
-        connection.setblocking(False)
-        self._lab.advance(self._clock())
-        client = _Client(connection, channel)
-        self._clients.append(client)
-        self._loop.add_reader(connection, self._receive, client)
+    def _accept(self) -> None:
+        """Attach all who have connected, where the lab is: what others sent since is for them, too,
+        and may not have been read yet."""
+        for descriptor, _ in self._knocks.poll(0):
+            listener, _, channel = self._listeners[descriptor]
+            with suppress(BlockingIOError):
+                while True:
+                    connection, _ = listener.accept()
+                    connection.setblocking(False)
+                    client = _Client(connection, channel)
+                    self._clients.append(client)
+                    self._loop.add_reader(connection, self._receive, client)
 
     def _leave(self, client: _Client) -> None:
         self._loop.remove_reader(client.connection)
@@ -214,6 +220,7 @@ class _Server:
         self._arm()
 
     def _read_all(self, but: _Client | None = None) -> list[_Sent]:
+        self._accept()
         frames: list[_Sent] = []
         for client in tuple(self._clients):
             if client is not but and client not in self._stalled:

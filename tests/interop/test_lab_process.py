@@ -106,6 +106,28 @@ def test_a_frame_is_on_the_wire_from_the_time_it_was_sent(lab: Path) -> None:
     listener.shutdown()
 
 
+def test_who_joined_before_a_frame_was_sent_hears_it(tmp_path: Path) -> None:
+    """However late the lab's process gets to hear of either."""
+    lab = start(tmp_path)
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("TONUS_RUNTIME_DIR", str(tmp_path))
+            known = TonusBus("can2")
+            for number in range(6):
+                lab.send_signal(signal.SIGSTOP)
+                joined = [TonusBus("can2") for _ in range(3)]
+                sender = (known, *joined)[number % 2]
+                sender.send(can.Message(arbitration_id=1, is_extended_id=False))
+                lab.send_signal(signal.SIGCONT)
+                assert all(bus.recv(5) for bus in (known, *joined) if bus is not sender)
+                for bus in joined:
+                    bus.shutdown()
+            known.shutdown()
+    finally:
+        lab.terminate()
+        lab.wait(10)
+
+
 def test_a_second_lab_does_not_take_the_sockets(lab: Path) -> None:
     second = subprocess.run(
         COMMAND, env=environment(lab), capture_output=True, text=True, timeout=30, check=False
