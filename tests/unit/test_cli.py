@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -61,6 +62,20 @@ def test_a_folder_that_cannot_be_had_is_named(
     arguments = ["run", "config/can.yaml", "--virtual", "--out", str(tmp_path)]
     assert call(monkeypatch, *arguments) == 2
     assert "TONUS_RUNTIME_DIR" in capsys.readouterr().err
+
+
+def test_nowhere_to_keep_compiled_code_is_one_line_too() -> None:
+    code = (
+        "import sys, numba.core.caching as caching\n"
+        "caching.CacheImpl._locator_classes = []\n"
+        "sys.argv[1:] = ['run', 'config/can.yaml', '--virtual']\n"
+        "from tools.cli.main import main\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "set NUMBA_CACHE_DIR" in done.stderr
 
 
 def test_a_failed_check_is_exit_code_1(

@@ -32,6 +32,14 @@ COMMANDS = (
 """Each is the object of its name in the module of its name."""
 
 
+_NO_CACHE = "no locator available"
+"""numba's words where it finds no folder for what it compiles"""
+_CACHE_ADVICE = (
+    "compiled code can be kept neither beside the sources nor in the user's cache folder; "
+    "set NUMBA_CACHE_DIR to a folder that may be written"
+)
+
+
 class _Commands(click.Group):
     """Imports a command when it is asked for, so that a light one is not kept waiting by others."""
 
@@ -70,3 +78,8 @@ def main() -> None:
     except (DriverError, DaemonError) as error:
         click.echo(f"tonus: {error}", err=True)
         sys.exit(1)
+    except RuntimeError as error:
+        if _NO_CACHE not in str(error):
+            raise
+        click.echo(f"tonus: {_CACHE_ADVICE}", err=True)
+        sys.exit(2)
