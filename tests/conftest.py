@@ -1,1 +1,33 @@
-"""Its place puts this folder on the import path: `loop` and `statue` serve tests of every kind."""
+"""Its place puts this folder on the import path: `loop` and `statue` serve tests of every kind.
+
+A test in real time that failed is tried again if the host took processor time from it meanwhile,
+by the count of its hypervisor. What fails each time, or without such an excuse, has failed; what
+passed at a later try is listed with the traceback of the earlier one.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+
+from runtime.realtime import stolen_jiffies
+
+TRIES = 3
+STOLEN = pytest.StashKey[int]()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.get_closest_marker("realtime"):
+            excuse = partial(host_took_time, item)
+            item.add_marker(pytest.mark.flaky(reruns=TRIES - 1, condition=excuse))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    item.stash[STOLEN] = stolen_jiffies()[0]
+
+
+def host_took_time(item: pytest.Item) -> bool:
+    return stolen_jiffies()[0] > item.stash[STOLEN]
