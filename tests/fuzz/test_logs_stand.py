@@ -14,11 +14,11 @@ LONG = ("report", "identify", "compare")
 
 def test_readers_stand_whatever_happened_to_a_log() -> None:
     quick = tuple(name for name in readers(Path()) if name not in LONG)
-    ends = storm(3, 25, quick, drawn=1)
+    ends = storm(3, 15, quick, drawn=1)
     assert {f"{name}: one line" for name in quick} <= set(ends)
     assert {"info: done", "recover: done", "export: done", "replay: done"} <= set(ends)
 
 
 def test_what_draws_and_compares_stands_too() -> None:
-    ends = storm(4, 6, LONG, drawn=6)
+    ends = storm(4, 3, LONG, drawn=3)
     assert ends["report: done"]

@@ -48,7 +48,7 @@ ALSO = pytest.mark.long
     "controller",
     [
         "bio_observer",
-        "pid_length",
+        pytest.param("pid_length", marks=ALSO),
         pytest.param("bio", marks=ALSO),
         pytest.param("force", marks=ALSO),
     ],

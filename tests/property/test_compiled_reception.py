@@ -59,7 +59,7 @@ async def played(script: list[list[tuple[int, str, int, float]]], *, stamped: bo
     return seen
 
 
-@settings(max_examples=40, derandomize=True, deadline=None)
+@settings(max_examples=20, derandomize=True, deadline=None)
 @given(ticks, st.booleans())
 def test_compiled_code_and_handlers_agree(
     script: list[list[tuple[int, str, int, float]]], stamped: bool

@@ -76,7 +76,7 @@ def answered(path: Path) -> Config | ConfigError:
         return error
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(file=st.sampled_from(FILES), changes=st.lists(CHANGES, min_size=1, max_size=3))
 def test_the_loader_raises_nothing_but_its_own_error(
     file: str, changes: list[tuple[int, str, str]]

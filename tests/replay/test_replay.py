@@ -20,7 +20,6 @@ from tools.errors import ToolError
 from tools.log import Log
 from tools.log import open as open_log
 from tools.log.replay import replay
-from tools.run import Order, run
 
 SCENARIOS = sorted(path.stem for path in Path("config/scenarios").glob("*.yaml"))
 EVERY = [
@@ -206,12 +205,3 @@ def test_what_another_configuration_would_have_commanded(sine: Log) -> None:
     same = len(sine["/tonus/timing"])
     assert f"in the recorded state in {same} of {same} ticks" in told.output
     assert "apart 0, most 0" in told.output, "the same controller on another bus"
-
-
-@pytest.mark.realtime
-def test_a_run_in_real_time_comes_out_again(tmp_path: Path) -> None:
-    config, scenario = configured(duration=1.0, overrides={"recording.keyframe_s": 2.0})
-    result = run(Order(config, scenario, tmp_path, 1, False, lambda _: None, live=False))
-    found = replay(open_log(result.log))
-    assert found.first is None, found.first
-    assert found.ticks == result.outcome.ticks

@@ -98,6 +98,7 @@ def test_the_same_seed_finds_the_same_and_another_does_not() -> None:
     assert other.gains != first.gains
 
 
+@pytest.mark.long
 def test_no_simulation_is_spent_on_gains_below_the_floors() -> None:
     """The made-up cost is least where a wild integral leaves no margin."""
     made_up = MadeUp(
