@@ -147,12 +147,14 @@ class SoemMaster(StateAccess):
         master.state_check(soem.PREOP_STATE, self._bus.master.state_timeout_ms * 1000)
         master.read_state()
         for number, slave in enumerate(self._slaves):
+            where = f"{self._bus.interface}/{number + 1}"
             if slave.state != AlState.PREOP:
                 return (
-                    f"{self._bus.interface}/{number + 1} stays in "
-                    f"{name(slave.state & 0xF)}, asked for PREOP: AL status "
+                    f"{where} stays in {name(slave.state & 0xF)}, asked for PREOP: AL status "
                     f"0x{slave.al_status:04X} {soem.al_status_code_to_string(slave.al_status)}"
                 )
+            if not slave.man:  # nobody has the vendor 0
+                return f"{where}: its identity cannot be read"
         return ""
 
     def objects(self, slave: int) -> ObjectAccess:

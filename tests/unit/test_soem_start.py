@@ -19,10 +19,12 @@ AWAY_NS = 300_000_000
 
 
 class Soem:
-    """pysoem's master with three slaves; ``bad`` times its calls leave the last one wrong."""
+    """pysoem's master with three slaves; ``bad`` times its calls leave the last one wrong:
+    below PREOP, or ``nameless``."""
 
-    def __init__(self, bad: int) -> None:
+    def __init__(self, bad: int, *, nameless: bool = False) -> None:
         self.bad = bad
+        self.nameless = nameless
         self.calls = 0
         self.slaves = [self._slave(number) for number in range(3)]
         self.sdo_read_timeout = self.sdo_write_timeout = 0
@@ -43,8 +45,10 @@ class Soem:
 
     def config_init(self) -> int:
         self.calls += 1
-        self.slaves[2].state = INIT if self._wrong else PREOP
-        self.slaves[2].al_status = 0x16 if self._wrong else 0
+        last = self.slaves[2]
+        last.man = 0 if self._wrong and self.nameless else 1
+        below = self._wrong and not self.nameless
+        last.state, last.al_status = (INIT, 0x16) if below else (PREOP, 0)
         return len(self.slaves)
 
     def config_dc(self) -> bool:
@@ -59,10 +63,12 @@ class Soem:
         return INIT
 
 
-def _master(bad: int, monkeypatch: pytest.MonkeyPatch) -> tuple[SoemMaster, Soem]:
+def _master(
+    bad: int, monkeypatch: pytest.MonkeyPatch, *, nameless: bool = False
+) -> tuple[SoemMaster, Soem]:
     bus = load("config/ethercat.yaml")[0].fieldbus
     assert isinstance(bus, EthercatBus)
-    master, fake = SoemMaster(bus, lambda: 0), Soem(bad)
+    master, fake = SoemMaster(bus, lambda: 0), Soem(bad, nameless=nameless)
 
     def open_() -> None:
         master._master = fake
@@ -82,6 +88,14 @@ def test_a_slave_left_below_preop_is_set_up_again(monkeypatch: pytest.MonkeyPatc
 def test_one_that_never_comes_is_named_with_its_code(monkeypatch: pytest.MonkeyPatch) -> None:
     master, _ = _master(99, monkeypatch)
     with pytest.raises(BringUpError, match=r"tonus0/3 stays in INIT, asked for PREOP: .*0x0016"):
+        asyncio.run(master.scan())
+
+
+def test_an_identity_that_was_lost_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, _ = _master(2, monkeypatch, nameless=True)
+    assert [each.vendor for each in asyncio.run(master.scan())] == [1, 1, 1]
+    master, _ = _master(99, monkeypatch, nameless=True)
+    with pytest.raises(BringUpError, match=r"tonus0/3: its identity cannot be read"):
         asyncio.run(master.scan())
 
 
