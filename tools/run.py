@@ -9,18 +9,12 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import platform
-import shutil
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from importlib.metadata import distributions, version
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from config.places import runtime_dir
 from config.schema.bus import DirectBus, parts
@@ -33,7 +27,6 @@ from runtime import clock
 from runtime.control_door import ControlDoor
 from runtime.control_socket import ControlSocket, ControlSocketError
 from runtime.daemon import Daemon, Latencies, Outcome
-from runtime.errors import DaemonError
 from runtime.notify import Notifier
 from runtime.operator import Console, Script
 from runtime.realtime import Grant, Hygiene, compared, demand, settled, stolen_jiffies
@@ -41,24 +34,24 @@ from runtime.recorder import Recorder
 from runtime.rehearsal import rehearse
 from runtime.ring import RingWriter
 from runtime.scheduler import Pacing, TimerPacing, VirtualPacing
-from runtime.signals import CYCLE, SCHEMA_VERSION, TOPICS
+from runtime.signals import CYCLE, TOPICS
 from runtime.taps import EventRing, FrameRing, KeyframeRing, Level
 from runtime.topics import to_json
 from runtime.viewer import Scene
 from sim.lab import Lab
-from tools import fieldbuses
+from tools import fieldbuses, provenance
 from tools.cli.live import Live
 from tools.doctor import doctor
 from tools.errors import ToolError
 from tools.event_lines import EventLines, for_journal
 from tools.lab_process import LabProcess, start_lab
-from tools.recorder_process import RecorderProcess, salvage, start
+from tools.recorder_process import RecorderProcess, start
+from tools.ring_directory import make_folder, ring_directory
 from tools.truth import TruthRing
 
 DRAIN_S = 0.2
 """s of virtual time between two looks of the in-process recorder"""
 FRAMES_PER_TICK = 64
-_LIBRARIES = ("clarabel", "filterpy", "mcap", "numba", "numpy", "python-can", "scipy", "tonus")
 
 
 @dataclass(frozen=True)
@@ -132,12 +125,12 @@ def _run(order: Order, control: ControlSocket | None) -> Result:
     log = order.out / "run.mcap"
     if not order.virtual:
         demand(order.config.realtime)
-    _make(order.out, "choose another with --out")
+    make_folder(order.out, "choose another with --out")
     for old in (log, *order.out.glob("run.[0-9]*.mcap")):
         old.unlink(missing_ok=True)
     if not rehearse(order.config, order.scenario):
         raise ToolError("the control cycle does not reach ACTIVE even with an obedient robot")
-    with _ring_directory(order.say) as rings, ExitStack() as cleanup:
+    with ring_directory(order.say) as rings, ExitStack() as cleanup:
         stage = _Stage(order, rings, log, cleanup, control)
         return stage.virtual() if order.virtual else stage.real()
 
@@ -188,7 +181,7 @@ class _Stage:
             self._rings,
             self._log,
             order.config.recording,
-            self._metadata({}),
+            self._metadata(),
             self._attachments(),
             0,
             live.update if live else None,
@@ -297,6 +290,16 @@ class _Stage:
         self._cleanup.callback(lab.stop)
         return lab
 
+    def _metadata(self) -> dict[str, str]:
+        order = self._order
+        return provenance.metadata(
+            order.config, order.scenario, seed=order.seed, virtual=order.virtual
+        )
+
+    def _attachments(self) -> dict[str, bytes]:
+        order = self._order
+        return provenance.attachments(order.config, order.scenario, order.others)
+
     def _recorder_process(self) -> RecorderProcess:
         order = self._order
         realtime, health = self._realtime, doctor.latest(order.config, order.out)
@@ -305,7 +308,7 @@ class _Stage:
             self._rings,
             self._log,
             order.config.recording,
-            self._metadata(_host() | doctor.metadata(health)),
+            self._metadata() | provenance.host() | doctor.metadata(health),
             self._attachments() | attachments,
             clock.utc_offset_ns(),
             priority=realtime.of(realtime.recorder_priority),
@@ -375,72 +378,6 @@ class _Stage:
             text = "SIGHUP: nothing to do; the configuration is read at the start only"
             self._daemon_made.note(Level.INFO, "signal", text)
 
-    def _metadata(self, host: dict[str, str]) -> dict[str, str]:
-        order = self._order
-        return {
-            **host,
-            **{f"version.{name}": version(name) for name in _LIBRARIES},
-            "version.python": platform.python_version(),
-            "config": order.config.name,
-            "controller": order.config.control.controller,
-            "scenario": order.scenario.name,
-            "schema_version": str(SCHEMA_VERSION),
-            "seed": str(order.seed),
-            "pacing": fieldbuses.pacing_name(order.config, virtual=order.virtual),
-            "time": "virtual" if order.virtual else "real",
-        }
-
-    def _attachments(self) -> dict[str, bytes]:
-        order = self._order
-        others = {}
-        if order.others:
-            scenarios = [each.model_dump(mode="json") for each in order.others]
-            others["catalogue.yaml"] = _yaml({"scenarios": scenarios})
-        return {
-            "config.yaml": _yaml(order.config.model_dump(mode="json")),
-            "environment.txt": _environment(),
-            "scenario.yaml": _yaml(order.scenario.model_dump(mode="json")),
-            **others,
-        }
-
-
-@contextmanager
-def _ring_directory(say: Progress) -> Iterator[Path]:
-    """A place for the rings of this run; what a killed run left behind is recorded first where
-    nobody did, and then cleared away."""
-    base = runtime_dir()
-    _make(base, "set TONUS_RUNTIME_DIR to a folder of your own")
-    for old in base.glob("run-*"):
-        if not Path("/proc", old.name.removeprefix("run-")).exists():
-            _clear(old, say)
-    rings = base / f"run-{os.getpid()}"
-    rings.mkdir()
-    try:
-        yield rings
-    finally:
-        shutil.rmtree(rings, ignore_errors=True)
-
-
-def _clear(old: Path, say: Progress) -> None:
-    try:
-        file = salvage(old)
-    except (ToolError, DaemonError, OSError) as error:
-        say(f"left by an earlier run and kept: {error}")
-        return
-    if file is not None:
-        say(f"left by an earlier run and now recorded: {file}")
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _make(folder: Path, remedy: str) -> None:
-    """A folder this process may write to. Raises `ToolError`."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ToolError(f"{folder}: {error.strerror}; {remedy}") from error
-    if not os.access(folder, os.W_OK):
-        raise ToolError(f"{folder}: cannot be written; {remedy}")
-
 
 def _every(seconds: float, action: Callable[[], object]) -> Callable[[], None]:
     """Do it again and again on the running loop; returns what ends that."""
@@ -456,22 +393,3 @@ def _every(seconds: float, action: Callable[[], object]) -> Callable[[], None]:
         task.cancel()
 
     return end
-
-
-def _host() -> dict[str, str]:
-    """Facts about this machine, for logs in real time only."""
-    return {
-        "host.kernel": platform.release(),
-        "host.machine": platform.machine(),
-        "host.processors": str(os.cpu_count()),
-    }
-
-
-def _environment() -> bytes:
-    """Every installed distribution with its version, as pip takes them."""
-    found = {each.metadata["Name"].lower(): each.version for each in distributions()}
-    return "".join(f"{name}=={found[name]}\n" for name in sorted(found)).encode()
-
-
-def _yaml(data: Any) -> bytes:
-    return yaml.safe_dump(data, sort_keys=True).encode()
