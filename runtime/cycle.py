@@ -9,12 +9,10 @@ reproduce every output bit for bit.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from types import SimpleNamespace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from config.schema.bus import Tracker
@@ -24,7 +22,7 @@ from config.schema.scenario import Reference
 from drivers.process_image import ProcessImage
 from runtime.controllers import CONTROLLERS, Motion
 from runtime.controllers.base import norm, share
-from runtime.distribution import TensionDistribution, opposition
+from runtime.distribution import TensionDistribution, delivered, opposition, tension_bounds
 from runtime.envelope import Envelope
 from runtime.estimator import Estimate, PoseEstimator
 from runtime.guide import Guide
@@ -37,100 +35,12 @@ from runtime.sequence import Sequence
 from runtime.signals import CycleRecord, Solver
 from runtime.states import ARMED, Operator, State
 from runtime.stiffness import LawTerms
-from runtime.tension import TensionLoop
+from runtime.tension import TensionLoop, drum_motion
 
 Array = NDArray[np.float64]
 _NOBODY = np.zeros(CABLES, dtype=bool)
 _SELECT_BIT = 24
 """of the checksum's start, so that a tick without a choice has the checksum it always had"""
-
-
-@njit(cache=True)
-def _drum_motion(
-    matrix: Array,
-    wrench: Array,
-    tension: Array,
-    twist: tuple[Array, Array],
-    desired: tuple[Array, Array],
-    radius: float,
-    axial_stiffness: float,
-    rate: Array,
-    desired_rate: Array,
-    desired_acceleration: Array,
-) -> bool:
-    """Drum rates (8,) that follow the platform's ``twist`` at constant tension (eq. 1), and rates
-    and accelerations on the ``desired`` motion (velocity, acceleration), level. Whether the rates
-    and the ``wrench`` are numbers.
-    """
-    finite = True
-    for row in range(6):
-        finite = finite and math.isfinite(wrench[row])
-    for i in range(rate.shape[0]):
-        following = wanted = bend = 0.0
-        for row in range(3):
-            following += matrix[row, i] * twist[0][row] + matrix[3 + row, i] * twist[1][row]
-            wanted += matrix[row, i] * desired[0][row]
-            bend += matrix[row, i] * desired[1][row]
-        rate[i] = following / (radius * (1.0 + tension[i] / axial_stiffness))
-        desired_rate[i] = wanted / radius
-        desired_acceleration[i] = bend / radius
-        finite = finite and math.isfinite(rate[i]) and math.isfinite(desired_rate[i])
-    return finite
-
-
-@njit(cache=True)
-def _delivered(
-    matrix: Array,
-    reference: Array,
-    commanded: Array,
-    gradient: Array,
-    tension: Array,
-    delivered: Array,
-    shortfall: Array,
-) -> float:
-    """The wrench (6,) of the tension ``reference`` and the force (3,) it falls short by; returns
-    the geometric stiffness (N/m) of the measured tensions."""
-    for row in range(6):
-        total = 0.0
-        for i in range(reference.shape[0]):
-            total += matrix[row, i] * reference[i]
-        delivered[row] = total
-        if row < 3:
-            shortfall[row] = commanded[row] - total
-    geometric = 0.0
-    for i in range(tension.shape[0]):
-        geometric += gradient[i] * tension[i]
-    return geometric
-
-
-@njit(cache=True)
-def _bounds(
-    matrix: Array,
-    before: Array,
-    present: NDArray[np.bool_],
-    levels: tuple[float, float, float, float],
-    contraction: float,
-    agonism: Array,
-    low: Array,
-    high: Array,
-    centre: Array,
-    bearing: Array,
-) -> None:
-    """Bounds and centre of each tension: the configured ones, no further from the last reference
-    than ``reach``, and zero where a cable is lost. ``levels``: low, high, centre, reach; the centre
-    rises by the share ``contraction``, of antagonists more and of agonists less, since the wrench
-    tightens these anyway. ``bearing`` becomes the structure matrix without the lost cables.
-    """
-    lowest, highest, middle, reach = levels
-    for i in range(before.shape[0]):
-        low[i] = high[i] = centre[i] = 0.0
-        if present[i]:
-            low[i] = min(max(before[i] - reach, lowest), highest)
-            high[i] = max(min(before[i] + reach, highest), lowest)
-            wanted = middle * (1.0 + contraction * (1.0 - agonism[i]))
-            centre[i] = min(max(wanted, lowest), highest)
-        for row in range(6):
-            bearing[row, i] = matrix[row, i] if present[i] else 0.0
 
 
 class ControlCycle:
@@ -332,7 +242,7 @@ class ControlCycle:
             self._agonism,
             self._gradient,
         )
-        _bounds(
+        tension_bounds(
             matrix,
             self._reference,
             present,
@@ -351,7 +261,7 @@ class ControlCycle:
         self._reference = self._distribution(
             self._bearing, self._wrench, self._centre, self._low, self._high, self._gradient
         )
-        self._geometric = _delivered(
+        self._geometric = delivered(
             matrix,
             self._reference,
             self._wrench,
@@ -367,7 +277,7 @@ class ControlCycle:
         """Drum rates (8,) to damp against: those that follow the platform, or those desired."""
         _, velocity, acceleration = self._guide.desired
         desired_rate, desired_acceleration = self._desired_drums
-        self._finite = _drum_motion(
+        self._finite = drum_motion(
             self._kinematics.matrix,
             self._wrench,
             self._sensing.tension,

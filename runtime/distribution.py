@@ -54,6 +54,61 @@ def opposition(
 
 
 @njit(cache=True)
+def tension_bounds(
+    matrix: Array,
+    before: Array,
+    present: NDArray[np.bool_],
+    levels: tuple[float, float, float, float],
+    contraction: float,
+    agonism: Array,
+    low: Array,
+    high: Array,
+    centre: Array,
+    bearing: Array,
+) -> None:
+    """Bounds and centre of each tension: the configured ones, no further from the last reference
+    than ``reach``, and zero where a cable is lost. ``levels``: low, high, centre, reach; the centre
+    rises by the share ``contraction``, of antagonists more and of agonists less, since the wrench
+    tightens these anyway. ``bearing`` becomes the structure matrix without the lost cables.
+    """
+    lowest, highest, middle, reach = levels
+    for i in range(before.shape[0]):
+        low[i] = high[i] = centre[i] = 0.0
+        if present[i]:
+            low[i] = min(max(before[i] - reach, lowest), highest)
+            high[i] = max(min(before[i] + reach, highest), lowest)
+            wanted = middle * (1.0 + contraction * (1.0 - agonism[i]))
+            centre[i] = min(max(wanted, lowest), highest)
+        for row in range(6):
+            bearing[row, i] = matrix[row, i] if present[i] else 0.0
+
+
+@njit(cache=True)
+def delivered(
+    matrix: Array,
+    reference: Array,
+    commanded: Array,
+    gradient: Array,
+    tension: Array,
+    delivered: Array,
+    shortfall: Array,
+) -> float:
+    """The wrench (6,) of the tension ``reference`` and the force (3,) it falls short by; returns
+    the geometric stiffness (N/m) of the measured tensions."""
+    for row in range(6):
+        total = 0.0
+        for i in range(reference.shape[0]):
+            total += matrix[row, i] * reference[i]
+        delivered[row] = total
+        if row < 3:
+            shortfall[row] = commanded[row] - total
+    geometric = 0.0
+    for i in range(tension.shape[0]):
+        geometric += gradient[i] * tension[i]
+    return geometric
+
+
+@njit(cache=True)
 def _free_minimiser(
     matrix: Array,
     wrench: Array,

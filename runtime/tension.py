@@ -31,6 +31,39 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True)
+def drum_motion(
+    matrix: Array,
+    wrench: Array,
+    tension: Array,
+    twist: tuple[Array, Array],
+    desired: tuple[Array, Array],
+    radius: float,
+    axial_stiffness: float,
+    rate: Array,
+    desired_rate: Array,
+    desired_acceleration: Array,
+) -> bool:
+    """Drum rates (8,) that follow the platform's ``twist`` at constant tension (eq. 1), and rates
+    and accelerations on the ``desired`` motion (velocity, acceleration), level. Whether the rates
+    and the ``wrench`` are numbers.
+    """
+    finite = True
+    for row in range(6):
+        finite = finite and math.isfinite(wrench[row])
+    for i in range(rate.shape[0]):
+        following = wanted = bend = 0.0
+        for row in range(3):
+            following += matrix[row, i] * twist[0][row] + matrix[3 + row, i] * twist[1][row]
+            wanted += matrix[row, i] * desired[0][row]
+            bend += matrix[row, i] * desired[1][row]
+        rate[i] = following / (radius * (1.0 + tension[i] / axial_stiffness))
+        desired_rate[i] = wanted / radius
+        desired_acceleration[i] = bend / radius
+        finite = finite and math.isfinite(rate[i]) and math.isfinite(desired_rate[i])
+    return finite
+
+
+@njit(cache=True)
 def _expected(
     tension: Array,
     rate: Array,
