@@ -24,24 +24,16 @@ from runtime.histogram import Histogram
 from runtime.keyframe import Keyframe
 from runtime.operator import Commander
 from runtime.overruns import Overruns
+from runtime.reporter import EventSink, Reporter
 from runtime.scheduler import Misses, Pacing, Scheduler
 from runtime.self_test import SelfTest
-from runtime.sequence import MOVING
-from runtime.signals import Consistency, Grade
-from runtime.states import ARMED, Fault, Operator, State
+from runtime.states import Fault, Operator, State
 from runtime.taps import Level
-from runtime.words import describe, place, reaction
 
 _NOTICEABLE_S = 0.5
 """Slowing at the start and at the end takes a tenth of a second; more was the envelope."""
 _SERVICE_PERIOD_S = 0.02
 """between two looks at the control socket while the bus is brought up"""
-_CONSISTENCY = {
-    Consistency.GOOD: "lengths, tensions and tracker fit together again",
-    Consistency.CABLES: "the cable lengths contradict each other or the motion",
-    Consistency.TRACKER: "the tracker's poses are not believed",
-    Consistency.SINGULAR: "the cables hardly determine the pose",
-}
 
 
 def _nobody(due_ns: int) -> None:
@@ -60,14 +52,6 @@ class Ring(Protocol):
     """Where the cycle record goes."""
 
     def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None: ...
-
-
-class EventSink(Protocol):
-    """Where events go."""
-
-    def __call__(
-        self, stamp_ns: int, tick: int, level: Level, name: str, where: str, text: str
-    ) -> None: ...
 
 
 class KeyframeSink(Protocol):
@@ -123,6 +107,7 @@ class Daemon:
         self.cycle = ControlCycle(
             config.robot, config.control, config.tracker, scenario.reference, references
         )
+        self._reporter = Reporter(config, self.cycle, events)
         self.self_test = SelfTest(config)
         self.scheduler: Scheduler | None = None
         """there is one once the bus is up"""
@@ -138,17 +123,8 @@ class Daemon:
         self._overruns = Overruns(config.realtime)
         self.latencies = Latencies()
         self._recovery: asyncio.Task[None] | None = None
-        self._state = State.OFF
-        self._grade = Grade.GREEN
-        self._fault = Fault.NONE
-        self._short = False
         self._refused = ""
         self._who = self._resetting_for = ""
-        self._consistency, self._learnt = Consistency.GOOD, 0
-        self._tracker_tick, self._tracker_silent = 0, False
-        patience = config.tracker.maximum_age_ms * 1e-3 / config.control.rates.period
-        self._tracker_patience = int(patience)
-        self._text = ""
 
     async def run(
         self,
@@ -183,7 +159,7 @@ class Daemon:
         return Outcome(
             sequence.state,
             sequence.fault,
-            self._text or self._verdict(),
+            self._reporter.fault or self._verdict(),
             ticks,
             scheduler.misses,
             self._overruns.stopped,
@@ -366,77 +342,14 @@ class Daemon:
 
     def _report(self, tick: int, command: Operator) -> None:
         """Events, in the ticks where there are any."""
-        sequence = self.cycle.sequence
         if command is not Operator.NONE:
             who = self._who
             text = f"{command.name.lower()}{f' by {who}' if who else ''}"
             self._emit(tick, Level.INFO, "operator", "", text)
-        if sequence.fault is not self._fault:
-            self._report_fault(tick)
-        if sequence.state is not self._state:
-            before, self._state = self._state, sequence.state
-            self._emit(tick, Level.INFO, "state", "", f"{before.name} to {sequence.state.name}")
-        grade = Grade(int(self.cycle.record.envelope.grade))
-        if grade is not self._grade:
-            self._grade = grade
-            level = Level.INFO if grade is Grade.GREEN else Level.WARNING
-            self._emit(tick, level, "envelope", "", f"grade {grade.name.lower()}")
-        self._watch_tracker(tick)
-        self._watch_estimator(tick)
-        self._watch_deficit(tick)
+        self._reporter.look(self._due_ns, tick)
         for source in (self._fieldbus, self._tracker):
             for event in source.take_events():
                 self._emit(tick, Level.WARNING, event.name, event.where, event.text)
-
-    def _watch_tracker(self, tick: int) -> None:
-        """Without poses the estimator runs on the cables alone: a degraded mode, and said so."""
-        tracker = self.cycle.record.tracker
-        believed = tracker.accepted if self._state in MOVING else tracker.fresh
-        if believed:
-            if self._tracker_silent:
-                self._emit(tick, Level.INFO, "tracker_back", "tracker", "poses are believed again")
-            self._tracker_tick, self._tracker_silent = tick, False
-        elif tick - self._tracker_tick > self._tracker_patience and not self._tracker_silent:
-            self._tracker_silent = True
-            text = "no pose that can be believed; the estimate rests on the cables alone"
-            self._emit(tick, Level.WARNING, "tracker_lost", "tracker", text)
-
-    def _watch_estimator(self, tick: int) -> None:
-        """Measurements that contradict each other, and what the estimator made of it."""
-        pose, tracker = self.cycle.record.pose, self.cycle.record.tracker
-        away = 1e3 * float(tracker.disagreement)
-        consistency, learnt = Consistency(int(pose.consistency)), int(tracker.learnt)
-        if consistency is not self._consistency:
-            self._consistency = consistency
-            level = Level.INFO if consistency is Consistency.GOOD else Level.WARNING
-            text = _CONSISTENCY[consistency]
-            if consistency is Consistency.TRACKER:
-                text += f", {away:.1f} mm away"
-            self._emit(tick, level, f"pose_{consistency.name.lower()}", "estimator", text)
-        if learnt > self._learnt:
-            text = f"the tracker insists on {away:.1f} mm: the cable lengths are referenced anew"
-            self._emit(tick, Level.WARNING, "tracker_learnt", "estimator", text)
-        self._learnt = learnt
-
-    def _watch_deficit(self, tick: int) -> None:
-        """A wrench the cables cannot deliver inside their bounds: said once an episode."""
-        deficit = float(self.cycle.record.wrench.deficit)
-        short = deficit > self._config.control.distribution.deficit_limit
-        if short and not self._short:
-            text = f"{deficit:.1f} N of the commanded wrench cannot be delivered"
-            self._emit(tick, Level.WARNING, "wrench_deficit", "", text)
-        self._short = short
-
-    def _report_fault(self, tick: int) -> None:
-        sequence = self.cycle.sequence
-        fault = self._fault = sequence.fault
-        if fault is Fault.NONE:
-            self._text = ""
-            return
-        at = place(self._config, fault, sequence.where)
-        answer = reaction(fault, armed=self._state in ARMED)
-        self._text = f"{describe(self._config, fault, sequence.where, sequence.reason)}; {answer}"
-        self._emit(tick, Level.ERROR, fault.name.lower(), at, self._text)
 
     def _emit(self, tick: int, level: Level, name: str, where: str, text: str) -> None:
         self._events(self._due_ns, tick, level, name, where, text)

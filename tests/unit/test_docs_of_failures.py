@@ -28,14 +28,14 @@ def named() -> set[str]:
 
 
 def events_of_the_daemon() -> set[str]:
-    """Names given to `_emit`, `note` and the recorder's `event`, where they are written out."""
+    """Names given to `_emit`, `_tell`, `note` and `event`, where they are written out."""
     names = set()
     for package in (runtime, tools):
         for path in Path(str(package.__file__)).parent.rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text())):
                 if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
                     continue
-                at = {"_emit": 2, "note": 1, "event": 1}.get(node.func.attr)
+                at = {"_emit": 2, "_tell": 1, "note": 1, "event": 1}.get(node.func.attr)
                 if at is None or len(node.args) <= at:
                     continue
                 name = node.args[at]
