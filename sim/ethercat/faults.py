@@ -83,8 +83,8 @@ def check(segment: Segment, fault: Fault) -> None:
     if isinstance(fault, Disconnect):
         return
     if isinstance(fault, CableBreak):
-        if fault.behind >= count + segment.ring:
-            most = f"at most the {count}" if segment.ring else f"less than the {count}"
+        if fault.behind >= count + segment.cable.ring:
+            most = f"at most the {count}" if segment.cable.ring else f"less than the {count}"
             raise LabError(f"{what}: behind must be {most} slaves there are")
         return
     if fault.node > count:
@@ -128,18 +128,18 @@ def strike(
     if isinstance(fault, Unplug):
         return _break(segment, place), None
     if isinstance(fault, PowerLoss):
-        segment.switch(place, on=False)
-        return lambda: segment.switch(place, on=True), None
+        segment.cable.switch(place, on=False)
+        return lambda: segment.cable.switch(place, on=True), None
     if isinstance(fault, PowerCycle):
-        segment.switch(place, on=False)
-        segment.switch(place, on=True)
+        segment.cable.switch(place, on=False)
+        segment.cable.switch(place, on=True)
         return None, None
     return _strike_slave(segment.slaves[place], fault, now_ns), None
 
 
 def _break(segment: Segment, place: int) -> _Ender:
-    segment.cut(place)
-    return lambda: segment.mend(place)
+    segment.cable.cut(place)
+    return lambda: segment.cable.mend(place)
 
 
 def _strike_slave(slave: Slave, fault: SegmentFault, now_ns: int) -> _Ender | None:

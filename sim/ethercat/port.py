@@ -87,7 +87,7 @@ class SegmentPort:
                 continue
             answer = segment.answer(frame, self._arrival(ancillary), number)
             if answer is not None:
-                self._send(segment.exit(number), answer)
+                self._send(segment.cable.exit(number), answer)
             segment.settle()
 
     def _arrival(self, ancillary: list[tuple[int, int, bytes]]) -> int:

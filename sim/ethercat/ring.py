@@ -14,7 +14,7 @@ class Ring:
     def through(self, frame: bytes, at_ns: int, end: int) -> tuple[bytes, int] | None:
         """The answer to a frame that goes in at an end, and the end it comes out at."""
         answer = self._segment.exchange(frame, at_ns, end)
-        return None if answer is None else (answer, self._segment.exit(end))
+        return None if answer is None else (answer, self._segment.cable.exit(end))
 
     def around(self, frame: bytes, at_ns: int) -> bytes | None:
         """As a master with two cards does it: what comes back to the end it went in at has not

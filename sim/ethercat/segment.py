@@ -13,6 +13,7 @@ from typing import Protocol
 
 from sim.devices.timers import Callback
 from sim.ethercat import registers as reg
+from sim.ethercat.cable import Cable
 from sim.ethercat.controller import READ, WRITE
 from sim.ethercat.disturbance import Disturbance, Fate
 from sim.ethercat.frames import (
@@ -35,10 +36,6 @@ _TOGETHER_NS = 1000
 """SYNC0 of slaves within this time is one instant: a drive's current loop takes 40 us."""
 _LONGEST_NS = 1_000_000_000
 """A pulse that is further away is looked for again by then: no timer waits for years."""
-_LINK = 0x0001 | 0x0010 | 0x0200 | 0x5000
-"""DL status: a working slave with a link at port 0, ports 2 and 3 closed"""
-_LINK_BEHIND, _CLOSED_BEHIND = 0x0820, 0x0400
-_LOST_LINKS = 0x311
 _READS = (Command.APRD, Command.FPRD, Command.BRD)
 _WAYS = {Command.LRD: READ, Command.LWR: WRITE, Command.LRW: READ | WRITE}
 _PLANS = 64
@@ -75,13 +72,10 @@ class Segment:
     def __init__(self, name: str, lab: Lab, *, hop_ns: int, ring: bool = False) -> None:
         self.name = name
         self.slaves: list[Slave] = []
-        self.ring = ring
+        self.cable = Cable(self.slaves, hop_ns=hop_ns, ring=ring, changed=self.remapped)
         self.counts = Counts()
         self.disturbance = Disturbance()
         self._lab = lab
-        self._hop_ns = hop_ns
-        self._breaks: set[int] = set()  # each before the slave of this place, from 0
-        self._reach: tuple[list[Slave], list[Slave]] = ([], [])
         self._plans: dict[tuple[int, int, int, int], list[Part]] = {}
         self._touched: dict[int, Slave] = {}
         self._mail = 0
@@ -94,7 +88,7 @@ class Segment:
         """Add a slave at the far end; ``make`` is given its number, from 1."""
         slave = make(len(self.slaves) + 1)
         self.slaves.append(slave)
-        self._rewire()
+        self.cable.rewire()
         return slave
 
     # -- what slaves tell ------------------------------------------------------------------------
@@ -115,7 +109,7 @@ class Segment:
 
     def exchange(self, frame: bytes, at_ns: int, port: int = 0) -> bytes | None:
         """The answer to a full Ethernet frame that comes in at ``at_ns``, None if none comes back
-        in time. It leaves by `exit` of the port. Anything else than an EtherCAT frame is dropped.
+        in time. It leaves by `Cable.exit` of the port. Any other frame than EtherCAT's is dropped.
         """
         answer = self.answer(frame, at_ns, port)
         self.settle()
@@ -166,10 +160,6 @@ class Segment:
         for slave in touched.values():
             slave.act(now_ns)
 
-    def exit(self, port: int) -> int:
-        """Where a frame that came in at a port comes out."""
-        return 1 - port if self.ring and not self._cuts() else port
-
     def poll(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Answers that were late or came twice and are there by now: port and frame."""
         due = [(port, frame) for at_ns, port, frame in self._late if at_ns <= now_ns]
@@ -178,7 +168,7 @@ class Segment:
         return due
 
     def _later(self, answer: bytes, at_ns: int, port: int) -> None:
-        self._late.append((at_ns, self.exit(port), answer))
+        self._late.append((at_ns, self.cable.exit(port), answer))
         self._late.sort(key=lambda entry: entry[0])
         # A timer of the lab's, so that its server wakes for it.
         self._lab.call_at(at_ns, lambda _: self.awaits() if self.awaits else None)
@@ -192,8 +182,8 @@ class Segment:
             memory[reg.RECEIVE_ERRORS] = min(memory[reg.RECEIVE_ERRORS] + 1, 0xFF)
 
     def _process(self, frame: bytearray, now_ns: int, port: int) -> bytearray:
-        slaves = self._reach[port]
-        if port and not self._cuts():
+        slaves = self.cable.reach[port]
+        if port and self.cable.whole:
             return frame  # the other way round nobody touches it
         if slaves:
             frame[_SOURCE] |= PASSED
@@ -360,66 +350,6 @@ class Segment:
         for slave in due:
             slave.pulse(now_ns)
         self._arm()
-
-    # -- the cable -------------------------------------------------------------------------------
-
-    def cut(self, place: int) -> None:
-        """Break the cable before the slave of this place, from 0: only so many answer. A ring has
-        one more, back from the last."""
-        self._breaks.add(place)
-        self._rewire()
-
-    def mend(self, place: int | None = None) -> None:
-        """Put one break right, or all."""
-        self._breaks -= {place} if place is not None else set(self._breaks)
-        self._rewire()
-
-    def switch(self, place: int, *, on: bool) -> None:
-        """Take the power of a slave, or give it back; its ports are closed without. Raises
-        `LabError`."""
-        slave = self.slaves[place]
-        if on and not slave.powered:
-            slave.switch_on()
-        elif not on:
-            slave.switch_off()
-        self._rewire()
-
-    def _cuts(self) -> set[int]:
-        """Where frames turn back."""
-        cuts = {place for place in self._breaks if place < len(self.slaves) + self.ring}
-        for place, slave in enumerate(self.slaves):
-            if not slave.powered:
-                cuts |= {place, place + 1}
-        return cuts
-
-    def reachable(self, place: int) -> bool:
-        """Whether a master's frames come to a slave."""
-        slave = self.slaves[place]
-        return slave in self._reach[0] or (self.ring and slave in self._reach[1])
-
-    def _rewire(self) -> None:
-        """Work out whom frames reach, and let the slaves see their links."""
-        slaves, cuts = self.slaves, self._cuts()
-        near = slaves[: min(cuts)] if cuts else list(slaves)
-        far = slaves[max(cuts) :] if cuts and self.ring else []
-        self._reach = (near, far)
-        self._plans.clear()
-        last = len(slaves) - 1
-        for place, slave in enumerate(slaves):
-            memory = slave.controller.memory
-            linked = place + 1 not in cuts and (place < last or self.ring)
-            if memory[reg.STATUS_DL] & 0x20 and not linked:
-                memory[_LOST_LINKS] = min(memory[_LOST_LINKS] + 1, 0xFF)
-            word = _LINK | (_LINK_BEHIND if linked else _CLOSED_BEHIND)
-            memory[reg.STATUS_DL], memory[reg.STATUS_DL + 1] = word & 0xFF, word >> 8
-        for group in (near, far):
-            self._measure(group)
-
-    def _measure(self, group: list[Slave]) -> None:
-        hop_ns, last = self._hop_ns, len(group) - 1
-        for number, slave in enumerate(group):
-            slave.arrival_ns = number * hop_ns
-            slave.return_ns = (2 * last - number) * hop_ns if number < last else None
 
 
 _COUNTING = frozenset(

@@ -121,9 +121,9 @@ def of(found: Mapping[str, Segment], clock: _Clock) -> Verbs:
 
     def cut(order: _Cut) -> Reply:
         one = segment(order)
-        one.mend()
+        one.cable.mend()
         if order.n < len(one.slaves):
-            one.cut(order.n)
+            one.cable.cut(order.n)
         return {}
 
     def drive_fault(order: _DriveFault) -> Reply:
@@ -177,7 +177,7 @@ def _told(segment: Segment, place: int, slave: Slave) -> Reply:
         "state_name": standing.state.name,
         "error": standing.error,
         "code": standing.code,
-        "reachable": segment.reachable(place),
+        "reachable": segment.cable.reachable(place),
         "powered": slave.powered,
         "clock_difference_ns": slave.clock.difference,
         "sync_pulses": slave.sync.pulses,

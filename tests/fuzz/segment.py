@@ -65,8 +65,8 @@ class SegmentUnderFire:
     def _bring_up(self) -> None:
         bench = self.bench
         for place in range(bench.count):
-            bench.segment.switch(place, on=False)
-            bench.segment.switch(place, on=True)
+            bench.segment.cable.switch(place, on=False)
+            bench.segment.cable.switch(place, on=True)
         bench.wait(5)
         bench.operate(0, 1, 2, sync_ns=MS)
         for word in (0x06, 0x07, 0x0F, 0x0F):

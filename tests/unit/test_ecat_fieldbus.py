@@ -101,7 +101,7 @@ def test_another_device_is_refused_and_the_cable_shown(
 def test_a_slave_too_few_is_counted_and_the_cable_shown() -> None:
     async def main() -> None:
         bench = SegmentBench()
-        bench.segment.cut(9)
+        bench.segment.cable.cut(9)
         with pytest.raises(BringUpError, match="9 slaves answer, configured are 10"):
             await bench.start()
         assert any("tonus0/9" in line for line in bench.said)

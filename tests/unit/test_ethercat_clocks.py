@@ -43,7 +43,7 @@ def test_a_latch_tells_the_delays_of_the_cable() -> None:
 def test_delays_are_those_of_the_slaves_that_answer() -> None:
     bench = SegmentBench(hop_ns=700, clock_spread_ppm=0.0)
     bench.address()
-    bench.segment.cut(3)
+    bench.segment.cable.cut(3)
     bench.one(Command.BWR, 0, 0x900, 4)
     near, far = struct.unpack("<II", bench.read(0, 0x900, 8))
     assert (far - near) % (1 << 32) == 2 * 700 * 2

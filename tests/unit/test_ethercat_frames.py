@@ -227,7 +227,7 @@ def test_the_plan_follows_every_change_of_the_map(bench: SegmentBench) -> None:
     assert bench.logical(Command.LRD, LOGICAL, b"\0") == (b"\0", 0), (
         "a slave locks it below SAFE-OP"
     )
-    bench.segment.cut(0)
+    bench.segment.cable.cut(0)
     assert bench.logical(Command.LRD, LOGICAL, b"\0") == (b"\0", 0)
 
 

@@ -63,23 +63,23 @@ def test_in_a_closed_ring_all_are_heard_and_nothing_is_open(states: StatusFrames
 def test_one_broken_cable_is_found_and_silences_nobody(
     cable: Cable, states: StatusFrames, place: int
 ) -> None:
-    cable.bench.segment.cut(place)
+    cable.bench.segment.cable.cut(place)
     assert _heard(states) == [True] * SLAVES
     assert states.open_after == place
-    cable.bench.segment.mend()
+    cable.bench.segment.cable.mend()
     assert _heard(states) == [True] * SLAVES
     assert states.open_after is None
 
 
 def test_two_broken_cables_silence_those_between_them(cable: Cable, states: StatusFrames) -> None:
-    cable.bench.segment.cut(3)
-    cable.bench.segment.cut(6)
+    cable.bench.segment.cable.cut(3)
+    cable.bench.segment.cable.cut(6)
     assert _heard(states) == [True] * 3 + [False] * 3 + [True] * 4
     assert states.open_after == 3
 
 
 def test_a_slave_without_power_is_the_only_silent_one(cable: Cable, states: StatusFrames) -> None:
-    cable.bench.segment.switch(4, on=False)
+    cable.bench.segment.cable.switch(4, on=False)
     assert _heard(states) == [place != 4 for place in range(SLAVES)]
     assert states.open_after == 4
 
@@ -98,7 +98,7 @@ def test_a_copy_that_is_lost_in_a_closed_ring_makes_nobody_silent(
 def test_a_copy_that_is_lost_in_an_open_ring_makes_nobody_silent(
     cable: Cable, states: StatusFrames, end: int
 ) -> None:
-    cable.bench.segment.cut(5)
+    cable.bench.segment.cable.cut(5)
     cable.lost = {end}
     assert _heard(states) is None
     cable.lost = set()
@@ -124,14 +124,14 @@ def test_late_copies_of_an_earlier_frame_are_no_pair(cable: Cable) -> None:
 
 
 def test_an_end_that_is_out_leaves_the_other(cable: Cable, states: StatusFrames) -> None:
-    cable.bench.segment.cut(0)
+    cable.bench.segment.cable.cut(0)
     cable.lost = {NEAR}
     assert _heard(states) == [True] * SLAVES
     assert states.open_after == 0
 
 
 def test_a_state_is_set_on_both_sides_of_a_break(cable: Cable, states: StatusFrames) -> None:
-    cable.bench.segment.cut(5)
+    cable.bench.segment.cable.cut(5)
     states.control(dict.fromkeys(range(SLAVES), 0x02))
     asked = [slave.controller.memory[0x120] for slave in cable.bench.slaves]
     assert asked == [0x02] * SLAVES

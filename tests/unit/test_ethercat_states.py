@@ -177,12 +177,12 @@ def test_a_master_that_leaves_op_with_the_drive_at_work_is_told(bench: SegmentBe
 
 def test_a_slave_without_supply_cuts_the_rest_off_and_starts_anew(bench: SegmentBench) -> None:
     bench.operate(0, 1, 2)
-    bench.segment.switch(1, on=False)
+    bench.segment.cable.switch(1, on=False)
     assert bench.one(Command.BRD, 0, 0x130, 2) == (b"\x08\0", 1)
     assert bench.number(0, 0x110, 2) == 0x0001 | 0x10 | 0x200 | 0x400 | 0x5000, "port 1 is closed"
     assert bench.read(0, 0x311, 1) == b"\1"
     bench.wait(150)
-    bench.segment.switch(1, on=True)
+    bench.segment.cable.switch(1, on=True)
     assert bench.one(Command.BRD, 0, 0x000, 1)[1] == 10
     assert bench.standing(2) == (SAFE_OP | ERROR, 0x1B), "its watchdog has run on"
     assert bench.one(Command.FPRD, STATION + 1, 0x130, 2)[1] == 0, "it has lost its address"
@@ -191,22 +191,22 @@ def test_a_slave_without_supply_cuts_the_rest_off_and_starts_anew(bench: Segment
 
 
 def test_a_cut_leaves_those_before_it(bench: SegmentBench) -> None:
-    bench.segment.cut(4)
+    bench.segment.cable.cut(4)
     assert bench.one(Command.BRD, 0, 0x000, 1)[1] == 4
-    bench.segment.mend(4)
+    bench.segment.cable.mend(4)
     assert bench.one(Command.BRD, 0, 0x000, 1)[1] == 10
 
 
 def test_a_ring_reaches_everyone_from_both_ends() -> None:
     bench = SegmentBench(ring=True)
     assert bench.one(Command.BRD, 0, 0x000, 1)[1] == 10
-    assert bench.segment.exit(0) == 1, "through all slaves and out at the far end"
+    assert bench.segment.cable.exit(0) == 1, "through all slaves and out at the far end"
     assert bench.one(Command.BRD, 0, 0x000, 1, port=1)[1] == 0, "passed on the wrong way round"
-    assert bench.segment.exit(1) == 0
-    bench.segment.cut(4)
+    assert bench.segment.cable.exit(1) == 0
+    bench.segment.cable.cut(4)
     assert bench.one(Command.BRD, 0, 0x000, 1)[1] == 4
     assert bench.one(Command.BRD, 0, 0x000, 1, port=1)[1] == 6
-    assert bench.segment.exit(0) == 0
+    assert bench.segment.cable.exit(0) == 0
     assert bench.one(Command.APWR, -1, 0x010, b"\x34\x12", port=1)[1] == 1
     assert bench.slaves[5].controller.word(0x010) == 0x1234, "counted from the break"
 
