@@ -12,6 +12,7 @@ from config.places import runtime_dir
 from drivers.fieldbus import Progress
 from runtime.errors import DaemonError
 from tools.errors import ToolError
+from tools.folders import make_folder
 from tools.recorder_process import salvage
 
 
@@ -41,13 +42,3 @@ def _clear(old: Path, say: Progress) -> None:
     if file is not None:
         say(f"left by an earlier run and now recorded: {file}")
     shutil.rmtree(old, ignore_errors=True)
-
-
-def make_folder(folder: Path, remedy: str) -> None:
-    """A folder this process may write to. Raises `ToolError`."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ToolError(f"{folder}: {error.strerror}; {remedy}") from error
-    if not os.access(folder, os.W_OK):
-        raise ToolError(f"{folder}: cannot be written; {remedy}")

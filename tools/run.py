@@ -44,9 +44,10 @@ from tools.cli.live import Live
 from tools.doctor import doctor
 from tools.errors import ToolError
 from tools.event_lines import EventLines, for_journal
+from tools.folders import make_folder
 from tools.lab_process import LabProcess, start_lab
 from tools.recorder_process import RecorderProcess, start
-from tools.ring_directory import make_folder, ring_directory
+from tools.ring_directory import ring_directory
 from tools.truth import TruthRing
 
 DRAIN_S = 0.2
@@ -125,7 +126,7 @@ def _run(order: Order, control: ControlSocket | None) -> Result:
     log = order.out / "run.mcap"
     if not order.virtual:
         demand(order.config.realtime)
-    make_folder(order.out, "choose another with --out")
+    make_folder(order.out)
     for old in (log, *order.out.glob("run.[0-9]*.mcap")):
         old.unlink(missing_ok=True)
     if not rehearse(order.config, order.scenario):

@@ -13,6 +13,7 @@ from sim.ethercat import esi as esi_file
 from tools.errors import ToolError
 from tools.export import dbc as dbc_file
 from tools.export import messages
+from tools.folders import make_folder
 
 
 @click.group()
@@ -87,10 +88,7 @@ def esi(config: Path, out: Path) -> None:
 
 
 def _write_all(out: Path, files: dict[str, str]) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ToolError(f"{out}: {error.strerror}; choose another with --out") from error
+    make_folder(out)
     for name, text in files.items():
         _write(out / name, text)
         click.echo(out / name)

@@ -16,6 +16,7 @@ from config.loader import load_tuning
 from config.schema.tuning import Tuning
 from runtime.clock import wall_seconds
 from tools.errors import ToolError
+from tools.folders import make_folder
 from tools.tune.landing import land, provenance, write
 from tools.tune.search import Found, Search
 from tools.tune.work import Evaluator
@@ -64,10 +65,7 @@ def tune(
     if loaded.fieldbus.kind != "direct":
         raise ToolError(f"{config}: tuning runs without frames; give --config config/direct.yaml")
     say = Console(stderr=True, quiet=as_json)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ToolError(f"--out {out}: {error.strerror}; name a file one may write") from error
+    make_folder(out.parent)
     journal = out.with_suffix(".journal")
     processes = jobs or os.cpu_count() or 1
     evaluator = Evaluator(config, rules, tuning.seed, journal, processes)

@@ -10,7 +10,7 @@ import numpy as np
 
 from config import Config, load
 from config.schema.robot import CABLES
-from tools.errors import ToolError
+from tools.folders import make_folder
 from tools.workspace import Maps, compute, draw, grid
 
 COARSEST, FINEST = 2, 41
@@ -53,10 +53,7 @@ def workspace(
     loaded, _ = load(config)
     if force is None:
         force = loaded.control.envelope.contact_limit
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ToolError(f"--out {out}: {error.strerror}; name a folder one may write") from error
+    make_folder(out)
     at = grid(loaded, points, tilt=tilt)
     if as_json:
         maps = compute(loaded, at, force, missing=missing)

@@ -28,7 +28,7 @@ from config.schema.protocol import Protocol
 from config.schema.root import Config
 from runtime import clock
 from runtime.signals import SCHEMA_VERSION
-from tools.errors import ToolError
+from tools.folders import make_folder
 from tools.paper import metrics
 from tools.paper.case import Run
 from tools.paper.conduct import conduct
@@ -144,7 +144,7 @@ def carry_out(
     On Ctrl-C what has been finished stays, and the same call goes on from there.
     """
     folder = out / TRIALS
-    _make(folder)
+    make_folder(folder)
     kept = {job.run.key: row for job in jobs if (row := _finished(folder, job)) is not None}
     todo = sorted(
         (job for job in jobs if job.run.key not in kept),
@@ -318,12 +318,3 @@ def _put(path: Path, data: bytes) -> None:
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     beside.write_bytes(data)
     beside.replace(path)
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ToolError(f"{folder}: {error.strerror}; choose another with --out") from error
-    if not os.access(folder, os.W_OK):
-        raise ToolError(f"{folder}: cannot be written; choose another with --out")
