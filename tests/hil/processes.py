@@ -22,6 +22,7 @@ from tools.log import Log
 from tools.log import open as open_log
 
 TONUS = [sys.executable, "-m", "tools.cli"]
+RECORDING = ("tools.recorder_keeper", "tools.recorder_process")
 _STEP_S = 0.02
 _ATTEMPTS = 3
 
@@ -123,10 +124,19 @@ class Running:
         raise ProcessLookupError(f"no {module} runs")
 
     def end(self, seconds: float = 60.0) -> int:
-        """By a controlled stop."""
+        """By a controlled stop; whoever still records has ended then, too."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(seconds)
+        code = self.process.wait(seconds)
+        wait_for(lambda: not any(map(self.runs, RECORDING)))
+        return code
+
+    def runs(self, module: str) -> bool:
+        try:
+            self.part(module)
+        except ProcessLookupError:
+            return False
+        return True
 
     def kill(self) -> bool:
         """Whether it was killed: a starved host may have ended the run in a fault before."""
