@@ -23,6 +23,8 @@ from tools.log import open as open_log
 
 TONUS = [sys.executable, "-m", "tools.cli"]
 RECORDING = ("tools.recorder_keeper", "tools.recorder_process")
+STEAL_PERCENT = 1.0
+"""As `tonus run` says it of a run."""
 _STEP_S = 0.02
 _ATTEMPTS = 3
 
@@ -62,12 +64,14 @@ def attempts(folder: Path) -> Iterator[Path]:
 
 
 def taken_by_the_host(out: Path) -> bool:
-    """A run ended in a fault after the host had taken ticks from it: its robot was left alone."""
+    """A run ended in a fault after the host had taken ticks from it, or time from its lab: its
+    robot was left alone."""
     path = out / "summary.json"
     if not path.exists():
         return False
     summary = json.loads(path.read_text())
-    return summary["state"] == "FAULT" and summary["missed_by_host"] > 0
+    taken = summary["missed_by_host"] > 0 or summary["steal_percent"] >= STEAL_PERCENT
+    return summary["state"] == "FAULT" and taken
 
 
 class Running:

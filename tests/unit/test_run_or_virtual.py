@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from tools.cli.run import run
+from config import load
+from tools.cli.run import _disturbed, run
 from tools.run import Order
 
 
@@ -48,3 +49,16 @@ def test_it_is_for_a_person_with_a_scenario(other: str) -> None:
     result = CliRunner().invoke(run, ["config/can.yaml", "--or-virtual", other])
     assert result.exit_code == 2
     assert "leave --serve or --json out" in result.output
+
+
+@pytest.mark.parametrize(
+    ("ticks", "steal_percent", "disturbed"),
+    [(1, 0.0, True), (0, 1.0, True), (0, 0.9, False), (0, None, False)],
+)
+def test_time_taken_from_the_lab_alone_is_a_disturbance_too(
+    ticks: int, steal_percent: float | None, disturbed: bool
+) -> None:
+    config, _ = load("config/can.yaml")
+    assert config.realtime.host.steal_bad_percent == 1.0
+    summary = {"missed_by_host": ticks, "steal_percent": steal_percent}
+    assert _disturbed(config, summary) is disturbed

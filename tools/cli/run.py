@@ -37,7 +37,7 @@ from tools.summary import Summary, missed_in, summarise, truth_at_cycles
 @click.option(
     "--or-virtual",
     is_flag=True,
-    help="If the host takes ticks and a fault follows, once more with --virtual, in OUT/virtual.",
+    help="If the host takes time and a fault follows, once more with --virtual, in OUT/virtual.",
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the lab's noise.")
 @click.option("--serve", is_flag=True, help="Wait for `tonus ctl` instead of playing a scenario.")
@@ -112,7 +112,7 @@ def _play(order: Order, *, as_json: bool) -> tuple[bool, bool]:
         _tell_served(result, as_json=as_json)
         return good, False
     summary = _summary(order, result)
-    disturbed = outcome.fault is not Fault.NONE and summary["missed_by_host"] > 0
+    disturbed = outcome.fault is not Fault.NONE and _disturbed(order.config, summary)
     picture = order.out / "overview.png"
     overview(open_log(result.log), order.config, picture)
     if as_json:
@@ -121,6 +121,13 @@ def _play(order: Order, *, as_json: bool) -> tuple[bool, bool]:
         files = [*segments(result.log), order.out / "summary.json", picture]
         _tell(summary, result, files, disturbed=disturbed)
     return good, disturbed
+
+
+def _disturbed(config: Config, summary: Summary) -> bool:
+    """Whether the host took ticks, or so much time that it may have been the lab's alone, whose
+    nodes were silent then."""
+    stolen = summary["steal_percent"] or 0.0
+    return summary["missed_by_host"] > 0 or stolen >= config.realtime.host.steal_bad_percent
 
 
 def _tell_served(result: Result, *, as_json: bool) -> None:
@@ -232,8 +239,8 @@ def _tell(summary: Summary, result: Result, files: list[Path], *, disturbed: boo
     if result.unrecorded:
         rows.append(("not recorded", f"the end of the run: {result.unrecorded}"))
     if disturbed:
-        stolen = f"({result.steal_percent:.1f} % of all time was stolen)"
-        rows.append(("the host", f"took ticks from this run {stolen}, and may be why it stopped;"))
+        taken = f"{summary['missed_by_host']} ticks and {result.steal_percent or 0.0:.1f} %"
+        rows.append(("the host", f"took {taken} of all time, and may be why it stopped;"))
         rows.append(("", "tonus doctor tells what to change, and --virtual needs no such host"))
     click.echo()
     for name, value in rows:
