@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from sim.ethercat import registers as reg
 from sim.ethercat.slave import Slave
 
@@ -15,17 +13,15 @@ _LOST_LINKS = 0x311
 
 class Cable:
     """Joins ``slaves``, a list that may still grow; ``ring``: the last one leads back to a second
-    port (1). ``changed`` is called when frames reach others than before."""
+    port (1)."""
 
-    def __init__(
-        self, slaves: list[Slave], *, hop_ns: int, ring: bool, changed: Callable[[], None]
-    ) -> None:
+    def __init__(self, slaves: list[Slave], *, hop_ns: int, ring: bool) -> None:
         self.ring = ring
         self.reach: tuple[list[Slave], list[Slave]] = ([], [])
         """slaves that a frame passes from either port, the nearest first"""
         self.whole = True
         """nothing turns a frame back"""
-        self._slaves, self._hop_ns, self._changed = slaves, hop_ns, changed
+        self._slaves, self._hop_ns = slaves, hop_ns
         self._breaks: set[int] = set()  # each before the slave of this place, from 0
 
     def cut(self, place: int) -> None:
@@ -65,7 +61,6 @@ class Cable:
         near = slaves[: min(cuts)] if cuts else list(slaves)
         far = slaves[max(cuts) :] if cuts and self.ring else []
         self.reach = (near, far)
-        self._changed()
         last = len(slaves) - 1
         for place, slave in enumerate(slaves):
             memory = slave.controller.memory

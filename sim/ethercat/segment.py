@@ -72,11 +72,11 @@ class Segment:
     def __init__(self, name: str, lab: Lab, *, hop_ns: int, ring: bool = False) -> None:
         self.name = name
         self.slaves: list[Slave] = []
-        self.cable = Cable(self.slaves, hop_ns=hop_ns, ring=ring, changed=self.remapped)
+        self.cable = Cable(self.slaves, hop_ns=hop_ns, ring=ring)
         self.counts = Counts()
         self.disturbance = Disturbance()
         self._lab = lab
-        self._plans: dict[tuple[int, int, int, int], list[Part]] = {}
+        self._plans: dict[tuple[int, int, int, int, int], list[Part]] = {}
         self._touched: dict[int, Slave] = {}
         self._mail = 0
         self._sync = 0  # timers of an older arrangement are stale
@@ -290,7 +290,8 @@ class Segment:
         size: int,
         now_ns: int,
     ) -> int:
-        key = (command, start, size, len(slaves))
+        first = slaves[0].number if slaves else 0
+        key = (command, start, size, first, len(slaves))
         plan = self._plans.get(key)
         if plan is None:
             if len(self._plans) >= _PLANS:

@@ -6,16 +6,19 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from ethercat_bench import STATION, SegmentBench
+from ethercat_bench import LOGICAL, STATION, SegmentBench
 
 from drivers.ethercat.frames import INDEX_AT
 from drivers.ethercat.ring import injected_ring
 from drivers.ethercat.status import StatusFrames
+from sim.ethercat.frames import Command, Datagram, build, parse
 from sim.ethercat.ring import Ring
 
 SLAVES = 10
 STATIONS = [STATION + place for place in range(SLAVES)]
 NEAR, FAR = 0, 1
+RAM = 0x2000
+"""process memory no sync manager guards"""
 
 
 class Cable:
@@ -159,3 +162,20 @@ def test_a_stranger_or_a_part_of_a_frame_is_no_answer_and_hides_none(
     assert _heard(states) == [True] * SLAVES
     damaged.add(NEAR)
     assert _heard(states) is None
+
+
+@pytest.mark.parametrize("place", range(SLAVES + 1))
+def test_process_data_pass_every_slave_on_either_side_of_a_broken_cable(
+    cable: Cable, place: int
+) -> None:
+    bench = cable.bench
+    for number, slave in enumerate(bench.slaves):
+        bench.fmmu(number, 0, LOGICAL + number, 1, RAM, 1)
+        slave.controller.memory[RAM] = number + 1
+    bench.segment.cable.cut(place)
+    back = Ring(bench.segment).around(
+        build([Datagram(Command.LRD, LOGICAL, bytes(SLAVES))]), bench.now
+    )
+    assert back is not None
+    found = parse(back)[0]
+    assert (found.data, found.counter) == (bytes(range(1, SLAVES + 1)), SLAVES)
