@@ -27,7 +27,7 @@ TRUTH_FIELDS: tuple[tuple[str, str, int, str, str], ...] = (
     ("potential", "float64", 0, "J", "of the platform's weight, zero at the base frame's origin"),
     ("strain", "float64", 0, "J", "of the free cables, and of the gearboxes' teeth"),
     ("phantom", "float64", 0, "J", "of the phantom's springs"),
-    ("cradle", "float64", 0, "J", "of the cradle's vertical spring"),
+    ("cradle", "float64", 0, "J", "of the cradle's springs"),
     ("wound", "float64", 0, "J", "account of cable wound on and off under tension, see Energy"),
     ("losses", "float64", 0, "J", "dissipated since the start"),
     ("friction_losses", "float64", 0, "J", "the drums' share: bearings, gearboxes, brakes"),

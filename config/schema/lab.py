@@ -153,12 +153,20 @@ class Phantom(Section):
 
 
 class Cradle(Section):
-    """Where the platform lies while the drives are off: a unilateral support from below."""
+    """Where the platform lies while the drives are off: a level table with friction, and in it a
+    cup for each lower corner of the platform, a box about its cable anchors. What lands farther
+    off than a cup's rim lies where it touched."""
 
     stiffness: Positive
+    """N/m, of the table under all four corners"""
     damping: NonNegative
-    rotational_stiffness: Positive
-    rotational_damping: NonNegative
+    """N s/m, of the table under all four corners"""
+    friction: NonNegative
+    """coefficient of Coulomb friction"""
+    radius: Positive
+    """m, of a cup"""
+    depth: NonNegative
+    """m, of a cup under the table; its slope must overcome friction to centre the platform"""
 
 
 class Timing(Section):

@@ -1,8 +1,8 @@
-"""What the platform may touch: the phantom and the cradle."""
+"""The phantom, which the contact port may press."""
 
 from __future__ import annotations
 
-from math import atan2, exp, sqrt
+from math import exp
 from typing import Any
 
 from sim.plant.compiled import inner
@@ -66,37 +66,3 @@ def relax(s: Any, p: Any, dt: float) -> None:
     s.relaxed *= exp(-dt * p.recovery_rate)
     if p.solid == 0.0 and _depth(s, p) <= s.relaxed:
         s.losses += 0.5 * p.contact_stiffness * (start**2 - s.relaxed**2)
-
-
-@inner
-def rest(s: Any, p: Any) -> None:
-    """Add the cradle: a unilateral spring-damper from below; sideways and in rotation it holds with
-    the share of the platform's weight that rests on it, so that lifting off is without a jerk.
-    Only the vertical spring stores energy in the accounts, the rest counts as dissipation."""
-    depth = p.cradle_height - s.position[2]
-    s.cradle = 0.0
-    if depth <= 0.0:
-        return
-    spring = p.cradle_stiffness * depth
-    s.cradle = 0.5 * spring * depth
-    support = max(0.0, spring - p.cradle_damping * s.velocity[2])
-    share = min(1.0, support / (p.mass * p.gravity))
-    s.force[2] += support
-    s.dissipation += (spring - support) * s.velocity[2]
-    for k in range(2):
-        hold = share * (
-            p.cradle_stiffness * (s.position[k] - p.cradle_place[k])
-            + p.cradle_damping * s.velocity[k]
-        )
-        s.force[k] -= hold
-        s.dissipation += hold * s.velocity[k]
-    sine = sqrt(s.quaternion[1] ** 2 + s.quaternion[2] ** 2 + s.quaternion[3] ** 2)
-    side = 1.0 if s.quaternion[0] >= 0.0 else -1.0
-    scale = 2.0 * side * atan2(sine, side * s.quaternion[0]) / sine if sine > 1e-12 else 2.0 * side
-    for k in range(3):
-        hold = share * (
-            p.cradle_rotational_stiffness * scale * s.quaternion[1 + k]
-            + p.cradle_rotational_damping * s.angular_velocity[k]
-        )
-        s.moment[k] -= hold
-        s.dissipation += hold * s.angular_velocity[k]

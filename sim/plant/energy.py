@@ -18,9 +18,9 @@ class Energy:
     while strained; ``wound`` integrates its negative. ``total`` therefore changes by ``input_work +
     load_work - losses`` and nothing else, and ``balance`` is a constant of the motion.
 
-    ``losses`` hold friction, gearbox, brake, cable and phantom damping and what the cradle takes
-    sideways; ``friction_losses`` and ``cable_losses`` are parts of them. ``copper_losses`` are none
-    of the mechanics'.
+    ``losses`` hold friction, gearbox, brake, cable and phantom damping, and the cradle's damping
+    and friction; ``friction_losses`` and ``cable_losses`` are parts of them. ``copper_losses`` are
+    none of the mechanics'.
     """
 
     kinetic: float

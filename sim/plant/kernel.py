@@ -12,7 +12,8 @@ from typing import Any
 from sim.plant.body import drift_body, orient, set_orientation, spin
 from sim.plant.cables import pull_cables, stored, tip_speed
 from sim.plant.compiled import inner, outermost
-from sim.plant.contacts import press, relax, rest
+from sim.plant.contacts import press, relax
+from sim.plant.cradle import rest
 from sim.plant.drums import drift_drums, follow_currents, kick_drums, predict_drums, teeth
 
 

@@ -17,6 +17,8 @@ from sim.plant.layout import PARAMETERS
 Floats = NDArray[np.float64]
 _COARSEST = 0.5
 """rad of the teeth's vibration per step, beyond which the integrator distorts it"""
+_STANDING = 4
+"""corners on which a platform lies flat"""
 
 
 def _unit(vector: Sequence[float], what: str) -> Floats:
@@ -45,6 +47,8 @@ def parameters(
     friction = 1.0 + plant.friction_spread * random.uniform(-1.0, 1.0, CABLES)
     scale = plant.mass_scale * (1.0 + plant.mass_spread * random.uniform(-1.0, 1.0))
     weight = robot.platform.mass * scale * robot.gravity
+    tips = np.array(robot.geometry.platform, dtype=np.float64)
+    low = tips[:, 2].min()
     # Driven backwards, a gearbox of efficiency eta holds the cable with motor torque / eta.
     efficiency = robot.gearbox.efficiency if plant.gearbox_losses else 1.0
     values = {
@@ -70,13 +74,16 @@ def parameters(
         "current_limit": robot.motor.current_limit,
         "current_pole": 2.0 * pi * plant.current_loop_hz,
         "cell_pole": 2.0 * pi * lab.noise.force_cell.bandwidth_hz,
-        # The spring begins so high that the platform lies at `rest` exactly.
-        "cradle_height": robot.rest[2] + weight / cradle.stiffness,
         "cradle_place": robot.rest,
-        "cradle_stiffness": cradle.stiffness,
-        "cradle_damping": cradle.damping,
-        "cradle_rotational_stiffness": cradle.rotational_stiffness,
-        "cradle_rotational_damping": cradle.rotational_damping,
+        "cradle_radius": cradle.radius,
+        "cradle_depth": cradle.depth,
+        "cradle_friction": cradle.friction,
+        "corner_stiffness": cradle.stiffness / _STANDING,
+        "corner_damping": cradle.damping / _STANDING,
+        "box_half": np.abs(tips[:, :2]).max(axis=0),
+        "box_ends": (low, tips[:, 2].max()),
+        # The cups' bottoms are so high that the platform lies at `rest` exactly.
+        "table_height": robot.rest[2] + low + weight / cradle.stiffness + cradle.depth,
         "opening": 0.5,
     }
     for name, value in values.items():

@@ -174,6 +174,7 @@ class Plant:
         self.velocity[:] = 0.0
         self.angular_velocity[:] = 0.0
         self.drum_rate[:] = 0.0
+        self.state["standing"] = 0.0
         p = self.parameters[0]
         pull = np.asarray(tensions, dtype=np.float64)
         free = self.cable_lengths() / (1.0 + strain(self.parameters, pull))

@@ -85,3 +85,48 @@ def test_any_drive_history(
         assert abs(np.linalg.norm(p.quaternion) - 1.0) < 1e-12
         assert np.array_equal(p.motor_angle[p.locked], held)
     assert abs(p.energy().balance - start) <= 0.02 * turned_over + 2e-3
+
+
+THREE = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    st.tuples(*[st.floats(-0.03, 0.03)] * 2) | st.tuples(*[st.floats(-0.4, 0.4)] * 2),
+    st.floats(0.0, 0.25),
+    THREE,
+    THREE.map(lambda v: tuple(3.0 * x / max(1.0, np.linalg.norm(v)) for x in v)),
+    THREE,
+    st.floats(0.0, 1.0),
+)
+def test_any_landing(
+    place: tuple[float, float],
+    above: float,
+    tilt: tuple[float, float, float],
+    velocity: tuple[float, float, float],
+    turning: tuple[float, float, float],
+    friction: float,
+) -> None:
+    """At up to 3 m/s, however tilted and turning: no step gives energy back, accounts close."""
+    assert CONFIG.lab is not None
+    cradle = CONFIG.lab.cradle.model_copy(update={"friction": friction})
+    lab = CONFIG.lab.model_copy(update={"cradle": cradle})
+    p = Plant(CONFIG.robot, lab, seed=1, phantom=None, load=None)
+    p.place((0.0, 0.0, 1.0), (1.0, *tilt), np.zeros(8))
+    half, ends = p.parameters["box_half"][0], p.parameters["box_ends"][0]
+    corners = np.array(
+        [(x, y, z) for x in (-half[0], half[0]) for y in (-half[1], half[1]) for z in ends]
+    )
+    lowest = float(np.min(corners @ p.state["rotation"][0, 2]))
+    height = float(p.parameters["table_height"][0]) - lowest + above
+    p.place((*place, height), (1.0, *tilt), np.zeros(8))
+    p.parameters["start_length"] += 10.0
+    p.velocity[:] = velocity
+    p.angular_velocity[:] = np.multiply(turning, 5.0)
+    p.advance(p.now_ns + 1)
+    start, last = p.energy().balance, float(p.losses)
+    for _ in range(3000):
+        p.advance(p.now_ns + CONFIG.lab.plant.substep_us * 1000)
+        assert p.losses >= last
+        last = float(p.losses)
+    assert abs(p.energy().balance - start) < 2e-3 * max(2.0, last)

@@ -249,17 +249,6 @@ def test_in_the_end_only_the_quasi_static_stiffness_carries(model: str) -> None:
     assert p.cell_force[8] == pytest.approx(WEIGHT, rel=2e-3)
 
 
-def test_the_cradle_catches_and_never_pulls() -> None:
-    p = loose(plant())
-    p.position[2] = 0.0
-    p.position[0] = 0.004
-    run(p, 3.0)
-    assert p.position == pytest.approx(ROBOT.rest, abs=1e-5)
-    p.velocity[2] = 1.0
-    run(p, 0.05)
-    assert p.velocity[2] == pytest.approx(1.0 - ROBOT.gravity * 0.05, abs=0.06)
-
-
 def test_the_load_port_plays_its_schedule_from_its_start() -> None:
     load = SCENARIO.lab.load
     assert load is not None
