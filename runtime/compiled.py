@@ -263,6 +263,41 @@ def _absorb(position: Array, quaternion: Array, rest: Array, error: Array) -> No
 
 
 @njit(cache=True)
+def _judge(
+    wanted: Array,
+    tensions: Array,
+    usable: NDArray[np.bool_],
+    rest: Array,
+    axial_stiffness: float,
+    limits: tuple[float, float],
+    lengths: Array,
+    innovations: Array,
+    believed: NDArray[np.bool_],
+) -> None:
+    """Innovations of the lengths, and which to believe: a slack cable has no length to measure but
+    for being no shorter, and one that is far off while most are not is wrong."""
+    slack, gate = limits
+    far, near = 0, 0
+    for i in range(lengths.shape[0]):
+        innovations[i], believed[i] = math.nan, False
+        if not usable[i]:
+            continue
+        stretch = elongation(wanted[i], tensions[i], axial_stiffness)
+        found = wanted[i] + rest[OFFSETS - TWIST + i] + rest[EXCESS - TWIST] * stretch - lengths[i]
+        if tensions[i] <= slack:
+            innovations[i] = min(found, 0.0)
+            continue
+        innovations[i], believed[i] = found, True
+        if abs(found) > gate:
+            far += 1
+        else:
+            near += 1
+    if near >= far + 3:
+        for i in range(lengths.shape[0]):
+            believed[i] = believed[i] and abs(innovations[i]) <= gate
+
+
+@njit(cache=True)
 def filter_tick(
     state: tuple[Array, Array, Array, Array, Array],
     body: tuple[float, Array, float, float],
@@ -270,16 +305,21 @@ def filter_tick(
     noise: tuple[Array, float, float],
     anchors: tuple[Array, Array],
     measured: tuple[Array, Array, NDArray[np.bool_]],
+    limits: tuple[float, float],
     lengths: Array,
     matrix: Array,
+    innovations: Array,
+    believed: NDArray[np.bool_],
 ) -> float:
-    """Predict over a period with the cables' wrench, then correct with each usable length.
+    """Predict over a period with the cables' wrench, then correct with each believed length.
 
     ``state``: position (3,), quaternion (4,), rest (21,), covariance (27, 27) and mean elongations
     (8,), all changed. ``measured``: lengths with the nominal elongation, tensions, and which cables
-    to believe. ``noise``: variances (27,) a tick adds, a length's, and the share of a tick in the
-    mean elongations. ``matrix`` comes in as of the last estimate. Returns the mean squared
-    innovation in sigmas: about 1.
+    are fresh. ``noise``: variances (27,) a tick adds, a length's, and the share of a tick in the
+    mean elongations. ``limits``: tension (N) below which a cable is slack, and innovation (m)
+    beyond which a length is left out. ``matrix`` comes in as of the last estimate. Writes the
+    lengths' ``innovations`` (8,) m before any correction, not a number where there is none, and
+    which cables were ``believed`` (8,). Returns the mean squared innovation in sigmas: about 1.
     """
     position, quaternion, rest, covariance, mean = state
     wanted, tensions, usable = measured
@@ -293,8 +333,9 @@ def filter_tick(
     size = covariance.shape[0]
     error, seen = np.zeros(size), np.empty(size)
     total, count = 0.0, 0
+    _judge(wanted, tensions, usable, rest, body[3], limits, lengths, innovations, believed)
     for i in range(lengths.shape[0]):
-        if not usable[i]:
+        if not believed[i]:
             continue
         stretch = elongation(wanted[i], tensions[i], body[3])
         # The measured length is l(x) - offset - excess * stretch, so H = [-W', 0, 0, -1, -stretch];
@@ -410,8 +451,11 @@ def estimate_tick(
     noise: tuple[Array, float, float],
     anchors: tuple[Array, Array],
     measured: tuple[Array, Array, NDArray[np.bool_]],
+    limits: tuple[float, float],
     lengths: Array,
     matrix: Array,
+    innovations: Array,
+    believed: NDArray[np.bool_],
     cables: tuple[Array, Array, Array, Array],
     iterations: int,
     estimate: tuple[Array, Array, Array, Array],
@@ -419,9 +463,21 @@ def estimate_tick(
     """All that an estimator's tick computes: the filter, the pose from the lengths alone
     (``cables``: its position, quaternion, lengths and matrix), and the estimate one period on.
     Returns what `filter_tick` and `forward` do."""
-    squared = filter_tick(state, body, period, noise, anchors, measured, lengths, matrix)
+    squared = filter_tick(
+        state,
+        body,
+        period,
+        noise,
+        anchors,
+        measured,
+        limits,
+        lengths,
+        matrix,
+        innovations,
+        believed,
+    )
     residual = forward(
-        measured[0], measured[2], anchors, cables[0], cables[1], cables[2], cables[3], iterations
+        measured[0], believed, anchors, cables[0], cables[1], cables[2], cables[3], iterations
     )
     wrench = matrix @ measured[1]
     carry_forward(state, body, period, wrench, anchors, lengths, matrix, estimate)

@@ -19,13 +19,15 @@ from config.schema.bus import Tracker
 from config.schema.control import Control
 from config.schema.robot import CABLES, Robot
 from config.schema.scenario import Reference
-from drivers.process_image import ProcessImage
+from drivers.process_image import AxisCommand, ProcessImage
 from runtime.controllers import CONTROLLERS, Motion
 from runtime.controllers.base import norm, share
+from runtime.descent import Descent
 from runtime.distribution import TensionDistribution, delivered, opposition, tension_bounds
 from runtime.envelope import Envelope
-from runtime.estimator import Estimate, PoseEstimator
+from runtime.estimator import Doubts, Estimate, PoseEstimator
 from runtime.guide import Guide
+from runtime.isolation import Isolation
 from runtime.kinematics import Kinematics
 from runtime.passivity import Limiter
 from runtime.recording import write_measured, write_motion
@@ -64,13 +66,26 @@ class ControlCycle:
             control.envelope, control.tension, control.stiffness, robot, period
         )
         self._referencing = Referencing(robot, control.sequence, Kinematics(robot.geometry))
-        self.sequence = Sequence(control, self._sensing, self._referencing, self._envelope)
+        self._isolation = Isolation(control.isolation, control.stop, period)
+        self.sequence = Sequence(
+            control,
+            self._sensing,
+            self._referencing,
+            self._envelope,
+            self._isolation,
+            robot.drum.radius,
+        )
         self._guide = Guide(robot, control.sequence, control.envelope, reference, period, others)
-        self._estimator = PoseEstimator(robot, control.estimator, tracker, self._kinematics, period)
+        self._estimator = PoseEstimator(
+            robot, control.estimator, tracker, self._kinematics, period, Doubts.of(control)
+        )
         self._controller = CONTROLLERS[control.controller](robot, control)
         ratio = self._controller.damping_ratio
         self._limiter = Limiter(control.stiffness, control.passivity, robot, ratio, period)
-        self._distribution = TensionDistribution(control.distribution, robot.geometry.moment_length)
+        self._usual = TensionDistribution(control.distribution, robot.geometry.moment_length)
+        self._distribution = self._usual
+        """that of this tick"""
+        self._descent = Descent(robot, control, period)
         self._loop = self._usual_loop = TensionLoop(robot, control.tension_loop, period)
         self._active_loop = self._usual_loop
         if self._controller.tension_loop != control.tension_loop:
@@ -111,6 +126,9 @@ class ControlCycle:
         if sequence.step(image, tick, operator, finite=self._finite):
             self._enter(sequence.state)
         image.commands["command"] = sequence.axis_command
+        if sequence.passive_share >= 0.0:
+            self._give_way(image)
+            return
         if sequence.regulating:
             estimate = self._estimate(image)
             self._regulate(estimate)
@@ -133,6 +151,29 @@ class ControlCycle:
                 self._kinematics.lengths,
                 self._desired_drums if sequence.regulating else None,
             )
+            if sequence.descending:
+                usable = sensing.usable & sequence.carrying
+                self._descent.bound(image.commands["torque"], sensing.rate, usable)
+
+    def fall_back(self, image: ProcessImage, tick: int) -> None:
+        """In place of an `act` that failed: a passive stop, by nothing that it computed."""
+        self.sequence.give_way()
+        self._sensing.step(image, tick)
+        self.sequence.step(image, tick, Operator.NONE)
+        image.commands["command"] = self.sequence.axis_command
+        self._give_way(image)
+
+    def _give_way(self, image: ProcessImage) -> None:
+        """A tick of a passive stop."""
+        sequence, stop = self.sequence, self._control.stop
+        fresh = image.axes["age"] <= self._control.freshness.measurement_ticks
+        trusted = sequence.faults.drums_trusted & fresh
+        share = sequence.passive_share
+        if share < 0.0 or sequence.axis_command is not AxisCommand.ENABLE:
+            trusted[:], share = False, 0.0
+        self._reference[:] = share * stop.passive_tension * trusted
+        torque = self._descent.guard.passive(self._sensing.rate, trusted, share)
+        image.commands["torque"] = torque
 
     def write(
         self, image: ProcessImage, tick: int, operator: Operator, select: int = 0
@@ -162,10 +203,7 @@ class ControlCycle:
 
     def _enter(self, state: State) -> None:
         self._finite = True
-        loop = self._active_loop if state is State.ACTIVE else self._usual_loop
-        if loop is not self._loop:
-            loop.take_over(self._loop)
-            self._loop = loop
+        self._change_loop(self._active_loop if state is State.ACTIVE else self._usual_loop)
         if state is State.REFERENCING:
             self._loop.reset()
             self._limiter.reset()
@@ -179,11 +217,32 @@ class ControlCycle:
             self._guide.start(reference.position)
         elif state is State.SAFE_STOP:
             self.sequence.plan_stop(self._guide.plan_stop())
+            self._descent.stand_by()
+
+    def _change_loop(self, loop: TensionLoop) -> None:
+        if loop is not self._loop:
+            loop.take_over(self._loop)
+            self._loop = loop
 
     def _estimate(self, image: ProcessImage) -> Estimate:
-        sensing, tracker = self._sensing, image.tracker
+        sensing, sequence, tracker = self._sensing, self.sequence, image.tracker
+        descent = self._descent
+        if sequence.descending and self._loop is not descent.loop:
+            self._estimator.loosen()
+            descent.begin(
+                sequence.faults, self._kinematics.matrix, self._reference, sensing.tension
+            )
+            self._change_loop(descent.loop)
         lengths = self._referencing.lengths(sensing.angle, sensing.tension)
-        estimate = self._estimator.step(lengths, sensing.tension, sensing.usable)
+        believed = sensing.usable & ~sequence.faults.failed
+        estimate = self._estimator.step(lengths, sensing.tension, believed)
+        self._isolation.step(
+            self._estimator.innovations,
+            self._reference,
+            sensing.filter.value[:CABLES],
+            sensing.usable & sequence.carrying,
+        )
+        self._isolation.cells(image.cells["force"], image.cells["age"], sensing.tension)
         self._accepted = bool(tracker["fresh"]) and self._estimator.track(
             tracker["position"], tracker["quaternion"], float(tracker["delay"])
         )
@@ -223,8 +282,35 @@ class ControlCycle:
             if descending
             else self._controller.wrench(motion, stiffness)
         )
+        sequence.height = float(estimate.position[2]) - self._robot.rest[2]
         sequence.load = max(norm(motion.external) - motion.contact, 0.0)
-        self._distribute(motion, stiffness)
+        if descending:
+            self._descend()
+        else:
+            self._distribute(motion, stiffness)
+        self._geometric = delivered(
+            self._kinematics.matrix,
+            self._reference,
+            self._wrench,
+            self._gradient,
+            sensing.tension,
+            self._delivered,
+            self._shortfall,
+        )
+
+    def _descend(self) -> None:
+        """What the cables that are left are asked for."""
+        descent, sequence = self._descent, self.sequence
+        self._distribution = descent.distribution
+        self._reference = descent.plan(
+            self._kinematics.matrix,
+            self._wrench,
+            self._reference,
+            self._sensing.tension,
+            sequence.carrying,
+            sequence.faults,
+        )
+        self._centre[:] = descent.centre
 
     def _distribute(self, motion: Motion, stiffness: float) -> None:
         """Co-contraction follows the stiffness; a cable that cannot be trusted carries nothing."""
@@ -255,20 +341,12 @@ class ControlCycle:
             self._bearing,
         )
         wanted = self._controller.tensions(motion, stiffness, self._centre)
-        if wanted is not None and not self.sequence.descending:
+        if wanted is not None:
             self._centre[:] = wanted * present
             self._wrench = matrix @ self._centre
-        self._reference = self._distribution(
+        self._distribution = self._usual
+        self._reference = self._usual(
             self._bearing, self._wrench, self._centre, self._low, self._high, self._gradient
-        )
-        self._geometric = delivered(
-            matrix,
-            self._reference,
-            self._wrench,
-            self._gradient,
-            self._sensing.tension,
-            self._delivered,
-            self._shortfall,
         )
         active = self.sequence.state is State.ACTIVE
         self._controller.applied(self._reference, self.sequence.elapsed if active else -1.0)
@@ -289,7 +367,7 @@ class ControlCycle:
             desired_rate,
             desired_acceleration,
         )
-        follows = self._controller.follows_platform or self.sequence.descending
+        follows = self._controller.follows_platform and not self.sequence.descending
         return self._drum_rate if follows else desired_rate
 
     def _write_inputs(
@@ -304,6 +382,8 @@ class ControlCycle:
         state.inputs[...] = image.checksum(said ^ select << _SELECT_BIT)
         state.fault[...] = sequence.fault
         state.fault_where[...] = sequence.where
+        state.stop_mode[...] = sequence.stop_mode
+        state.failed[:] = sequence.faults.failed
         state.state[...] = sequence.state
         state.operator[...] = operator
         state.select[...] = select

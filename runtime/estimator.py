@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.schema.bus import Tracker
+from config.schema.control import Control
 from config.schema.control import Estimator as Settings
 from config.schema.robot import CABLES, Robot
 from runtime.compiled import (
@@ -38,6 +39,8 @@ from runtime.compiled import (
     carry_forward,
     elongation,
     estimate_tick,
+    rotate,
+    rotation_between,
     track,
 )
 from runtime.disagreement import Disagreement
@@ -63,11 +66,32 @@ class Estimate:
     """(6,) force and moment that the cables and gravity do not explain"""
 
 
-def _noise(settings: Settings, period: float) -> Array:
-    """Variances (27,) that a tick adds to the error state."""
+@dataclass(frozen=True)
+class Doubts:
+    """When a length is not believed, and what is less certain once the estimate is loosened."""
+
+    slack: float = 0.0
+    """N below which a cable has no length to tell"""
+    jump: float = math.inf
+    """m of innovation beyond which a length is left out"""
+    unrest: float = 1.0
+    """process noise, in times the usual one"""
+    length_sigma: float = 1.0e-3
+    """m"""
+
+    @classmethod
+    def of(cls, control: Control) -> Doubts:
+        """As configured."""
+        stop, jump = control.stop, control.isolation.length_jump
+        return cls(stop.taut_tension, jump, stop.unrest, stop.length_sigma)
+
+
+def _noise(settings: Settings, period: float, unrest: float = 1.0) -> Array:
+    """Variances (27,) that a tick adds to the error state; ``unrest``: times what the accelerations
+    usually miss."""
     density = np.zeros(ERRORS)
-    density[TWIST : TWIST + 3] = settings.acceleration_sigma
-    density[TWIST + 3 : EXTERNAL] = settings.angular_acceleration_sigma
+    density[TWIST : TWIST + 3] = settings.acceleration_sigma * unrest
+    density[TWIST + 3 : EXTERNAL] = settings.angular_acceleration_sigma * unrest
     density[EXTERNAL : EXTERNAL + 3] = settings.force_drift
     density[EXTERNAL + 3 : OFFSETS] = settings.moment_drift
     density[OFFSETS:EXCESS] = settings.offset_drift
@@ -86,8 +110,11 @@ class PoseEstimator:
         tracker: Tracker,
         kinematics: Kinematics,
         period: float,
+        doubts: Doubts | None = None,
     ) -> None:
+        doubts = doubts or Doubts()
         self._settings, self._period = settings, period
+        self._limits = self._usual_limits = (doubts.slack, doubts.jump)
         self._kinematics, self._cables = kinematics, Kinematics(robot.geometry)
         self._seen = Kinematics(robot.geometry)
         inertia = np.array(robot.platform.inertia)
@@ -95,11 +122,14 @@ class PoseEstimator:
         self._body = (body.mass, inertia, robot.gravity, robot.cable.axial_stiffness)
         self._anchors = (kinematics.frame, kinematics.platform)
         self._moment_length = robot.geometry.moment_length
-        self._noise = (
-            _noise(settings, period),
-            settings.length_sigma**2,
-            period / settings.elongation_time,
+        length, share = settings.length_sigma**2, period / settings.elongation_time
+        self._usual_noise = (_noise(settings, period), length, share)
+        self._restless_noise = (
+            _noise(settings, period, doubts.unrest),
+            doubts.length_sigma**2,
+            share,
         )
+        self._noise = self._usual_noise
         self._variances = (
             tracker.position_sigma**2,
             tracker.rotation_sigma**2,
@@ -123,9 +153,15 @@ class PoseEstimator:
         self._past_lengths = np.zeros((depth, CABLES))
         self._past_tensions = np.zeros((depth, CABLES))
         self._past_usable = np.zeros((depth, CABLES), dtype=bool)
+        self._past_positions = np.zeros((depth, 3))
+        self._past_quaternions = np.zeros((depth, 4))
         self._count = 0
         self._tensions = np.zeros(CABLES)
         self._innovation = np.zeros(CABLES)
+        self.innovations = np.zeros(CABLES)
+        """m, of this tick's lengths before they corrected anything; not a number where none was"""
+        self.believed = np.zeros(CABLES, dtype=bool)
+        """whose lengths corrected the estimate in this tick"""
         self.cable_position, self._cable_quaternion = np.zeros(3), self._quaternion.copy()
         """as solved from the lengths alone, with nothing calibrated"""
         self._by_cables = (
@@ -200,6 +236,7 @@ class PoseEstimator:
         self._tensions[:] = tensions
         self._begin(samples)
         self._count = 0
+        self._limits, self._noise = self._usual_limits, self._usual_noise
         self.inconsistency, self._odd = 1.0, False
         self.disagreement.reset()
         self._publish()
@@ -225,9 +262,19 @@ class PoseEstimator:
         covariance[OFFSETS:EXCESS, EXCESS] = covariance[EXCESS, OFFSETS:EXCESS]
         covariance[EXCESS, EXCESS] = settings.compliance_sigma**2
 
+    def loosen(self) -> None:
+        """From now on cables are gone and others go slack: the platform may move as it could not
+        before, too few lengths may say where it is, and the tracker corrects the pose itself."""
+        self._limits = (self._usual_limits[0], math.inf)
+        self._noise = self._restless_noise
+
+    @property
+    def _loose(self) -> bool:
+        return self._noise is self._restless_noise
+
     def step(self, lengths: Array, tensions: Array, usable: NDArray[np.bool_]) -> Estimate:
         """One tick with measured cable lengths (8,), nominal elongation included, and tensions
-        (8,). A cable that is not ``usable`` says nothing about the pose."""
+        (8,). A cable that is not ``usable``, slack or far off says nothing about the pose."""
         kinematics, cables, settings = self._kinematics, self._cables, self._settings
         self._tensions[:] = tensions
         squared, self.residual = estimate_tick(
@@ -237,8 +284,11 @@ class PoseEstimator:
             self._noise,
             self._anchors,
             (lengths, tensions, usable),
+            self._limits,
             kinematics.lengths,
             kinematics.matrix,
+            self.innovations,
+            self.believed,
             self._by_cables,
             _FIT_ITERATIONS,
             self._published,
@@ -253,7 +303,9 @@ class PoseEstimator:
         slot = self._count % len(self._past_lengths)
         self._past_lengths[slot] = lengths
         self._past_tensions[slot] = tensions
-        self._past_usable[slot] = usable
+        self._past_positions[slot] = self._position
+        self._past_quaternions[slot] = self._quaternion
+        self._past_usable[slot] = self.believed
         self._count += 1
         self.estimate.external[:] = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
         return self.estimate
@@ -272,6 +324,8 @@ class PoseEstimator:
         share = back - whole
         newer = (self._count - 1 - whole) % depth
         older = (newer - 1) % depth
+        if self._loose:
+            return self._correct(position, quaternion, share, newer, older)
         then = (
             (1.0 - share) * self._past_lengths[newer] + share * self._past_lengths[older],
             (1.0 - share) * self._past_tensions[newer] + share * self._past_tensions[older],
@@ -296,6 +350,36 @@ class PoseEstimator:
         if math.isfinite(chi_square):
             self._doubt()
         return False
+
+    def _correct(
+        self, position: Array, quaternion: Array, share: float, newer: int, older: int
+    ) -> bool:
+        """What a tracker pose differs by from the estimate of its instant is what the present one
+        is wrong by: a Kalman step on the pose (Larsen et al., CDC 1998, without their correction of
+        the gain)."""
+        places, turns = self._past_positions, self._past_quaternions
+        then = (1.0 - share) * places[newer] + share * places[older]
+        turn = rotation_between(turns[newer], turns[older])
+        innovation = np.concatenate(
+            [position - then, rotation_between(rotate(turns[newer], share * turn), quaternion)]
+        )
+        if not np.isfinite(innovation).all():
+            return False
+        spread = self.covariance[:TWIST, :TWIST].copy()
+        spread[range(TWIST), range(TWIST)] += [self._variances[0]] * 3 + [self._variances[1]] * 3
+        gain = np.linalg.solve(spread, self.covariance[:TWIST]).T
+        error = gain @ innovation
+        self.covariance -= gain @ self.covariance[:TWIST]
+        self.covariance[:] = 0.5 * (self.covariance + self.covariance.T)
+        # The past moves with the present: what has been corrected must not be corrected again.
+        places += error[:3]
+        for slot in range(len(turns)):
+            turns[slot] = rotate(turns[slot], error[3:TWIST])
+        self._position += error[:3]
+        self._quaternion[:] = rotate(self._quaternion, error[3:TWIST])
+        self._rest += error[TWIST:]
+        self._publish()
+        return True
 
     def _doubt(self) -> None:
         """A pose beyond the gate. Where many agree, the pose and the offsets are made as uncertain,

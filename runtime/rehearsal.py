@@ -16,14 +16,24 @@ from runtime.states import Operator, State
 TICKS_AFTER_START = 50
 _TRACKER_DIVISOR = 8
 _DELAY_TICKS = 10
+_UNSEEN = {
+    "length_jump": 1e9,
+    "tension_error": 1e9,
+    "innovation": 1e9,
+    "frozen_ticks": 10**9,
+}
+"""An isolation that finds nothing."""
 
 
 def rehearse(config: Config, scenario: Scenario) -> bool:
     """Returns whether the cycle came as far as ACTIVE, which it does with a sound configuration."""
     _watch(config)
-    # This robot's drums do not turn, which a watchful envelope would not let pass.
-    watching = config.control.envelope.model_copy(update={"enabled": False})
-    control = config.control.model_copy(update={"envelope": watching})
+    # This robot's drums do not turn, which neither the envelope nor the isolation would let pass.
+    changes = {
+        "envelope": config.control.envelope.model_copy(update={"enabled": False}),
+        "isolation": config.control.isolation.model_copy(update=_UNSEEN),
+    }
+    control = config.control.model_copy(update=changes)
     cycle = ControlCycle(config.robot, control, config.tracker, scenario.reference)
     image = ProcessImage()
     image.axes["age"] = image.cells["age"] = 0

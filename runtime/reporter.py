@@ -8,9 +8,9 @@ from config.schema.root import Config
 from runtime.cycle import ControlCycle
 from runtime.sequence import MOVING
 from runtime.signals import Consistency, Grade
-from runtime.states import ARMED, Fault, State
+from runtime.states import ARMED, Fault, State, StopMode
 from runtime.taps import Level
-from runtime.words import describe, place, reaction
+from runtime.words import STOP_TEXT, describe, place, reaction
 
 _CONSISTENCY = {
     Consistency.GOOD: "lengths, tensions and tracker fit together again",
@@ -40,6 +40,8 @@ class Reporter:
         self._state = State.OFF
         self._grade = Grade.GREEN
         self._fault = Fault.NONE
+        self._count, self._known = 0, cycle.sequence.faults.found.copy()
+        self._stop = StopMode.NONE
         self._short = False
         self._consistency, self._learnt = Consistency.GOOD, 0
         self._tracker_tick, self._tracker_silent = 0, False
@@ -52,6 +54,14 @@ class Reporter:
         sequence = self._sequence
         if sequence.fault is not self._fault:
             self._report_fault()
+        if sequence.faults.count != self._count:
+            self._report_more()
+        if sequence.stop_mode is not self._stop:
+            self._stop = sequence.stop_mode
+            if self._stop is not StopMode.NONE:
+                level = Level.INFO if self._stop is StopMode.ON_PATH else Level.WARNING
+                text = f"{self._stop.name.lower()}: {STOP_TEXT[self._stop]}"
+                self._tell(level, "stop_mode", "", text)
         if sequence.state is not self._state:
             before, self._state = self._state, sequence.state
             self._tell(Level.INFO, "state", "", f"{before.name} to {sequence.state.name}")
@@ -113,6 +123,18 @@ class Reporter:
         answer = reaction(fault, armed=self._state in ARMED)
         self.fault = f"{describe(self._config, fault, sequence.where, sequence.reason)}; {answer}"
         self._tell(Level.ERROR, fault.name.lower(), at, self.fault)
+
+    def _report_more(self) -> None:
+        """What was found after the first fault: the stop goes on with what is left."""
+        faults = self._sequence.faults
+        new = faults.found & ~self._known
+        self._count, self._known[:] = faults.count, faults.found
+        for row, column in zip(*new.nonzero(), strict=True):
+            fault, where = Fault(int(row)), int(column) - 1
+            if (fault, where) != (faults.first, faults.where):
+                text = describe(self._config, fault, where)
+                at = place(self._config, fault, where)
+                self._tell(Level.WARNING, fault.name.lower(), at, f"{text}; found while stopping")
 
     def _tell(self, level: Level, name: str, where: str, text: str) -> None:
         self._events(self._stamp_ns, self._tick, level, name, where, text)

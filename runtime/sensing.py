@@ -123,8 +123,8 @@ def _sense(
 
 
 @njit(cache=True)
-def _first_beyond(silent: NDArray[np.int64], limit: int) -> int:
-    for i in range(silent.shape[0]):
+def _first_beyond(silent: NDArray[np.int64], limit: int, start: int) -> int:
+    for i in range(start, silent.shape[0]):
         if silent[i] > limit:
             return i
     return -1
@@ -194,14 +194,14 @@ class Sensing:
         )
         self.filter.step(self.force)
 
-    def lost_axis(self) -> int:
-        """An axis that left too many ticks in a row without an answer, or -1. Ticks the host let
-        pass do not count: nobody was asked."""
-        return int(_first_beyond(self._silent_axes, self._stale_ticks))
+    def lost_axis(self, start: int = 0) -> int:
+        """The first axis from ``start`` on that left too many ticks in a row without an answer, or
+        -1. Ticks the host let pass do not count: nothing was asked for."""
+        return int(_first_beyond(self._silent_axes, self._stale_ticks, start))
 
-    def lost_cell(self) -> int:
+    def lost_cell(self, start: int = 0) -> int:
         """The same for the cells."""
-        return int(_first_beyond(self._silent_cells, self._stale_ticks))
+        return int(_first_beyond(self._silent_cells, self._stale_ticks, start))
 
     def collect_tare(self, image: ProcessImage) -> None:
         """Add this tick's readings of the unloaded cells to their mean."""

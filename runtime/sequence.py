@@ -12,20 +12,15 @@ from numpy.typing import NDArray
 from config.schema.control import Control
 from drivers.process_image import AxisCommand, AxisState, ProcessImage
 from runtime.envelope import Envelope
+from runtime.faults import PASSIVE, Faults
+from runtime.isolation import Isolation
 from runtime.referencing import Referencing
 from runtime.sensing import Sensing
-from runtime.states import TRANSITIONS, Event, Fault, Operator, State
+from runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State, StopMode
 
 _FAULTS = (int(AxisState.FAULT), int(AxisState.FAULT_REACTION_ACTIVE))
-_CABLE_GONE = (
-    Fault.DRIVE_LOST,
-    Fault.DRIVE_FAULT,
-    Fault.CELL_LOST,
-    Fault.CELL_BAD,
-    Fault.IMPLAUSIBLE_DRIVE,
-    Fault.IMPLAUSIBLE_CELL,
-    Fault.SLACK_CABLE,
-)
+_FEWEST = 5
+"""cables with which a descent is planned; with fewer the pose is not known for long"""
 MOVING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 
 
@@ -36,10 +31,11 @@ def _broken_axis(
     fresh: int,
     faults: tuple[int, int],
     wanted: int,
+    start: int,
 ) -> int:
-    """The first axis in a fault state, or (``wanted`` not negative) not in the state it was brought
-    to although its word is fresh; -1 for none."""
-    for i in range(state.shape[0]):
+    """The first axis from ``start`` on in a fault state, or (``wanted`` not negative) not in the
+    state it was brought to although its statusword is fresh; -1 for none."""
+    for i in range(start, state.shape[0]):
         if state[i] == faults[0] or state[i] == faults[1]:
             return i
         if wanted >= 0 and age[i] <= fresh and state[i] != wanted:
@@ -48,8 +44,8 @@ def _broken_axis(
 
 
 @njit(cache=True)
-def _first_set(values: NDArray[np.uint8]) -> int:
-    for i in range(values.shape[0]):
+def _first_set(values: NDArray[np.uint8], start: int) -> int:
+    for i in range(start, values.shape[0]):
         if values[i]:
             return i
     return -1
@@ -68,19 +64,30 @@ class Sequence:
     """The state machine at work: `step` follows at most one event a tick, faults first."""
 
     def __init__(
-        self, control: Control, sensing: Sensing, referencing: Referencing, envelope: Envelope
+        self,
+        control: Control,
+        sensing: Sensing,
+        referencing: Referencing,
+        envelope: Envelope,
+        isolation: Isolation,
+        radius: float,
     ) -> None:
+        """``radius`` (m): of the drums."""
         self._control, self._settings = control, control.sequence
         self._sensing, self._referencing, self._envelope = sensing, referencing, envelope
+        self._isolation, self._radius = isolation, radius
         self._period = control.rates.period
         self._entered = 0
         self._ready_at = 0.0
         self._resetting = False
-        self._not_a_number = False
         self.state = State.OFF
         self.elapsed = 0.0
         """s in this state"""
-        self.fault, self.where = Fault.NONE, -1
+        self.faults = Faults()
+        """since the last reset"""
+        self.stop_mode = StopMode.NONE
+        self._passive_at = self._released_at = -1.0
+        self._standing = 0.0
         self.reason = ""
         """why referencing refused, in words"""
         self.enabled = False
@@ -88,6 +95,8 @@ class Sequence:
         self.referenced = False
         self.load = 0.0
         """N, what the platform would be pushed away with if it were let go now"""
+        self.height = 0.0
+        """m, of the platform above its cradle"""
         self._lower_s = self._settings.lower_s
         self._waited, self._lowering = 0.0, False
         self._tightness = 0.0
@@ -101,23 +110,27 @@ class Sequence:
         self.elapsed = (tick - self._entered) * self._period
         if self.state is State.SAFE_STOP and self._waits():
             self._waited += self._period
-        if not finite:
-            operator, self._not_a_number = Operator.ESTOP, True
-        event = self._watch(image, operator) or self._arrive(image)
-        if event is None:
-            return False
-        before, self.state = self.state, TRANSITIONS[self.state, event]
+        event = self._watch(image, operator, finite) or self._arrive(image)
+        before = self.state
+        if event is not None:
+            self.state = TRANSITIONS[self.state, event]
         if event is Event.RESET and before is State.FAULT:
-            self.fault, self.where = Fault.NONE, -1
-            self._resetting, self._not_a_number = True, False
+            self.faults.reset()
+            self._resetting = True
+        if self.state is State.SAFE_STOP:
+            self._choose_stop()
         if self.state is before:
             return False
         self._entered, self.elapsed = tick, 0.0
         self._waited, self._lowering = 0.0, False
+        if self.state is not State.SAFE_STOP:
+            self.stop_mode = StopMode.NONE
+            self._passive_at = self._released_at = -1.0
         if self.state is State.REFERENCING:
             self._resetting = self.referenced = False
             self._referencing.reset()
             self._envelope.reset()
+            self._isolation.reset()
         elif self.state is State.PRETENSION:
             self.referenced = True
         elif self.state is State.FAULT:
@@ -125,6 +138,61 @@ class Sequence:
         if self.state in (State.REFERENCING, State.STANDBY, State.FAULT):
             self.enabled = False
         return True
+
+    @property
+    def fault(self) -> Fault:
+        """The first one since the last reset."""
+        return self.faults.first
+
+    @property
+    def where(self) -> int:
+        """Its axis or cell, -1 for none."""
+        return self.faults.where
+
+    def _choose_stop(self) -> None:
+        """The best stop whose assumptions hold, and never a better one again."""
+        faults = self.faults
+        lost = int(faults.failed.sum())
+        blind = any(faults.has(cause) for cause in PASSIVE) or faults.at(Fault.LENGTH_DRIFT, -1)
+        if not self.referenced or blind or lost > len(faults.failed) - _FEWEST:
+            wanted = StopMode.PASSIVE
+        elif lost or not self._sensing.present.all():
+            wanted = StopMode.DESCENT
+        else:
+            wanted = StopMode.ON_PATH
+        if wanted > self.stop_mode:
+            self.stop_mode = wanted
+            if wanted is StopMode.PASSIVE:
+                self._passive_at, self._standing = self.elapsed, 0.0
+
+    def give_way(self) -> None:
+        """Control has failed: a passive stop, whatever was going on."""
+        if self.state in ARMED:
+            self.faults.add(Fault.CONTROL_FAILED, -1)
+
+    @property
+    def passive_share(self) -> float:
+        """Share of the passive tension, 1 down to 0 once all drums stand; negative outside a
+        passive stop."""
+        if self.stop_mode is not StopMode.PASSIVE:
+            return -1.0
+        if not self.referenced:
+            return self._straightness * max(0.0, 1.0 - self.elapsed / self._settings.stop_s)
+        if self._released_at < 0.0:
+            return 1.0
+        return max(0.0, 1.0 - (self.elapsed - self._released_at) / self._settings.stop_s)
+
+    def _stand(self) -> None:
+        """Count how long all drums have stood; a passive stop releases them when that is long
+        enough."""
+        stop = self._control.stop
+        fastest = float(np.abs(self._sensing.rate).max()) * self._radius
+        self._standing = self._standing + self._period if fastest < stop.rest_speed else 0.0
+        if self.stop_mode is not StopMode.PASSIVE:
+            return
+        late = self.elapsed - self._passive_at >= stop.passive_s
+        if self._released_at < 0.0 and (self._standing >= stop.rest_s or late):
+            self._released_at = self.elapsed
 
     def plan_stop(self, lower_s: float) -> None:
         """How long the way down to the cradle takes."""
@@ -147,7 +215,7 @@ class Sequence:
         settings = self._settings
         if self._lowering or self.stop_time < settings.stop_s:
             return False
-        able = self.referenced and self.fault is not Fault.CONTACT_LIMIT and not self.descending
+        able = self.stop_mode is StopMode.ON_PATH and not self.faults.has(Fault.CONTACT_LIMIT)
         loaded = self.load > settings.release_load and self._waited < settings.hold_s
         self._lowering = not (able and loaded)
         return not self._lowering
@@ -155,16 +223,12 @@ class Sequence:
     @property
     def carrying(self) -> NDArray[np.bool_]:
         """(8,) cables that may be asked for tension."""
-        present = self._sensing.present
-        if self.fault in _CABLE_GONE and 0 <= self.where < len(present):
-            present = present.copy()
-            present[self.where] = False
-        return present
+        return self._sensing.present & ~self.faults.failed
 
     @property
     def descending(self) -> bool:
-        """A stop without all eight cables: weight and damping only, no place to keep."""
-        return self.state is State.SAFE_STOP and not self.carrying.all()
+        """A stop without all cables: weight and damping only, no place to keep."""
+        return self.stop_mode is StopMode.DESCENT
 
     @property
     def axis_command(self) -> AxisCommand:
@@ -179,21 +243,17 @@ class Sequence:
     def regulating(self) -> bool:
         """In control of the platform, and not only of single cables."""
         if self.state is State.SAFE_STOP:
-            return self.referenced and self.stop_time < self.stop_ends
+            return self.stop_mode is not StopMode.PASSIVE and not self._given_up
         return self.state in MOVING
 
     @property
     def straightening(self) -> float:
         """Share of the referencing tension asked of each cable on its own; negative for none."""
-        if not self.enabled:
+        if not self.enabled or self.state is not State.REFERENCING:
             return -1.0
-        if self.state is State.REFERENCING:
-            rise = 0.5 * self._settings.referencing_settle_s
-            self._straightness = min(1.0, (self.elapsed - self._ready_at) / rise)
-            return self._straightness
-        if self.state is State.SAFE_STOP:
-            return self._straightness * max(0.0, 1.0 - self.elapsed / self._settings.stop_s)
-        return -1.0
+        rise = 0.5 * self._settings.referencing_settle_s
+        self._straightness = min(1.0, (self.elapsed - self._ready_at) / rise)
+        return self._straightness
 
     @property
     def levels(self) -> Levels:
@@ -207,7 +267,8 @@ class Sequence:
         if self.state is not State.SAFE_STOP:
             self._tightness = share
         if self.descending:
-            return Levels(tension.slack, settings.descent_tension, tension.referencing)
+            stop = self._control.stop
+            return Levels(stop.least_tension, stop.most_tension, stop.passive_tension)
         return Levels(
             tension.slack + share * (tension.min - tension.slack),
             tension.referencing + share * (tension.max - tension.referencing)
@@ -229,59 +290,68 @@ class Sequence:
         law = self._control.stiffness
         if self.state is not State.SAFE_STOP:
             return law.maximum
-        if self.fault is Fault.CONTACT_LIMIT or self.fault in _CABLE_GONE:
+        if self.stop_mode is not StopMode.ON_PATH or self.faults.has(Fault.CONTACT_LIMIT):
             return law.minimum
         return law.minimum + self._left * (law.base - law.minimum)
 
     @property
     def _given_up(self) -> bool:
         """A stop disables the drives at its end, or early when there was no reference."""
-        ends = self.stop_ends if self.referenced else self._settings.stop_s
+        if self.stop_mode is StopMode.PASSIVE:
+            return self.passive_share <= 0.0
+        ends, stop = self.stop_ends, self._control.stop
+        if self.stop_mode is StopMode.DESCENT:
+            landed = self.height <= stop.landed or self._standing >= stop.rest_s
+            ends += 0.0 if landed else stop.landing_s
         return self.stop_time >= ends
 
-    def _watch(self, image: ProcessImage, operator: Operator) -> Event | None:
+    def _watch(self, image: ProcessImage, operator: Operator, finite: bool) -> Event | None:
+        """Every fault in every state; the first since the last reset is an event."""
+        if self.state is State.FAULT:
+            return Event(operator) if operator is Operator.RESET else None
         if operator is Operator.ESTOP:
-            fault = Fault.NOT_FINITE if self._not_a_number else Fault.EMERGENCY_STOP
-            if self.state is State.FAULT:
-                return None
-            return self._raise(fault, -1, Event.ESTOP)
-        if self.state is not State.FAULT and self.fault is Fault.NONE:
-            event = self._defect(image)
-            if event is not None:
-                return event
+            self.faults.add(Fault.EMERGENCY_STOP, -1)
+            return Event.ESTOP
+        clean = self.faults.first is Fault.NONE
+        if not finite:
+            self.faults.add(Fault.NOT_FINITE, -1)
+        self._examine_devices(image)
+        if self.state in MOVING and self.stop_mode is not StopMode.PASSIVE:
+            self._examine_motion()
+        if clean and self.faults.first is not Fault.NONE:
+            return Event.FAULT
         return Event(operator) if operator is not Operator.NONE else None
 
-    def _defect(self, image: ProcessImage) -> Event | None:
-        sensing, axes, cells = self._sensing, image.axes, image.cells
+    def _examine_devices(self, image: ProcessImage) -> None:
+        """Silence, faults and defects that drives and cells show."""
+        sensing, axes, cells, faults = self._sensing, image.axes, image.cells, self.faults
         if self.state is not State.OFF or self.elapsed > self._settings.enable_timeout_s:
-            axis = sensing.lost_axis()
-            if axis >= 0:
+            axis = -1
+            while (axis := sensing.lost_axis(axis + 1)) >= 0:
                 odd = sensing.implausible_axes[axis]
-                return self._raise(Fault.IMPLAUSIBLE_DRIVE if odd else Fault.DRIVE_LOST, axis)
-            cell = sensing.lost_cell()
-            if cell >= 0:
+                faults.add(Fault.IMPLAUSIBLE_DRIVE if odd else Fault.DRIVE_LOST, axis)
+            cell = -1
+            while (cell := sensing.lost_cell(cell + 1)) >= 0:
                 odd = sensing.implausible_cells[cell]
-                return self._raise(Fault.IMPLAUSIBLE_CELL if odd else Fault.CELL_LOST, cell)
+                faults.add(Fault.IMPLAUSIBLE_CELL if odd else Fault.CELL_LOST, cell)
         armed = self.enabled and self.axis_command is AxisCommand.ENABLE
-        axis = _broken_axis(
-            axes["state"],
-            axes["age"],
-            self._control.freshness.measurement_ticks,
-            _FAULTS,
-            int(AxisState.OPERATION_ENABLED) if armed else -1,
-        )
-        if axis >= 0 and not self._resetting:
-            return self._raise(Fault.DRIVE_FAULT, axis)
-        cell = _first_set(cells["status"])
-        if cell >= 0:
-            return self._raise(Fault.CELL_BAD, cell)
-        if self.state in MOVING and self._envelope.fault is not Fault.NONE:
-            return self._raise(self._envelope.fault, self._envelope.where)
-        return None
+        fresh = self._control.freshness.measurement_ticks
+        wanted, axis = int(AxisState.OPERATION_ENABLED) if armed else -1, -1
+        states, ages = axes["state"], axes["age"]
+        while not self._resetting:
+            axis = _broken_axis(states, ages, fresh, _FAULTS, wanted, axis + 1)
+            if axis < 0:
+                break
+            faults.add(Fault.DRIVE_FAULT, axis)
+        cell = -1
+        while (cell := _first_set(cells["status"], cell + 1)) >= 0:
+            faults.add(Fault.CELL_BAD, cell)
 
-    def _raise(self, fault: Fault, where: int, event: Event = Event.FAULT) -> Event:
-        self.fault, self.where = fault, where
-        return event
+    def _examine_motion(self) -> None:
+        """A cable that contradicts the others comes before a bound that is met: it may be why."""
+        if not self.descending:
+            self.faults.add(*self._isolation.found(self._sensing.tension))
+        self.faults.add(self._envelope.fault, self._envelope.where)
 
     def _arrive(self, image: ProcessImage) -> Event | None:
         """What the present state has come to by itself."""
@@ -294,11 +364,13 @@ class Sequence:
             lifted = settings.lift_s + 1.0 / settings.reference_slew
             done = self.elapsed >= settings.pretension_s + lifted
             return Event.TENSIONED if done else None
+        if self.stop_mode > StopMode.ON_PATH:
+            self._stand()
         if self.state is State.SAFE_STOP and self._given_up:
             silent = image.axes["age"] > self._control.freshness.stale_stop_ticks
             off = image.axes["state"] != AxisState.OPERATION_ENABLED
             if (off | silent).all():
-                clean = self.fault is Fault.NONE
+                clean = self.faults.first is Fault.NONE
                 return Event.STOPPED if clean else Event.STOPPED_BY_FAULT
         return None
 
@@ -310,7 +382,8 @@ class Sequence:
         sensing.apply_tare(self._settings.tare)
         beyond = np.abs(sensing.tare) > self._settings.tare_limit
         if beyond.any():
-            return self._raise(Fault.CELL_BAD, int(beyond.argmax()))
+            self.faults.add(Fault.CELL_BAD, int(beyond.argmax()))
+            return Event.FAULT
         return Event.TARED
 
     def _reference(self, image: ProcessImage) -> Event | None:
@@ -320,7 +393,8 @@ class Sequence:
             if ready.all():
                 self.enabled, self._ready_at = True, self.elapsed
             elif self.elapsed > settings.enable_timeout_s:
-                return self._raise(Fault.ENABLE_TIMEOUT, int((~ready).argmax()))
+                self.faults.add(Fault.ENABLE_TIMEOUT, int((~ready).argmax()))
+                return Event.FAULT
             return None
         since = self.elapsed - self._ready_at - settings.referencing_settle_s
         if since >= 0.0:
@@ -329,5 +403,6 @@ class Sequence:
             return None
         self.reason = self._referencing.conclude(self._control.tension.referencing)
         if self.reason:
-            return self._raise(Fault.REFERENCING_FAILED, -1)
+            self.faults.add(Fault.REFERENCING_FAILED, -1)
+            return Event.FAULT
         return Event.REFERENCED

@@ -15,7 +15,7 @@ from config.schema.bus import CELLS
 from config.schema.robot import CABLES
 from runtime.topics import Field, Topic, record_dtype
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Counts up when a field changes its name, type, unit or meaning."""
 
 
@@ -101,6 +101,8 @@ TOPICS: tuple[Topic, ...] = (
         Field("fault", "uint16", 0, "", "Fault that led here, 0 for none"),
         Field("fault_where", "int16", 0, "", "axis, cell or bound of the fault, -1 for none"),
         Field("state", "uint8", 0, "", "State"),
+        Field("stop_mode", "uint8", 0, "", "StopMode, 0 but in SAFE_STOP"),
+        Field("failed", "uint8", CABLES, "", "1 for a cable that is given up"),
         Field("operator", "uint8", 0, "", "operator command of this tick, 0 for none"),
         Field("select", "uint8", 0, "", "scenario chosen in this tick, its number plus 1; or 0"),
         Field("scenario", "uint8", 0, "", "number of the scenario in force"),

@@ -58,6 +58,24 @@ class Fault(IntEnum):
     NOT_FINITE = 13
     IMPLAUSIBLE_DRIVE = 14
     IMPLAUSIBLE_CELL = 15
+    CABLE_TORN = 16
+    LENGTH_JUMP = 17
+    TENSION_ERROR = 18
+    LENGTH_DRIFT = 19
+    CELL_FROZEN = 20
+    CONTROL_FAILED = 21
+
+
+class StopMode(IntEnum):
+    """How a controlled stop is made; it only ever goes down this list."""
+
+    NONE = 0
+    ON_PATH = 1
+    """along the path, then down to the cradle, as long as all that it relies on holds"""
+    DESCENT = 2
+    """with the cables that are left: weight, and damping of every motion"""
+    PASSIVE = 3
+    """each drum by itself: a little tension, and damping by its own rate"""
 
 
 ARMED = frozenset({State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP})

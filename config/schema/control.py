@@ -276,8 +276,6 @@ class Sequence(Section):
     """N: a platform in its cradle is let go only while no more than this pushes it"""
     hold_s: NonNegative
     """s that a stop waits for a larger load to be taken away"""
-    descent_tension: Positive
-    """N: most that a cable is asked for while another is gone"""
     enable_timeout_s: Positive
     referencing_tension_error: Positive
     """N: largest deviation from the even tension that still counts as settled"""
@@ -293,6 +291,99 @@ class Sequence(Section):
     """N: offsets of the cells, stated; null: what they read at the start, unloaded, is measured"""
     reference_slew: Positive
     """1/s: how fast the scenario's time may slow down or pick up"""
+
+
+class Reflex(Section):
+    """The first answer to a torn cable, `runtime.reflex`."""
+
+    share: Fraction
+    """of the largest torque"""
+    duration: NonNegative
+    """s after the loss of a cable under ``tension``; otherwise by the root of its share of that"""
+    tension: Positive
+    """N"""
+    full_at: Positive
+    """projection on the lost cable's direction from which on a drum gives all"""
+
+
+class Stop(Section):
+    """A stop without a path to keep: in descent with the cables that are left, or passive, each
+    drum by itself (`runtime.guard`)."""
+
+    moment_length: Positive
+    """m by which moments are divided in a descent: long, so that forces come before level"""
+    damping: Positive
+    """N s/m against the platform's motion in a descent"""
+    sink: Fraction
+    """share of its weight by which the platform is let sink, once its path goes down"""
+    landed: Positive
+    """m above the cradle that counts as landed"""
+    landing_s: NonNegative
+    """s that a descent waits for it"""
+    unrest: Positive
+    """times the estimator's process noise in a descent"""
+    length_sigma: Positive
+    """m, noise of a cable's length in a descent: its damping and the cell's lag are in it"""
+    least_tension: Positive
+    """N: least that a taut cable is asked for in a descent"""
+    most_tension: Positive
+    """N: most, likewise"""
+    proportional: NonNegative
+    """of the tension loop in a descent: faster than where a person is to be met softly"""
+    ease_s: Positive
+    """s in which the tensions ease off from what they were when it began"""
+    tension_rate: Positive
+    """N/s: bound on how fast a tension reference may move in a descent"""
+    taut_tension: Positive
+    """N above which a cable counts as taut, and below half of which it counts as slack"""
+    reel_in: Positive
+    """m/s that a drum reels in at most while the robot stops"""
+    reel_out: Positive
+    """m/s that a drum reels out before it brakes while the robot stops"""
+    reel_damping: Positive
+    """N s/m beyond these speeds"""
+    tank: NonNegative
+    """J that a drum may put in beyond the passive tension in a descent"""
+    passive_tension: Positive
+    """N that a drum gives by itself"""
+    passive_damping: Positive
+    """N s/m by which it damps its own motion"""
+    passive_force: Positive
+    """N: bound on the sum of both"""
+    reflex: Reflex
+    rest_speed: Positive
+    """m/s of cable below which a drum counts as standing"""
+    rest_s: Positive
+    """s that all drums have to stand before a passive stop lets go"""
+    passive_s: Positive
+    """s after which it lets go in any case"""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Stop:
+        if not self.least_tension <= self.passive_tension <= self.most_tension:
+            raise ValueError("least_tension <= passive_tension <= most_tension must hold")
+        return self
+
+
+class Isolation(Section):
+    """When a measurement contradicts the others (`runtime.isolation`)."""
+
+    length_jump: Positive
+    """m from one tick to the next that no platform makes: cable, drum, cell or encoder"""
+    jump_ticks: Count
+    """ticks in a row until it is a fault; the sample is left out from the first on"""
+    tension_error: Positive
+    """N between a cable's reference and its filtered tension"""
+    tension_error_s: Positive
+    """s that it may last"""
+    innovation: Positive
+    """m, mean innovation of a cable's length that counts as a contradiction"""
+    prominence: Positive
+    """times the second largest: the largest then tells which cable it is"""
+    innovation_s: Positive
+    """s over which it is averaged"""
+    frozen_ticks: Count
+    """fresh samples in a row to the last bit equal: a load cell has noise"""
 
 
 class Freshness(Section):
@@ -367,6 +458,8 @@ class Control(Section):
     tension_loop: TensionLoop
     freshness: Freshness
     sequence: Sequence
+    stop: Stop
+    isolation: Isolation
     envelope: Envelope
 
 

@@ -114,12 +114,13 @@ class Controller(ABC):
         )
 
     def descent(self, motion: Motion) -> Array:
-        """Wrench (6,) of a stop without all cables, the same for every controller: weight, and a
-        damper that lets the platform down at the reference's pace. A spring would have the cables
-        left fight for a place they cannot keep; but level it has to stay."""
-        impedance, mass = self._control.impedance, self._robot.platform.mass
-        resistance = damping(impedance.damping_ratio, self._control.stiffness.base, mass)
-        drag = spring(NOTHING, motion.error_rate, 0.0, resistance)
+        """Wrench (6,) of a stop without all cables, the same for every controller: weight, a damper
+        of every motion, and down to the cradle by a soft, bounded spring. Sideways there is none:
+        it would have the cables that are left fight for a place they cannot keep."""
+        stop, weight = self._control.stop, self._weight[2]
+        drag = spring(NOTHING, motion.error_rate, 0.0, stop.damping)
+        sink = self._control.stiffness.minimum * float(motion.error[2])
+        drag[2] += min(max(sink, -stop.sink * weight), 0.0)
         return self._levelled(motion, (drag, self._weight, NOTHING))
 
     def tensions(self, motion: Motion, stiffness: float, centre: Array) -> Array | None:  # noqa: ARG002

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from operated import Operated, told
 
+from runtime.controllers.base import Controller
 from runtime.states import Fault, State
 
 
@@ -18,17 +20,21 @@ def robot(tmp_path: Path) -> Iterator[Operated]:
     operated.close()
 
 
-def test_a_value_that_is_not_a_number_disables_every_drive(robot: Operated) -> None:
+def test_a_value_that_is_not_a_number_ends_in_a_passive_stop(
+    robot: Operated, monkeypatch: pytest.MonkeyPatch
+) -> None:
     robot.bring_to(State.HOLD)
-    cycle, handled = robot.daemon.cycle, len(robot.history)
-    cycle._wrench[:] = float("nan")
-    cycle._finite = False
-    robot.advance(1)
-    after = robot.history[handled]
-    assert (after.state, after.fault, after.enabled) == (State.FAULT, Fault.NOT_FINITE, False)
-    assert told(robot.events, "not_finite") == [
-        "a computed value was not a number; drives disabled at once"
+    handled = len(robot.history)
+    nothing = np.full(6, np.nan)
+    monkeypatch.setattr(Controller, "wrench", lambda *_: nothing.copy())
+    robot.advance(2)
+    after = robot.history[handled + 1]
+    assert (after.state, after.fault, after.enabled) == (State.SAFE_STOP, Fault.NOT_FINITE, True)
+    assert told(robot.events, "not_finite") == ["a computed value was not a number; passive stop"]
+    assert told(robot.events, "stop_mode") == [
+        "passive: each drum by itself, a little tension and damping"
     ]
+    robot.until(State.FAULT)
 
 
 def test_a_wrench_out_of_reach_is_told_once_an_episode(robot: Operated) -> None:

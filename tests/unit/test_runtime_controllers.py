@@ -245,7 +245,7 @@ def test_equation_9_as_printed_oscillates_until_the_envelope_stops_it() -> None:
     loop = closed("eq9_literal", "sine_x")
     loop.run(0.1)
     loop.until(State.SAFE_STOP, within=6.0)
-    assert loop.cycle.sequence.fault in (Fault.SPEED_LIMIT, Fault.SLACK_CABLE, Fault.OVER_TENSION)
+    assert loop.cycle.sequence.fault is not Fault.NONE
     part = loop.trace.during(State.ACTIVE)
     error = part.cycle["tension"]["reference"] - part.truth["tension"]
     assert np.ptp(error[-300:], axis=0).max() > 10.0

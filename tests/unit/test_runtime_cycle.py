@@ -358,7 +358,7 @@ def test_without_a_cable_the_platform_comes_down_on_moderate_tensions(cable: int
     assert (sequence.fault, sequence.where) == (Fault.DRIVE_LOST, cable)
     stop = loop.trace.during(State.SAFE_STOP)
     assert np.isfinite(stop.cycle["drives"]["torque_command"]).all()
-    assert stop.cycle["tension"]["reference"].max() <= CONTROL.sequence.descent_tension
+    assert stop.cycle["tension"]["reference"].max() <= CONTROL.stop.most_tension
     assert stop.truth["tension"].max() < 0.5 * TENSION.max
     down = stop.truth["position"][:, 2] < REST[2] + 0.01
     assert down.any()

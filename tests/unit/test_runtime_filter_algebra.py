@@ -108,8 +108,11 @@ def test_a_tick_is_filterpys_predict_and_update(seed: int) -> None:
         (noise, LENGTH_VARIANCE, 0.5),
         (kinematics.frame, kinematics.platform),
         (reported, tensions, USABLE),
+        (0.0, np.inf),
         kinematics.lengths,
         kinematics.matrix,
+        np.zeros(8),
+        np.zeros(8, dtype=bool),
     )
 
     after = flown(start, tensions)

@@ -1,0 +1,84 @@
+"""A stop with the cables that are left: what each is asked for, and what no plan may do.
+
+The wrench is the weight and a damper of every motion, forces long before moments: letting the
+platform turn gives the least speed (docs/stop.md). A slack cable cannot pull, and is taken up
+slowly; what a given-up one still pulls counts as a load.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.schema.control import Control
+from config.schema.robot import CABLES, Robot
+from runtime.distribution import TensionDistribution
+from runtime.faults import Faults
+from runtime.guard import Guard
+from runtime.reflex import Reflex
+from runtime.states import Fault
+from runtime.tension import TensionLoop
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Descent:
+    """Tension references and torques of a descent, and the guard that bounds them."""
+
+    def __init__(self, robot: Robot, control: Control, period: float) -> None:
+        self._stop, self._period = control.stop, period
+        self.distribution = TensionDistribution(control.distribution, control.stop.moment_length)
+        stiff = {"proportional": control.stop.proportional, "integral": 0.0}
+        self.loop = TensionLoop(robot, control.tension_loop.model_copy(update=stiff), period)
+        self.guard = Guard(robot, control.stop, period)
+        self._reflex = Reflex(robot, control.stop.reflex, period)
+        self._taut = np.ones(CABLES, dtype=bool)
+        self.centre = np.zeros(CABLES)
+        """N (n,), what tensions are drawn towards: from what they were to the passive tension"""
+        self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
+
+    def stand_by(self) -> None:
+        """A stop begins, of whichever kind."""
+        self.guard.reset()
+        self._reflex.reset()
+
+    def begin(self, faults: Faults, matrix: Array, before: Array, tension: Array) -> None:
+        """From structure matrix (6, n), tension references and tensions (n,) of this tick."""
+        self.centre[:] = tension
+        self._taut[:] = True
+        if faults.first is Fault.CABLE_TORN:
+            self._reflex.start(matrix, faults.where, float(before[faults.where]))
+
+    def plan(
+        self,
+        matrix: Array,
+        wrench: Array,
+        before: Array,
+        tension: Array,
+        carrying: Mask,
+        faults: Faults,
+    ) -> Array:
+        """Tension references (n,) for a ``wrench`` (6,), less, in place, what given-up cables pull.
+        ``before`` and ``tension`` (n,): the last references, and what is measured."""
+        stop = self._stop
+        self._taut &= tension > 0.5 * stop.taut_tension
+        self._taut |= tension > stop.taut_tension
+        gone = faults.failed & faults.cells_trusted
+        if gone.any():
+            wrench -= matrix[:, gone] @ tension[gone]
+        able = carrying & self._taut
+        self.centre += (self._period / stop.ease_s) * (stop.passive_tension - self.centre)
+        reach, least, most = stop.tension_rate * self._period, stop.least_tension, stop.most_tension
+        self._low[:] = np.clip(before - reach, least, most) * able
+        self._high[:] = np.clip(before + reach, least, most) * able
+        drawn = np.clip(self.centre, least, most) * able
+        planned = self.distribution(matrix * able, wrench, drawn, self._low, self._high)
+        planned[carrying & ~self._taut] = stop.passive_tension
+        return planned
+
+    def bound(self, torque: Array, rate: Array, usable: Mask) -> None:
+        """The tension loop's torques (n,) made safe in place, at drum rates (n,) rad/s."""
+        self.guard.take_up(torque, rate, usable & ~self._taut)
+        self._reflex(torque, usable)
+        self.guard.bound(torque, rate)

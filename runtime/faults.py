@@ -1,0 +1,87 @@
+"""The faults found since the last reset: the first is the reason, all decide what is left."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.schema.bus import CELLS
+from config.schema.robot import CABLES
+from runtime.states import Fault
+
+CABLE_GONE = frozenset(
+    {
+        Fault.DRIVE_LOST,
+        Fault.DRIVE_FAULT,
+        Fault.CELL_LOST,
+        Fault.CELL_BAD,
+        Fault.IMPLAUSIBLE_DRIVE,
+        Fault.IMPLAUSIBLE_CELL,
+        Fault.SLACK_CABLE,
+        Fault.CABLE_TORN,
+        Fault.LENGTH_JUMP,
+        Fault.TENSION_ERROR,
+        Fault.LENGTH_DRIFT,
+        Fault.CELL_FROZEN,
+    }
+)
+"""Faults after which the cable they name is asked for nothing."""
+PASSIVE = frozenset({Fault.NOT_FINITE, Fault.CONTROL_FAILED})
+"""Faults after which nothing that is computed may be relied on."""
+_CELL_UNKNOWN = frozenset(
+    {Fault.CELL_LOST, Fault.CELL_BAD, Fault.IMPLAUSIBLE_CELL, Fault.CELL_FROZEN}
+)
+_ENCODER_UNKNOWN = frozenset({Fault.DRIVE_LOST, Fault.IMPLAUSIBLE_DRIVE})
+
+
+class Faults:
+    """What was found, where, and which cables are given up for it."""
+
+    def __init__(self) -> None:
+        self.found = np.zeros((len(Fault), max(CABLES, CELLS) + 1), dtype=bool)
+        """(fault, place + 1): whether it has been found there"""
+        self.failed = np.zeros(CABLES, dtype=bool)
+        """(n,) cables that are not used any more"""
+        self.reset()
+
+    def reset(self) -> None:
+        """The operator says that the cause is removed."""
+        self.first, self.where = Fault.NONE, -1
+        self.count = 0
+        self.found[:] = False
+        self.failed[:] = False
+
+    def add(self, fault: Fault, where: int) -> bool:
+        """Returns whether it is new."""
+        if fault is Fault.NONE or self.found[fault, where + 1]:
+            return False
+        self.found[fault, where + 1] = True
+        self.count += 1
+        if self.first is Fault.NONE:
+            self.first, self.where = fault, where
+        if fault in CABLE_GONE and 0 <= where < len(self.failed):
+            self.failed[where] = True
+        return True
+
+    def at(self, fault: Fault, where: int) -> bool:
+        """Just there."""
+        return bool(self.found[fault, where + 1])
+
+    def has(self, fault: Fault) -> bool:
+        """Anywhere."""
+        return bool(self.found[fault].any())
+
+    def without(self, causes: frozenset[Fault]) -> NDArray[np.bool_]:
+        """(n,) cables none of the ``causes`` was found at."""
+        rows = self.found[[int(cause) for cause in causes], 1 : len(self.failed) + 1]
+        return np.asarray(~rows.any(axis=0))
+
+    @property
+    def drums_trusted(self) -> NDArray[np.bool_]:
+        """(n,) whose encoder still says how the drum turns."""
+        return self.without(_ENCODER_UNKNOWN)
+
+    @property
+    def cells_trusted(self) -> NDArray[np.bool_]:
+        """(n,) whose cell still says how the cable pulls."""
+        return self.without(_CELL_UNKNOWN)

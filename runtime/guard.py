@@ -1,0 +1,108 @@
+"""What every drum keeps to by itself while the robot stops, whatever pose, cells and plan say.
+
+The *passive* stop asks no more of a drum than its own rate v (m/s, reeling in positive):
+
+    F = T_0 - d v,  |F| <= F_max
+
+With the storage function V = kinetic + strain + weight - T_0 (sum of reeled-in lengths), which has
+a lower bound since no cable can be shorter than nothing, V' = -d sum v^2 - friction <= 0 for any
+subset of cables, torn, slipped or wrong: no cable's torque depends on another's measurement. The
+rate is a period and a half old; d must stay below m_drum / (3 periods) for the sampled loop to take
+energy out (`tests/property/test_any_passive_stop.py` holds both).
+
+A *descent* plans forces, and the guard bounds what a wrong plan can do: reeling in beyond
+``reel_in`` and reeling out beyond ``reel_out`` is braked, and a drum puts in no more energy beyond
+T_0 than its tank holds, which only what it takes out may fill.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from config.schema.control import Stop
+from config.schema.robot import CABLES, Robot
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def _passive(
+    rate: Array,
+    chosen: NDArray[np.bool_],
+    share: float,
+    law: tuple[float, float, float, float],
+    torque: Array,
+) -> None:
+    """``law``: drum radius, T_0, d, F_max; ``share``: of T_0, 0 to 1."""
+    radius, tension, damping, largest = law
+    for i in range(rate.shape[0]):
+        if not chosen[i]:
+            continue
+        torque[i] = 0.0
+        force = share * tension - damping * radius * rate[i]
+        if math.isfinite(force):
+            torque[i] = radius * min(max(force, -largest), largest)
+
+
+@njit(cache=True)
+def _bounded(
+    rate: Array,
+    speeds: tuple[float, float, float],
+    law: tuple[float, float, float, float],
+    period: float,
+    capacity: float,
+    tank: Array,
+    torque: Array,
+) -> None:
+    """Brake and tank on planned torques. ``speeds``: reel in, reel out (m/s), damping beyond."""
+    radius, passive = law[0], law[1]
+    inward, outward, damping = speeds
+    for i in range(rate.shape[0]):
+        speed, force = radius * rate[i], torque[i] / radius
+        if not math.isfinite(speed):
+            torque[i] = 0.0
+            continue
+        force = min(force, passive + damping * (inward - speed))
+        force = max(force, -damping * (speed + outward))
+        drawn = period * speed * (force - passive)
+        if drawn > tank[i] and speed > 0.0:
+            force = passive + tank[i] / (period * speed)
+            drawn = tank[i]
+        tank[i] = min(max(tank[i] - drawn, 0.0), capacity)
+        torque[i] = radius * force
+
+
+class Guard:
+    """One tick of every drum's own bounds. Torques in N m at the drum, rates in rad/s."""
+
+    def __init__(self, robot: Robot, settings: Stop, period: float) -> None:
+        s, radius = settings, robot.drum.radius
+        self._law = (radius, s.passive_tension, s.passive_damping, s.passive_force)
+        self._speeds = (s.reel_in, s.reel_out, s.reel_damping)
+        self._period, self._capacity = period, s.tank
+        self.tank = np.full(CABLES, s.tank)
+        """J (n,)"""
+        self._torque = np.zeros(CABLES)
+
+    def reset(self) -> None:
+        self.tank[:] = self._capacity
+
+    def passive(self, rate: Array, trusted: NDArray[np.bool_], share: float = 1.0) -> Array:
+        """Torques (n,) of the passive stop; none where a drum's rate is not ``trusted`` (n,)."""
+        self._torque[:] = 0.0
+        _passive(rate, trusted, share, self._law, self._torque)
+        return self._torque
+
+    def take_up(self, torque: Array, rate: Array, slack: NDArray[np.bool_]) -> None:
+        """Planned torques (n,) of cables that are ``slack`` (n,) become passive ones, in place: no
+        drum gathers speed before its cable pulls."""
+        _passive(rate, slack, 1.0, self._law, torque)
+
+    def bound(self, torque: Array, rate: Array) -> Array:
+        """Planned torques (n,) within the bounds of a descent, in place."""
+        _bounded(rate, self._speeds, self._law, self._period, self._capacity, self.tank, torque)
+        return torque

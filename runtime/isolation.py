@@ -1,0 +1,135 @@
+"""Which cable contradicts the others: torn, slack, slipped, jammed, or measured wrongly.
+
+Three residuals for each cable, none of which a sound one shows:
+
+- *jump*: its length, elongation included, leaves in one tick what the estimate predicts of it. A
+  torn cable's elongation vanishes with its tension; a slip on the drum or of the encoder moves its
+  length. The others' innovations stay within their noise, since a platform has mass.
+- *tension error*: its tension does not follow its reference: drum jammed, friction, motor weak or
+  reversed, or a cell of wrong gain.
+- *drift*: its innovation has a mean: what is wrong grows slowly, and is blamed on the cable whose
+  mean stands out. Where none does, the cables contradict each other, and none is blamed.
+
+And a load cell whose reading repeats to the last bit is frozen.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from config.schema.bus import CELLS
+from config.schema.control import Isolation as Settings
+from config.schema.control import Stop
+from config.schema.robot import CABLES
+from runtime.states import Fault
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+
+
+@njit(cache=True)
+def _count(
+    innovation: Array,
+    tension: tuple[Array, Array],
+    watched: NDArray[np.bool_],
+    limits: tuple[float, float, float],
+    jumped: Counts,
+    astray: Counts,
+    drift: Array,
+) -> None:
+    """``tension``: reference and filtered; ``limits``: jump (m), tension error (N), share of a tick
+    in the mean innovation. An innovation that is not a number (no sample) counts for nothing."""
+    jump, error, share = limits
+    for i in range(innovation.shape[0]):
+        if not watched[i]:
+            jumped[i] = astray[i] = 0
+            drift[i] = 0.0
+            continue
+        if math.isfinite(innovation[i]):
+            jumped[i] = jumped[i] + 1 if abs(innovation[i]) > jump else 0
+            bounded = min(max(innovation[i], -2.0 * jump), 2.0 * jump)
+            drift[i] += share * (bounded - drift[i])
+        off = abs(tension[0][i] - tension[1][i]) > error
+        astray[i] = astray[i] + 1 if off else 0
+
+
+@njit(cache=True)
+def _repeat(
+    raw: Array, age: NDArray[np.uint16], powered: NDArray[np.bool_], last: Array, same: Counts
+) -> None:
+    for i in range(raw.shape[0]):
+        if age[i] == 0:
+            same[i] = same[i] + 1 if raw[i] == last[i] and powered[i] else 0
+            last[i] = raw[i]
+
+
+class Isolation:
+    """One tick of residuals; `found` is the first fault they show, and where."""
+
+    def __init__(self, settings: Settings, stop: Stop, period: float) -> None:
+        self._settings, self._taut = settings, stop.taut_tension
+        self._limits = (
+            settings.length_jump,
+            settings.tension_error,
+            1.0 - math.exp(-period / settings.innovation_s),
+        )
+        self._astray_ticks = round(settings.tension_error_s / period)
+        self._jumped = np.zeros(CABLES, dtype=np.int64)
+        self._astray = np.zeros(CABLES, dtype=np.int64)
+        self.drift = np.zeros(CABLES)
+        """m (n,), mean innovation of each length"""
+        self._last = np.full(CELLS, np.nan)
+        self._same = np.zeros(CELLS, dtype=np.int64)
+        self._loaded = np.zeros(CELLS, dtype=bool)
+
+    def reset(self) -> None:
+        self._jumped[:] = self._astray[:] = self._same[:] = 0
+        self.drift[:] = 0.0
+
+    def step(
+        self, innovation: Array, reference: Array, filtered: Array, watched: NDArray[np.bool_]
+    ) -> None:
+        """From innovations (n,) in m, tension references and filtered tensions (n,) in N, of the
+        cables that are ``watched`` (n,)."""
+        _count(
+            innovation,
+            (reference, filtered),
+            watched,
+            self._limits,
+            self._jumped,
+            self._astray,
+            self.drift,
+        )
+
+    def cells(self, raw: Array, age: NDArray[np.uint16], tension: Array) -> None:
+        """From raw readings and ages of the cells, and tensions (n,): a cell without load may well
+        repeat itself."""
+        self._loaded[:CABLES] = tension > self._taut
+        _repeat(raw, age, self._loaded, self._last, self._same)
+
+    def found(self, tension: Array) -> tuple[Fault, int]:
+        """The first fault there is, and its cable or cell; ``tension`` (n,) N, unfiltered, tells a
+        cable that does not pull any more from one whose length is wrong."""
+        s = self._settings
+        jumped = self._jumped >= s.jump_ticks
+        if jumped.any():
+            cable = int(jumped.argmax())
+            torn = tension[cable] < self._taut
+            return (Fault.CABLE_TORN if torn else Fault.LENGTH_JUMP), cable
+        if (self._astray >= self._astray_ticks).any():
+            return Fault.TENSION_ERROR, int(self._astray.argmax())
+        drift = np.abs(self.drift)
+        largest = drift.max()
+        if largest > s.innovation:
+            second = np.partition(drift, -2)[-2]
+            if largest > s.prominence * second:
+                return Fault.LENGTH_DRIFT, int(drift.argmax())
+            if largest > s.length_jump:
+                return Fault.LENGTH_DRIFT, -1
+        if (self._same >= s.frozen_ticks).any():
+            return Fault.CELL_FROZEN, int((self._same >= s.frozen_ticks).argmax())
+        return Fault.NONE, -1
