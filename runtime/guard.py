@@ -51,17 +51,22 @@ def _passive(
 @njit(cache=True)
 def _bounded(
     rate: Array,
+    usable: NDArray[np.bool_],
     speeds: tuple[float, float, float],
     law: tuple[float, float, float, float],
+    largest: float,
     period: float,
     capacity: float,
     tank: Array,
     torque: Array,
 ) -> None:
-    """Brake and tank on planned torques. ``speeds``: reel in, reel out (m/s), damping beyond."""
+    """Brake and tank on planned torques. ``speeds``: reel in, reel out (m/s), damping beyond;
+    ``largest``: torque (N m)."""
     radius, passive = law[0], law[1]
     inward, outward, damping = speeds
     for i in range(rate.shape[0]):
+        if not usable[i]:
+            continue
         speed, force = radius * rate[i], torque[i] / radius
         if not math.isfinite(speed):
             torque[i] = 0.0
@@ -73,7 +78,7 @@ def _bounded(
             force = passive + tank[i] / (period * speed)
             drawn = tank[i]
         tank[i] = min(max(tank[i] - drawn, 0.0), capacity)
-        torque[i] = radius * force
+        torque[i] = min(max(radius * force, -largest), largest)
 
 
 class Guard:
@@ -84,6 +89,8 @@ class Guard:
         self._law = (radius, s.passive_tension, s.passive_damping, s.passive_force)
         self._speeds = (s.reel_in, s.reel_out, s.reel_damping)
         self._period, self._capacity = period, s.tank
+        motor = robot.motor
+        self._largest = motor.current_limit * motor.torque_constant * robot.gearbox.ratio
         self.tank = np.full(CABLES, s.tank)
         """J (n,)"""
         self._torque = np.zeros(CABLES)
@@ -102,7 +109,17 @@ class Guard:
         drum gathers speed before its cable pulls."""
         _passive(rate, slack, 1.0, self._law, torque)
 
-    def bound(self, torque: Array, rate: Array) -> Array:
-        """Planned torques (n,) within the bounds of a descent, in place."""
-        _bounded(rate, self._speeds, self._law, self._period, self._capacity, self.tank, torque)
+    def bound(self, torque: Array, rate: Array, usable: NDArray[np.bool_]) -> None:
+        """Planned torques (n,) of ``usable`` cables (n,) within a descent's bounds, in place."""
+        _bounded(
+            rate,
+            usable,
+            self._speeds,
+            self._law,
+            self._largest,
+            self._period,
+            self._capacity,
+            self.tank,
+            torque,
+        )
         return torque

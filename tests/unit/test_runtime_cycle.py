@@ -360,10 +360,9 @@ def test_without_a_cable_the_platform_comes_down_on_moderate_tensions(cable: int
     assert np.isfinite(stop.cycle["drives"]["torque_command"]).all()
     assert stop.cycle["tension"]["reference"].max() <= CONTROL.stop.most_tension
     assert stop.truth["tension"].max() < 0.5 * TENSION.max
-    down = stop.truth["position"][:, 2] < REST[2] + 0.01
-    assert down.any()
-    in_the_air = np.linalg.norm(stop.truth["velocity"][: down.argmax()], axis=1)
-    assert in_the_air.max() < 0.37
+    # It comes to lie on the table, which may be on an edge.
+    assert stop.truth["position"][-1, 2] < REST[2] + 0.06
+    assert np.linalg.norm(stop.truth["velocity"], axis=1).max() < 0.3
 
 
 def test_a_stop_under_the_full_load_holds_until_the_load_is_gone() -> None:
@@ -391,19 +390,20 @@ def test_a_stop_under_the_full_load_holds_until_the_load_is_gone() -> None:
 
 
 def test_a_stop_does_not_wait_for_ever() -> None:
-    statue = Statue().until(State.ACTIVE)
-
-    def spoil(image: ProcessImage) -> None:
-        image.cells["force"][:8] += np.where(np.array(CONFIG.robot.geometry.frame)[:, 0] > 0, 30, 0)
-
-    go_on(statue, spoil, 20)
-    statue.report()
-    statue.step(Operator.STOP)
+    waits = 0.3
+    config, scenario = configured("hold", QUICK | {"control.sequence.hold_s": waits})
+    profile = (LoadPoint(at=3.4, force=0.0), LoadPoint(at=3.8, force=30.0))
+    load = Load(direction=(1.0, 0.0, 0.0), point=(0.0, 0.0, 0.0), profile=profile)
+    loop = ClosedLoop(config, scenario.model_copy(update={"lab": LabScript(load=load)}))
+    loop.until(State.ACTIVE)
+    while loop.plant.load_wrench[0] < 29.9:
+        loop.tick()
+    loop.tick(Operator.STOP)
     lasted = 0
-    while statue.at(State.SAFE_STOP):
-        go_on(statue, spoil)
+    while loop.state is State.SAFE_STOP:
+        loop.tick()
         lasted += 1
-        assert lasted < 500
-    sequence = CONTROL.sequence
-    planned = 2.0 * sequence.stop_s + sequence.lower_s + sequence.hold_s
-    assert lasted >= round(planned / CONTROL.rates.period)
+        assert lasted < 5000
+    sequence = config.control.sequence
+    planned = 2.0 * sequence.stop_s + sequence.lower_s + waits
+    assert lasted >= round(planned / config.control.rates.period)
