@@ -20,7 +20,8 @@ TRUTH_FIELDS: tuple[tuple[str, str, int, str, str], ...] = (
     ("drum_angle", "float64", 8, "rad", "since the start, winding in positive"),
     ("drum_rate", "float64", 8, "rad/s", "winding in positive"),
     ("current", "float64", 8, "A", "motor current, winding in positive"),
-    ("load", "float64", 6, "N, N m", "force and moment of the active load port, base frame"),
+    ("load", "float64", 6, "N, N m", "force and moment of load port and push, base frame"),
+    ("cut", "float64", 8, "", "1 for a cable that is cut, else 0"),
     ("contact_force", "float64", 0, "N", "of the phantom on the contact port, along its normal"),
     ("contact_penetration", "float64", 0, "m", "depth of the contact port in the phantom"),
     ("kinetic", "float64", 0, "J", "of platform and drums"),
@@ -34,7 +35,7 @@ TRUTH_FIELDS: tuple[tuple[str, str, int, str, str], ...] = (
     ("cable_losses", "float64", 0, "J", "the share of the cables' damping"),
     ("copper_losses", "float64", 0, "J", "in the windings since the start, not part of losses"),
     ("input_work", "float64", 0, "J", "done by the motors' torque since the start"),
-    ("load_work", "float64", 0, "J", "done by the load port since the start"),
+    ("load_work", "float64", 0, "J", "done by load port, push and moving phantom since the start"),
     ("platform_power", "float64", 0, "W", "of the cables on the platform"),
     ("electrical_power", "float64", 0, "W", "the motors' mechanical power and copper losses"),
 )

@@ -78,18 +78,18 @@ def stored(p: Any, i: int, tension: float, metres: float) -> tuple[float, float]
 def pull_cables(s: Any, p: Any, prescribed: bool) -> None:
     """Add the cables' wrench; tensions are the elastic model's, or ``s.tension`` as prescribed.
 
-    T = max(0, elastic + c rate) while the cable is stretched, L0 = L0(0) - r theta.
+    T = max(0, elastic + c rate) while the cable is stretched, L0 = L0(0) - r theta + slipped.
     """
     for i in range(8):
         _course(s, p, i)
-        free = p.start_length[i] - p.radius * s.drum_angle[i]
+        free = p.start_length[i] - p.radius * s.drum_angle[i] + s.slipped[i]
         stretch = s.length[i] - free
         elastic = 0.0
         tension = 0.0
         if prescribed:
             tension = s.tension[i]
         elif stretch > 0.0 and p.axial_stiffness[i] > 0.0:
-            rate = p.radius * s.drum_rate[i] - tip_speed(s, i)
+            rate = p.radius * s.drum_rate[i] - p.slip_rate[i] - tip_speed(s, i)
             elastic = _pull(p, i, stretch, free)
             tension = max(0.0, elastic + p.cable_damping * rate)
             s.dissipation += (tension - elastic) * rate

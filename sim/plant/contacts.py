@@ -22,7 +22,7 @@ def _surface(s: Any, p: Any) -> float:
 @inner
 def _depth(s: Any, p: Any) -> float:
     """Of the contact port behind the undisturbed surface, negative in front of it."""
-    depth = 0.0
+    depth = float(s.contact_shift)
     for k in range(3):
         depth -= p.contact_normal[k] * (s.position[k] - p.contact_point[k])
     return depth
@@ -33,7 +33,7 @@ def press(s: Any, p: Any) -> None:
     """Add the phantom's push: a spring with a parallel damper (Kelvin-Voigt) or with a second
     spring in series with a dashpot (standard linear solid); it never pulls."""
     depth = _depth(s, p)
-    rate = 0.0
+    rate = p.contact_rate
     for k in range(3):
         rate -= p.contact_normal[k] * s.velocity[k]
     stiffness, second = p.contact_stiffness, p.relaxing_stiffness

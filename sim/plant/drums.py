@@ -48,6 +48,17 @@ def _gearbox(p: Any, motor: float, rate: float) -> float:
 
 
 @inner
+def _lost(s: Any, work: float, dt: float) -> float:
+    """The power (W) of work (J) that friction takes over a step. Where it comes out negative it was
+    done from outside: in the step in which a drum is stopped as it turns back, and by whatever
+    pulls cable back on to its drum."""
+    if work < 0.0:
+        s.input_work -= work
+        return 0.0
+    return work / dt
+
+
+@inner
 def teeth(s: Any, p: Any) -> None:
     """Torque from rotor to drum through the play: nothing inside it, elastic teeth on either side,
     which push and do not stick."""
@@ -77,7 +88,7 @@ def _kick_rotor(s: Any, p: Any, i: int, motor: float, dt: float) -> tuple[float,
     mean = 0.5 * (old + new)
     s.rotor_acceleration[i] = (new - old) / dt
     s.half_rotor_rate[i] = new
-    return mean, drag * s.rotor_rate[i] + p.rotor_inertia * (trial - new) * mean / dt
+    return mean, drag * s.rotor_rate[i] + _lost(s, p.rotor_inertia * (trial - new) * mean, dt)
 
 
 @inner
@@ -91,29 +102,31 @@ def kick_drums(s: Any, p: Any, dt: float, losses: float) -> float:
     losses += s.teeth_dissipation
     copper = 0.0
     for i in range(8):
-        torque = p.torque_per_amp * s.current[i]
+        torque = p.torque_per_amp[i] * s.current[i]
         copper += p.resistance * s.current[i] * s.current[i]
         drag = p.viscous * s.drum_rate[i]
         old = s.half_rate[i]
         friction = _sliding(
             p, p.coulomb[i] + p.load_friction[i] * p.radius * s.tension[i], s.drum_rate[i]
         )
-        held = s.locked[i] != 0
+        held = s.locked[i] != 0 or s.jammed[i] != 0
         if p.backlash > 0.0:
             mean, lost = _kick_rotor(s, p, i, torque, dt)
             s.input_work += dt * torque * mean
             losses += lost
-            torque, held = s.teeth_torque[i], False
+            torque, held = s.teeth_torque[i], s.jammed[i] != 0
         trial = old + dt / p.drum_inertia * (torque - p.radius * s.tension[i] - drag)
         if p.backlash == 0.0:
             friction += _gearbox(p, torque, trial)
         new = 0.0 if held else _slowed(trial, dt / p.drum_inertia * friction)
         mean = 0.5 * (old + new)
-        losses += drag * s.drum_rate[i] + p.drum_inertia * (trial - new) * mean / dt
+        losses += drag * s.drum_rate[i] + _lost(s, p.drum_inertia * (trial - new) * mean, dt)
         if p.backlash == 0.0:
             s.input_work += dt * torque * mean
         if s.elastic[i] > 0.0:
-            s.wound -= stored(p, i, s.elastic[i], dt * p.radius * mean)[1]
+            reeled_in = dt * (p.radius * mean - p.slip_rate[i])
+            s.wound -= stored(p, i, s.elastic[i], reeled_in)[1]
+            losses += _lost(s, dt * s.tension[i] * p.slip_rate[i], dt)
         s.drum_acceleration[i] = (new - old) / dt
         s.half_rate[i] = new
     s.friction_losses += dt * (losses - before)
@@ -126,6 +139,7 @@ def drift_drums(s: Any, p: Any, dt: float) -> None:
     """Turn with the rates of mid-step."""
     for i in range(8):
         s.drum_angle[i] += dt * s.half_rate[i]
+        s.slipped[i] += dt * p.slip_rate[i]
         if p.backlash > 0.0:
             s.rotor_angle[i] += dt * s.half_rotor_rate[i]
 

@@ -42,6 +42,20 @@ def _grip(s: Any, p: Any, distance: float, rate: float) -> float:
 
 
 @inner
+def _push(s: Any, p: Any) -> None:
+    """Add a force on a point of the platform to the load's wrench."""
+    r, point, force = s.rotation, p.push_point, p.push_force
+    x = r[0, 0] * point[0] + r[0, 1] * point[1] + r[0, 2] * point[2]
+    y = r[1, 0] * point[0] + r[1, 1] * point[1] + r[1, 2] * point[2]
+    z = r[2, 0] * point[0] + r[2, 1] * point[1] + r[2, 2] * point[2]
+    for k in range(3):
+        s.load[k] += force[k]
+    s.load[3] += y * force[2] - z * force[1]
+    s.load[4] += z * force[0] - x * force[2]
+    s.load[5] += x * force[1] - y * force[0]
+
+
+@inner
 def _forces(s: Any, p: Any, played: tuple[float, float], prescribed: bool) -> None:
     """Total wrench on the platform about its origin, in ``s.force`` and ``s.moment``."""
     s.dissipation = 0.0
@@ -57,6 +71,8 @@ def _forces(s: Any, p: Any, played: tuple[float, float], prescribed: bool) -> No
     s.load[3] = y * s.load[2] - z * s.load[1]
     s.load[4] = z * s.load[0] - x * s.load[2]
     s.load[5] = x * s.load[1] - y * s.load[0]
+    if p.pushed > 0.0:
+        _push(s, p)
     for k in range(3):
         s.force[k] = s.load[k]
         s.moment[k] = s.load[3 + k]
@@ -82,7 +98,7 @@ def _kick(s: Any, p: Any, dt: float) -> None:
         s.half_momentum[k] += dt * s.moment[k]
         load_work += s.load[k] * 0.5 * (old + s.half_velocity[k])
         load_work += s.load[3 + k] * s.angular_velocity[k]
-    s.load_work += dt * load_work
+    s.load_work += dt * (load_work + s.contact_force * p.contact_rate)
     s.cable_losses += dt * s.cable_dissipation
     s.losses += dt * kick_drums(s, p, dt, s.dissipation + s.relaxation)
 
@@ -120,9 +136,11 @@ def _account(s: Any, p: Any) -> None:
             angle, rate = s.rotor_angle[i], s.rotor_rate[i]
             kinetic += 0.5 * p.rotor_inertia * rate**2
             strain += s.teeth_energy[i]
-        s.motor_angle[i] = p.ratio * angle
-        s.motor_rate[i] = p.ratio * rate
-        electrical += p.torque_per_amp * s.current[i] * rate + p.resistance * s.current[i] ** 2
+        s.motor_angle[i] = p.ratio * (p.encoder_gain[i] * angle + p.encoder_offset[i])
+        s.motor_rate[i] = p.ratio * p.encoder_gain[i] * rate
+        electrical += p.torque_per_amp[i] * s.current[i] * rate + p.resistance * s.current[i] ** 2
+    for i in range(9):
+        s.cell_force[i] = p.cell_gain[i] * s.cell_filtered[i] + p.cell_offset[i]
     s.kinetic = kinetic
     s.strain = strain
     s.potential = p.mass * p.gravity * s.position[2]
@@ -164,11 +182,12 @@ def advance(
         follow_currents(s, p, keep_current)
         _predict(s, p, closing)
         if p.contact > 0.0:
+            s.contact_shift += dt * p.contact_rate
             relax(s, p, dt)
         _forces(s, p, _load(knots, loads, time + step * dt), False)
         for i in range(8):
-            s.cell_force[i] = s.tension[i] + (s.cell_force[i] - s.tension[i]) * keep_cell
-        s.cell_force[8] = s.contact_force + (s.cell_force[8] - s.contact_force) * keep_cell
+            s.cell_filtered[i] = s.tension[i] + (s.cell_filtered[i] - s.tension[i]) * keep_cell
+        s.cell_filtered[8] = s.contact_force + (s.cell_filtered[8] - s.contact_force) * keep_cell
         if step < steps:
             _kick(s, p, dt)
         elif closing > 0.0:

@@ -84,6 +84,8 @@ def parameters(
         "box_ends": (low, tips[:, 2].max()),
         # The cups' bottoms are so high that the platform lies at `rest` exactly.
         "table_height": robot.rest[2] + low + weight / cradle.stiffness + cradle.depth,
+        "cell_gain": 1.0,
+        "encoder_gain": 1.0,
         "opening": 0.5,
     }
     for name, value in values.items():

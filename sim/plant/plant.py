@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from config.schema.lab import Displacement, Lab, Load, Phantom
 from config.schema.robot import CABLES, Robot
 from sim.plant import kernel
+from sim.plant.defects import Defects
 from sim.plant.energy import Energy
 from sim.plant.layout import STATE
 from sim.plant.parameters import add_load, add_phantom, let_go, parameters, strain, take_hold
@@ -76,6 +77,7 @@ class Plant:
         self.current_reference: Floats = state["current_reference"][0]
         self.cell_force: Floats = state["cell_force"][0]
         self.load_wrench: Floats = state["load"][0]
+        self.cut: Floats = state["cut"][0]
         self.contact_force: Floats = state["contact_force"].reshape(())
         self.contact_penetration: Floats = state["contact_penetration"].reshape(())
         self.losses: Floats = state["losses"].reshape(())
@@ -85,6 +87,8 @@ class Plant:
         self.locked: NDArray[np.bool_] = state["locked"][0].view(np.bool_)
         self.now_ns = start_ns
         self._schedule_ns: int | None = None
+        self.defects = Defects(state, self.parameters, lambda: self.now_ns)
+        """what can be broken about it on purpose"""
         self._substep_ns = lab.plant.substep_us * 1000
         self.position[:] = robot.rest
         self.quaternion[0] = 1.0
@@ -94,9 +98,14 @@ class Plant:
 
     def advance(self, to_ns: int) -> None:
         """Let time pass up to ``to_ns``, in equal steps no longer than the configured one."""
+        while self.defects.busy and to_ns > self.now_ns:
+            self._step(self.defects.prepare(self.now_ns, to_ns))
+            self.defects.finish(self.now_ns)
+        if to_ns > self.now_ns:
+            self._step(to_ns)
+
+    def _step(self, to_ns: int) -> None:
         span = to_ns - self.now_ns
-        if span <= 0:
-            return
         steps = -(-span // self._substep_ns)
         begun = -inf if self._schedule_ns is None else (self.now_ns - self._schedule_ns) * 1e-9
         if self._displacement is not None:
@@ -121,6 +130,10 @@ class Plant:
     def start_schedule(self, at_ns: int) -> None:
         """Time zero of the load's profile."""
         self._schedule_ns = at_ns
+
+    @property
+    def has_phantom(self) -> bool:
+        return bool(self.parameters["contact"][0] > 0.0)
 
     def energy(self) -> Energy:
         state = self.state[0]
@@ -178,6 +191,7 @@ class Plant:
         p = self.parameters[0]
         pull = np.asarray(tensions, dtype=np.float64)
         free = self.cable_lengths() / (1.0 + strain(self.parameters, pull))
+        free -= self.state["slipped"][0]
         self.drum_angle[:] = (p["start_length"] - free) / p["radius"]
         twist = np.where(
             pull > 0.0, p["half_play"] + pull * p["radius"] / p["teeth_stiffness"], 0.0
@@ -186,7 +200,7 @@ class Plant:
         self.state["rotor_rate"] = 0.0
         self.current[:] = pull * p["radius"] / p["torque_per_amp"]
         self.current_reference[:] = self.current
-        self.cell_force[:CABLES] = pull
+        self.state["cell_filtered"][0, :CABLES] = pull
         self.powered[:] = True
         self._run(0, 0.0, -inf)
 
@@ -197,4 +211,5 @@ class Plant:
             return
         state["losses"] += state["stored"][cable]
         p["axial_stiffness"][cable] = 0.0
+        state["cut"][cable] = 1.0
         self._run(0, 0.0, -inf)
