@@ -16,7 +16,7 @@ class FaultField:
 
     name: str
     type: str
-    """string, integer, number or boolean"""
+    """string, integer, number, boolean or vector: three numbers"""
     required: bool
     default: Any
     about: str
@@ -61,9 +61,12 @@ def _fields(schema: dict[str, Any]) -> Iterator[FaultField]:
     for name, described in schema["properties"].items():
         # An optional value is described as one of its type and null.
         inner = described.get("anyOf", [described])[0]
+        vector = inner["type"] == "array"
+        if vector:
+            inner = inner["prefixItems"][0]
         yield FaultField(
             name=name,
-            type=inner["type"],
+            type="vector" if vector else inner["type"],
             required=name in schema.get("required", ()),
             default=described.get("default"),
             about=described.get("description", ""),

@@ -10,7 +10,7 @@ import json
 import reprlib
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
@@ -18,6 +18,7 @@ from pydantic_core import ErrorDetails
 from config.faults import KINDS, FaultKind
 from config.schema.base import Section
 from config.schema.faults import ClearFaults, Fault
+from config.schema.robot_faults import OfRobot
 from sim.devices.epos4 import Epos4
 from sim.devices.force_cell import ForceCell
 from sim.errors import LabError
@@ -29,6 +30,9 @@ _LINE = 500
 """Characters of an error; it may quote what came."""
 Reply = dict[str, Any]
 _SECOND_NS = 1_000_000_000
+_OF_ROBOT = frozenset(
+    get_args(model.model_fields["kind"].annotation)[0] for model in get_args(OfRobot)
+)
 _OF_DRIVES = frozenset({"drive_error", "drive_input"})
 _OF_CELLS = frozenset({"cell_break"})
 
@@ -155,6 +159,8 @@ class Door:
 
     def _where(self, kind: FaultKind) -> list[str]:
         lab = self._lab
+        if kind.name in _OF_ROBOT:
+            return lab.robot_places(kind.name, axis=kind.has("axis"), cell=kind.has("cell"))
         on_can, on_ethercat = verbs.possible(kind.name)
         if not kind.has("node"):
             return [*(lab.channels if on_can else ()), *(lab.segments if on_ethercat else ())]

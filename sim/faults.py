@@ -22,6 +22,7 @@ from config.schema.faults import (
     StuckBus,
     Unplug,
 )
+from config.schema.robot_faults import OfRobot
 from sim.can.faulty import FaultyChannel
 from sim.can.frame_faults import FrameFault
 from sim.can.node import Node
@@ -33,6 +34,7 @@ from sim.errors import LabError
 from sim.ethercat import faults as ethercat
 from sim.ethercat.segment import Segment
 from sim.plant.streams import Stream, generator
+from sim.robot_faults import RobotFaults, place
 
 _SECOND_NS = 1_000_000_000
 _OF_NODE = Unplug | Replug | PowerCycle | DriveError | DriveInput | CellBreak
@@ -66,19 +68,21 @@ class _Lasting:
 
 
 class Faults:
-    """What is wrong with a lab's buses and devices on purpose."""
+    """What is wrong with a lab's buses, devices and robot on purpose."""
 
     def __init__(
         self,
         channels: Mapping[str, FaultyChannel],
         nodes: Mapping[tuple[str, int], Node],
         segments: Mapping[str, Segment],
+        robot: RobotFaults,
         timers: Timers,
         seed: int,
     ) -> None:
         self._channels = channels
         self._nodes = nodes
         self._segments = segments
+        self._robot = robot
         self._timers = timers
         # Each fault draws from a stream of its own: a channel's faults do not feel another's.
         self._draws = generator(seed, Stream.FAULTS)
@@ -89,6 +93,9 @@ class Faults:
 
     def check(self, fault: Fault) -> None:
         """Raises `LabError` if this lab cannot have the fault."""
+        if isinstance(fault, OfRobot):
+            self._robot.check(fault)
+            return
         segment = self._segments.get(fault.channel or "")
         if isinstance(fault, ClearFaults):
             if fault.channel is not None and segment is None:
@@ -142,12 +149,27 @@ class Faults:
         self.check(fault)
         if isinstance(fault, ClearFaults):
             self._clear(fault.channel)
+        elif isinstance(fault, OfRobot):
+            self._break_robot(fault)
         elif fault.channel in self._segments:
             self._strike_segment(self._segments[fault.channel], fault)
         elif isinstance(fault, _OF_CHANNEL):
             self._disturb(fault)
         elif not isinstance(fault, ethercat.ONLY_HERE):
             self._strike(fault)
+
+    def _break_robot(self, fault: OfRobot) -> None:
+        where = place(fault)
+        replaced = [
+            item
+            for item in self._lasting
+            if isinstance(item.fault, OfRobot) and place(item.fault) == where
+        ]
+        # The new one goes on from what the old one had come to.
+        self._lasting = [item for item in self._lasting if item not in replaced]
+        end = self._robot.strike(fault, self._timers.now_ns)
+        if end is not None:
+            self._last(fault, end)
 
     def _strike_segment(self, segment: Segment, fault: ethercat.SegmentFault) -> None:
         for kind in ethercat.undone_by(fault):

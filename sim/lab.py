@@ -34,6 +34,7 @@ from sim.ethercat.build import build_segment
 from sim.ethercat.segment import Segment
 from sim.faults import ActiveFault, Faults
 from sim.plant import Plant
+from sim.robot_faults import RobotFaults
 from sim.statistics import PERIOD_NS, LoadWindow, Statistics, channel_statistics
 from sim.truth import TRUTH, fill
 
@@ -126,7 +127,10 @@ class Lab:
         self.tracker = TrackerFeed(self, self._tracker)
         self._order: list[FaultyChannel] = []
         self._build(config, nodes)
-        self._faults = Faults(self.channels, self.nodes, self.segments, self, seed)
+        self._robot_faults = RobotFaults(self.plant, self._tracker)
+        self._faults = Faults(
+            self.channels, self.nodes, self.segments, self._robot_faults, self, seed
+        )
         for fault in script.faults:
             self._faults.check(fault)
         self.direct = DirectPort(self, config.fieldbus.force_cell)
@@ -371,6 +375,10 @@ class Lab:
     def _inject_later(self, fault: Fault) -> None:
         at_ns = self.now_ns + round(fault.at * _SECOND_NS)
         self.call_at(at_ns, lambda _: self._faults.inject(fault))
+
+    def robot_places(self, kind: str, *, axis: bool, cell: bool) -> list[str]:
+        """Where a kind of fault of the robot can happen; see `sim.robot_faults`."""
+        return self._robot_faults.places(kind, axis=axis, cell=cell)
 
     def faults(self) -> list[ActiveFault]:
         """The lasting faults at work, oldest first."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from config import Config, Scenario
 from config.busload import channel_load
 from config.schema.bus import (
+    CELLS,
     Amplifier,
     CanopenBus,
     Channel,
@@ -23,6 +24,8 @@ from config.schema.bus import (
     ForceCell,
     parts,
 )
+from config.schema.robot import CABLES
+from config.schema.robot_faults import OfRobot, PhantomHit
 from drivers import epos4, force_cell
 from drivers.canopen import identifiers
 from drivers.canopen.pdo import Mapping, PdoError
@@ -59,8 +62,7 @@ def check(config: Config, scenario: Scenario) -> list[Finding]:
         for channel in bus.channels:
             findings += _load(bus, channel, config.control.rates.period_us)
             findings += _identifiers(bus, channel)
-    if parts(config.fieldbus):
-        findings += _faults(config, scenario)
+    findings += _faults(config, scenario)
     return findings + list(mechanics(config, scenario))
 
 
@@ -221,6 +223,9 @@ def _faults(config: Config, scenario: Scenario) -> Iterator[Finding]:
     channels = {name for name, _ in nodes}
     for index, fault in enumerate(scenario.lab.faults):
         node = getattr(fault, "node", None)
+        if isinstance(fault, OfRobot):
+            yield _robot_fault(config, scenario, index, fault)
+            continue
         if node is not None:
             there = (fault.channel, node) in nodes
             what = f"{fault.kind} of node {node} on {fault.channel}"
@@ -234,3 +239,26 @@ def _faults(config: Config, scenario: Scenario) -> Iterator[Finding]:
             what + ("" if there else ", which is not there"),
             "name a channel and a node of the fieldbus",
         )
+
+
+def _robot_fault(config: Config, scenario: Scenario, index: int, fault: OfRobot) -> Finding:
+    where = f"scenario {scenario.name}: lab.faults.{index}"
+    for name, count in (("axis", CABLES), ("cell", CELLS)):
+        number = getattr(fault, name, None)
+        if number is not None:
+            return Finding(
+                "faults",
+                number < count,
+                where,
+                f"{fault.kind} of {name} {number}" + ("" if number < count else ", not there"),
+                f"choose one of 0 to {count - 1}",
+            )
+    phantom = scenario.lab.phantom or (config.lab and config.lab.phantom)
+    there = phantom is not None or not isinstance(fault, PhantomHit)
+    return Finding(
+        "faults",
+        there,
+        where,
+        fault.kind + ("" if there else ", but the scenario has no phantom"),
+        "give it one in lab: phantom:",
+    )

@@ -7,9 +7,26 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic import Field, TypeAdapter
 
-from config.schema.base import Count, Finite, Fraction, NodeId, NonNegative, Positive, Section
+from config.schema.base import Count, Finite, Fraction, NodeId, Positive
+from config.schema.fault_section import LONGEST_S, FaultSection
+from config.schema.robot_faults import (
+    CableCut,
+    CellFrozen,
+    CellGain,
+    CellOffset,
+    DrumFriction,
+    DrumJam,
+    DrumSlip,
+    EncoderFrozen,
+    EncoderSlip,
+    MotorWeak,
+    PhantomHit,
+    Push,
+    ShiftedTracker,
+    TrackerHidden,
+)
 
 Level = Literal["dominant", "recessive"]
 Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
@@ -17,18 +34,7 @@ Unsigned = Annotated[int, Field(ge=0, le=0xFFFFFFFF)]
 SlaveState = Literal["init", "pre_op", "safe_op", "op"]
 
 
-LONGEST_S = 1e6
-"""What adds to a time in ns without rounding; more than eleven days."""
-
-
-class _Fault(Section):
-    model_config = ConfigDict(use_attribute_docstrings=True)
-
-    at: Annotated[NonNegative, Field(le=LONGEST_S)] = 0.0
-    """s after the lab saw every drive enabled; at the door, s from now"""
-
-
-class _OfChannel(_Fault):
+class _OfChannel(FaultSection):
     channel: str
     """its name in the fieldbus; of an EtherCAT segment the master's interface"""
 
@@ -234,12 +240,12 @@ class ClockDrift(_LastingOfNode):
     """faster than the lab's time"""
 
 
-class ClearFaults(_Fault):
-    """End every lasting fault of a channel, or of all."""
+class ClearFaults(FaultSection):
+    """End every lasting fault of a channel, or all there are."""
 
     kind: Literal["clear"]
     channel: str | None = None
-    """without it all"""
+    """without it all, those of the robot among them"""
 
 
 Fault = Annotated[
@@ -264,6 +270,20 @@ Fault = Annotated[
     | MailboxAbort
     | WatchdogExpiry
     | ClockDrift
+    | CableCut
+    | DrumSlip
+    | DrumJam
+    | DrumFriction
+    | MotorWeak
+    | CellGain
+    | CellOffset
+    | CellFrozen
+    | EncoderSlip
+    | EncoderFrozen
+    | TrackerHidden
+    | ShiftedTracker
+    | PhantomHit
+    | Push
     | ClearFaults,
     Field(discriminator="kind"),
 ]

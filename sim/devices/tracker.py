@@ -77,6 +77,8 @@ class Tracker:
         self._arrival_ns = self._origin_ns
         self._sequence = 0
         self.blocked = False
+        self.shift = np.zeros(3)
+        """m, base frame, by which its positions are off"""
         self.next_ns = self._origin_ns
         """time of the next exposure, on the plant's clock"""
 
@@ -131,7 +133,7 @@ class Tracker:
 
     def _bias(self, now_ns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Metres, base frame, and rotation vector, platform frame."""
-        position, rotation = self._position_bias.copy(), self._rotation_bias.copy()
+        position, rotation = self._position_bias + self.shift, self._rotation_bias.copy()
         for shift in self._shifts:
             if self._active(shift, now_ns):
                 position += shift.position

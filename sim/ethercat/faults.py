@@ -30,6 +30,7 @@ from config.schema.faults import (
     WatchdogExpiry,
     WrongIdentity,
 )
+from config.schema.robot_faults import OfRobot
 from sim.devices.epos4 import Epos4
 from sim.devices.epos4_errors import ERRORS
 from sim.devices.force_cell import ForceCell
@@ -60,7 +61,7 @@ STATES = {
 _PPM = 1e-6
 _Ender = Callable[[], None]
 SegmentFault = Any
-"""A fault with a channel: any but `ClearFaults`."""
+"""A fault with a channel: any but `ClearFaults` and those of the robot."""
 
 
 class Spawning(Draws, Protocol):
@@ -71,7 +72,7 @@ class Spawning(Draws, Protocol):
 
 def check(segment: Segment, fault: Fault) -> None:
     """Raises `LabError` if the segment cannot have the fault."""
-    assert not isinstance(fault, ClearFaults)
+    assert not isinstance(fault, ClearFaults | OfRobot)
     what = f"fault {fault.kind}"
     if isinstance(fault, _OF_CAN):
         raise LabError(f"{what}: {fault.channel} is an EtherCAT segment; only CAN has that")

@@ -56,7 +56,7 @@ def test_the_scenario_is_one_and_fits_the_shipped_robot() -> None:
     findings = [
         each for each in check(load("config/can.yaml")[0], scenario) if each.rule == "faults"
     ]
-    assert len(findings) == 2
+    assert len(findings) == 3
     assert all(each.ok for each in findings)
 
 

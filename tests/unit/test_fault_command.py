@@ -89,7 +89,7 @@ def test_what_a_command_sends_is_what_the_schema_takes(
         return {"ok": True, "time": 0.0, "at": 0.0}
 
     monkeypatch.setattr("tools.cli.fault.ask", ask)
-    values = {"string": "can0", "integer": "1", "number": "1"}
+    values = {"string": "can0", "integer": "1", "number": "1", "vector": "1 1 1"}
     for kind in KINDS.values():
         arguments = []
         for field in kind.fields:
@@ -97,11 +97,17 @@ def test_what_a_command_sends_is_what_the_schema_takes(
                 arguments.append(f"--no-{field.name}")
             else:
                 value = field.choices[0] if field.choices else values[field.type]
-                arguments += [f"--{field.name.replace('_', '-')}", value]
+                arguments += [f"--{field.name.replace('_', '-')}", *value.split()]
         result = call(kind.name, *arguments)
         assert result.exit_code == 0, result.output
         for field in kind.fields:
-            assert getattr(sent[-1], field.name) in ("can0", 1, False, *(field.choices or ()))
+            assert getattr(sent[-1], field.name) in (
+                "can0",
+                1,
+                False,
+                (1, 1, 1),
+                *(field.choices or ()),
+            )
     assert [each.kind for each in sent] == list(KINDS)
 
 

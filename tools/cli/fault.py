@@ -120,19 +120,24 @@ def _parameter(field: FaultField) -> click.Option:
     return click.Option(
         [f"{name}/--no-{name.removeprefix('--')}" if flag else name],
         type=_type(field),
+        nargs=3 if field.type == "vector" else 1,
         required=field.required,
         show_default=True,
-        metavar=None if field.choices or flag else field.type.upper(),
+        metavar=None if field.choices or flag else _metavar(field),
         help=about,
         # click takes a default of None for a value, even of a required option.
         **({} if field.default is None else {"default": field.default}),
     )
 
 
+def _metavar(field: FaultField) -> str:
+    return "X Y Z" if field.type == "vector" else field.type.upper()
+
+
 def _type(field: FaultField) -> Any:
     if field.choices is not None:
         return click.Choice(field.choices)
-    if field.type == "number":
+    if field.type in ("number", "vector"):
         return click.FloatRange(field.low, field.high, min_open=field.low_excluded)
     return {"integer": _integer(field), "boolean": bool, "string": str}[field.type]
 

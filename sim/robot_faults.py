@@ -1,0 +1,113 @@
+"""The schema's faults of the robot itself: whether this one can have them, and what they do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from config.schema.bus import CELLS
+from config.schema.robot import CABLES
+from config.schema.robot_faults import (
+    CableCut,
+    CellFrozen,
+    CellGain,
+    CellOffset,
+    DrumFriction,
+    DrumJam,
+    DrumSlip,
+    EncoderFrozen,
+    EncoderSlip,
+    MotorWeak,
+    OfRobot,
+    PhantomHit,
+    Push,
+    ShiftedTracker,
+)
+from sim.devices.tracker import Tracker
+from sim.errors import LabError
+from sim.plant import Plant
+
+_Ender = Callable[[], None]
+
+
+def place(fault: OfRobot) -> tuple[object, ...]:
+    """Where it is: a later one of its kind at the same place replaces it."""
+    return (fault.kind, getattr(fault, "axis", None), getattr(fault, "cell", None))
+
+
+class RobotFaults:
+    """What is wrong with one robot and its tracker on purpose, whatever bus they are on."""
+
+    def __init__(self, plant: Plant, tracker: Tracker) -> None:
+        self._plant = plant
+        self._tracker = tracker
+
+    def places(self, kind: str, *, axis: bool, cell: bool) -> list[str]:
+        """Where a kind of fault can happen here; ``axis`` and ``cell`` say what it names."""
+        if axis or cell:
+            return [str(number) for number in range(CABLES if axis else CELLS)]
+        if kind == "phantom_hit":
+            return ["phantom"] if self._plant.has_phantom else []
+        return ["tracker"] if kind.startswith("tracker") else ["platform"]
+
+    def check(self, fault: OfRobot) -> None:
+        """Raises `LabError` if this robot cannot have the fault."""
+        for name, count in (("axis", CABLES), ("cell", CELLS)):
+            number = getattr(fault, name, None)
+            if number is not None and number >= count:
+                raise LabError(
+                    f"fault {fault.kind}: there is no {name} {number}; there are 0 to {count - 1}"
+                )
+        if isinstance(fault, PhantomHit) and not self._plant.has_phantom:
+            raise LabError(
+                f"fault {fault.kind}: this scenario has no phantom; give it one in lab: phantom:"
+            )
+
+    def strike(self, fault: OfRobot, now_ns: int) -> _Ender | None:
+        """Make it happen; returns what ends it if it lasts."""
+        self._plant.advance(now_ns)
+        defects = self._plant.defects
+        if isinstance(fault, CableCut):
+            self._plant.cut_cable(fault.axis)
+        elif isinstance(fault, DrumSlip):
+            defects.slip_drum(fault.axis, fault.length, fault.duration)
+        elif isinstance(fault, EncoderSlip):
+            defects.slip_encoder(fault.axis, fault.angle, fault.over)
+        elif isinstance(fault, DrumJam):
+            return defects.jam_drum(fault.axis)
+        elif isinstance(fault, DrumFriction):
+            return defects.rub_drum(fault.axis, fault.force, fault.over)
+        elif isinstance(fault, MotorWeak):
+            return defects.weaken_motor(fault.axis, fault.gain)
+        elif isinstance(fault, CellGain):
+            return defects.scale_cell(fault.cell, fault.gain, fault.over)
+        elif isinstance(fault, CellOffset):
+            return defects.offset_cell(fault.cell, fault.force, fault.over)
+        elif isinstance(fault, CellFrozen):
+            return defects.freeze_cell(fault.cell)
+        elif isinstance(fault, EncoderFrozen):
+            return defects.freeze_encoder(fault.axis)
+        elif isinstance(fault, PhantomHit):
+            return defects.hit(fault.distance, fault.speed)
+        elif isinstance(fault, Push):
+            return defects.push(fault.force, fault.point, fault.rise)
+        elif isinstance(fault, ShiftedTracker):
+            return self._shift_tracker(fault)
+        else:
+            return self._hide()
+        return None
+
+    def _shift_tracker(self, fault: ShiftedTracker) -> _Ender:
+        self._tracker.shift[:] = fault.shift
+
+        def put_back() -> None:
+            self._tracker.shift[:] = 0.0
+
+        return put_back
+
+    def _hide(self) -> _Ender:
+        self._tracker.blocked = True
+
+        def show() -> None:
+            self._tracker.blocked = False
+
+        return show
