@@ -84,6 +84,7 @@ def _stand(s: Any, p: Any, c: int, corner: tuple[float, float, float]) -> None:
     if depth <= 0.0:
         s.standing[c] = 0.0
         return
+    s.resting = 1.0
     tx, ty = p.corner_stiffness * s.bristle[c, 0], p.corner_stiffness * s.bristle[c, 1]
     drag_x, drag_y = p.corner_damping * vx, p.corner_damping * vy
     share = _damped(tx, ty, drag_x, drag_y, p.cradle_friction * push)
@@ -105,8 +106,9 @@ def rest(s: Any, p: Any) -> None:
     r, half, ends = s.rotation, p.box_half, p.box_ends
     lowest = s.position[2] - abs(r[2, 0]) * half[0] - abs(r[2, 1]) * half[1]
     lowest += min(r[2, 2] * ends[0], r[2, 2] * ends[1])
-    if lowest >= p.table_height and not s.standing.any():
+    if lowest >= p.table_height and s.resting == 0.0:
         return
+    s.resting = 0.0
     for c in range(8):
         x = half[0] if c & 1 else -half[0]
         y = half[1] if c & 2 else -half[1]

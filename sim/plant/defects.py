@@ -52,7 +52,8 @@ class Defects:
         self._state: Any = state[0]
         self._p: Any = parameters[0]
         self._present = present
-        self._courses: dict[_Place, _Course] = {}
+        self.courses: dict[_Place, _Course] = {}
+        """what changes with time"""
         self._coulomb = parameters["coulomb"][0].copy()
         self._torque_per_amp = parameters["torque_per_amp"][0].copy()
         self._gain = np.ones(CELLS)
@@ -62,23 +63,18 @@ class Defects:
 
     # -- time ------------------------------------------------------------------------------------
 
-    @property
-    def busy(self) -> bool:
-        """Whether anything changes with time."""
-        return bool(self._courses)
-
     def prepare(self, from_ns: int, to_ns: int) -> int:
         """Set what acts from now on; returns the time, at most ``to_ns``, up to which it does."""
-        until_ns = min([to_ns, *(course.end_ns for course in self._courses.values())])
-        for course in self._courses.values():
+        until_ns = min([to_ns, *(course.end_ns for course in self.courses.values())])
+        for course in self.courses.values():
             course.cover(from_ns, until_ns)
         return until_ns
 
     def finish(self, now_ns: int) -> None:
         """End what has reached its end."""
-        for place, course in tuple(self._courses.items()):
+        for place, course in tuple(self.courses.items()):
             if course.end_ns <= now_ns:
-                del self._courses[place]
+                del self.courses[place]
                 course.done()
 
     def _begin(
@@ -89,11 +85,11 @@ class Defects:
         done: Ender = lambda: None,
     ) -> None:
         self._drop(place)
-        self._courses[place] = _Course(self._present(), seconds, act, done)
+        self.courses[place] = _Course(self._present(), seconds, act, done)
 
     def _drop(self, place: _Place) -> None:
         """End a course where it is."""
-        course = self._courses.pop(place, None)
+        course = self.courses.pop(place, None)
         if course is not None:
             course.done()
 
@@ -115,9 +111,11 @@ class Defects:
 
         def stop() -> None:
             rate[axis] = 0.0
+            self._p["slipping"] = float(rate.any())
 
         self._begin(("slip", axis), duration, lambda *_: None, stop)
-        rate[axis] = length * _SECOND_NS / self._courses["slip", axis].span_ns
+        rate[axis] = length * _SECOND_NS / self.courses["slip", axis].span_ns
+        self._p["slipping"] = 1.0
 
     def jam_drum(self, axis: int) -> Ender:
         """Hold a drum, whatever pulls at it."""
@@ -242,7 +240,7 @@ class Defects:
             self._p["contact_rate"] = 0.0
 
         self._begin(place, abs(way) / speed, lambda *_: None, arrive)
-        self._p["contact_rate"] = way * _SECOND_NS / self._courses[place].span_ns
+        self._p["contact_rate"] = way * _SECOND_NS / self.courses[place].span_ns
 
     def push(
         self,
@@ -274,7 +272,7 @@ class Defects:
             self._p["push_force"] = new
             done()
 
-        self._courses.pop(place, None)
+        self.courses.pop(place, None)
         if rise > 0.0:
             self._begin(place, rise, act, arrive)
         else:

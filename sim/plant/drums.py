@@ -92,6 +92,17 @@ def _kick_rotor(s: Any, p: Any, i: int, motor: float, dt: float) -> tuple[float,
 
 
 @inner
+def _slide(s: Any, p: Any, dt: float) -> float:
+    """The power (W) that cables lose which slip on their drums."""
+    losses = 0.0
+    for i in range(8):
+        if s.elastic[i] > 0.0:
+            s.wound += stored(p, i, s.elastic[i], dt * p.slip_rate[i])[1]
+            losses += _lost(s, dt * s.tension[i] * p.slip_rate[i], dt)
+    return losses
+
+
+@inner
 def kick_drums(s: Any, p: Any, dt: float, losses: float) -> float:
     """Change the rates of mid-step; returns ``losses`` (W) with those of the drums added.
 
@@ -124,11 +135,11 @@ def kick_drums(s: Any, p: Any, dt: float, losses: float) -> float:
         if p.backlash == 0.0:
             s.input_work += dt * torque * mean
         if s.elastic[i] > 0.0:
-            reeled_in = dt * (p.radius * mean - p.slip_rate[i])
-            s.wound -= stored(p, i, s.elastic[i], reeled_in)[1]
-            losses += _lost(s, dt * s.tension[i] * p.slip_rate[i], dt)
+            s.wound -= stored(p, i, s.elastic[i], dt * p.radius * mean)[1]
         s.drum_acceleration[i] = (new - old) / dt
         s.half_rate[i] = new
+    if p.slipping > 0.0:
+        losses += _slide(s, p, dt)
     s.friction_losses += dt * (losses - before)
     s.copper_losses += dt * copper
     return losses
@@ -139,9 +150,11 @@ def drift_drums(s: Any, p: Any, dt: float) -> None:
     """Turn with the rates of mid-step."""
     for i in range(8):
         s.drum_angle[i] += dt * s.half_rate[i]
-        s.slipped[i] += dt * p.slip_rate[i]
         if p.backlash > 0.0:
             s.rotor_angle[i] += dt * s.half_rotor_rate[i]
+    if p.slipping > 0.0:
+        for i in range(8):
+            s.slipped[i] += dt * p.slip_rate[i]
 
 
 @inner

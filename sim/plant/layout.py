@@ -40,6 +40,7 @@ STATE = np.dtype(
             foot=(_FLOAT, (8, 2)),  # m, where each corner sticks to the table
             bristle=(_FLOAT, (8, 2)),  # m, of each corner from there
             standing=(_FLOAT, (8,)),  # 1: the corner is on the table
+            resting=_FLOAT,  # 1: any corner is
             # What follows is the kernel's own, valid within one call.
             rotation=(_FLOAT, (3, 3)),  # platform to base
             lever=(_FLOAT, (CABLES, 3)),  # m, r_i in the base frame
@@ -107,6 +108,7 @@ PARAMETERS = np.dtype(
         cell_offset=(_FLOAT, (CABLES + 1,)),  # N
         encoder_gain=_PER_CABLE,  # 1, or 0 for one that is frozen
         encoder_offset=_PER_CABLE,  # rad at the drum
+        slipping=_FLOAT,  # 1 while any cable slips off its drum
         slip_rate=_PER_CABLE,  # m/s, of cable that slips off its drum
         contact=_FLOAT,  # 1 with a phantom, else 0
         contact_point=_VECTOR,

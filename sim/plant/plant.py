@@ -98,20 +98,18 @@ class Plant:
 
     def advance(self, to_ns: int) -> None:
         """Let time pass up to ``to_ns``, in equal steps no longer than the configured one."""
-        while self.defects.busy and to_ns > self.now_ns:
-            self._step(self.defects.prepare(self.now_ns, to_ns))
-            self.defects.finish(self.now_ns)
-        if to_ns > self.now_ns:
-            self._step(to_ns)
-
-    def _step(self, to_ns: int) -> None:
-        span = to_ns - self.now_ns
-        steps = -(-span // self._substep_ns)
-        begun = -inf if self._schedule_ns is None else (self.now_ns - self._schedule_ns) * 1e-9
-        if self._displacement is not None:
-            self._grip(self._displacement, begun)
-        self._run(steps, span * 1e-9 / steps, begun)
-        self.now_ns = to_ns
+        courses = self.defects.courses
+        while to_ns > self.now_ns:
+            until_ns = self.defects.prepare(self.now_ns, to_ns) if courses else to_ns
+            span = until_ns - self.now_ns
+            steps = -(-span // self._substep_ns)
+            begun = -inf if self._schedule_ns is None else (self.now_ns - self._schedule_ns) * 1e-9
+            if self._displacement is not None:
+                self._grip(self._displacement, begun)
+            self._run(steps, span * 1e-9 / steps, begun)
+            self.now_ns = until_ns
+            if courses:
+                self.defects.finish(until_ns)
 
     def _run(self, steps: int, dt: float, time: float) -> None:
         kernel.advance(self.state, self.parameters, self._knots, self._loads, steps, dt, time)

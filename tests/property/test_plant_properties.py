@@ -74,6 +74,9 @@ def test_any_drive_history(
         p.advance(p.now_ns + span_ns)
         now = p.energy()
         turned_over += abs(now.input_work - before.input_work) + abs(now.losses - before.losses)
+        assert now.losses >= before.losses
+        assert now.friction_losses >= before.friction_losses
+        assert now.cable_losses >= before.cable_losses
         before = now
         assert np.all(np.isfinite(p.truth))
         assert np.all(p.tension >= 0.0)
