@@ -31,12 +31,10 @@ from drivers.canopen import identifiers
 from drivers.canopen.pdo import Mapping, PdoError
 from drivers.canopen.process_data import drive_encoder
 from tools.check_ethercat import check_ethercat
+from tools.check_losses import check_losses
 from tools.mechanics import Finding, mechanics
 
 __all__ = ["Finding", "check"]
-
-HEARTBEAT_SLACK_MS = 20
-"""EPOS4: a heartbeat consumer waits at least this much longer than the producer's period."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +55,11 @@ def check(config: Config, scenario: Scenario) -> list[Finding]:
             findings += check_ethercat(config, bus)
             continue
         findings += _period(bus, config.control.rates.period_us)
-        findings += _heartbeat(bus)
         findings += _channel_names(bus)
         for channel in bus.channels:
             findings += _load(bus, channel, config.control.rates.period_us)
             findings += _identifiers(bus, channel)
+    findings += check_losses(config)
     findings += _faults(config, scenario)
     return findings + list(mechanics(config, scenario))
 
@@ -120,17 +118,6 @@ def _period(bus: CanopenBus, period_us: int) -> Iterator[Finding]:
         f"the master's heartbeat of {bus.master.heartbeat_ms} ms is "
         f"{heartbeat_us / period_us:g} cycles of {period_us} us",
         "choose a period that divides fieldbus.master.heartbeat_ms",
-    )
-
-
-def _heartbeat(bus: CanopenBus) -> Iterator[Finding]:
-    timeout, period = bus.drive.master_timeout_ms, bus.master.heartbeat_ms
-    yield Finding(
-        "heartbeat",
-        timeout >= period + HEARTBEAT_SLACK_MS,
-        "fieldbus.drive.master_timeout_ms",
-        f"drives wait {timeout} ms for the master's heartbeat, sent every {period} ms",
-        f"set it to at least {period + HEARTBEAT_SLACK_MS} ms",
     )
 
 

@@ -66,14 +66,6 @@ def _frames(config: Config, bus: EthercatBus) -> Iterator[Finding]:
 def _times(config: Config, bus: EthercatBus) -> Iterator[Finding]:
     clocks, master = bus.clocks, bus.master
     period_us = config.control.rates.period_us
-    interpolation_us = bus.drive.interpolation_ms * 1000
-    yield Finding(
-        "interpolation",
-        interpolation_us in (0, period_us),
-        "fieldbus.drive.interpolation_ms",
-        f"0x60C2 is {bus.drive.interpolation_ms} ms, the period {period_us} us",
-        "set it to 0, or to the period",
-    )
     guarded = clocks.shift_us + clocks.guard_us
     yield Finding(
         "SYNC0",
@@ -82,15 +74,6 @@ def _times(config: Config, bus: EthercatBus) -> Iterator[Finding]:
         f"SYNC0 {clocks.shift_us:g} us after the tick began, the frame after "
         f"{clocks.frame_us:g} us, apart by at least {clocks.guard_us:g} us",
         "let the frame pass between one SYNC0 and the next",
-    )
-    fresh_ms = config.control.freshness.measurement_ticks * period_us * 1e-3
-    yield Finding(
-        "watchdog",
-        master.watchdog_ms > fresh_ms,
-        "fieldbus.master.watchdog_ms",
-        f"drives wait {master.watchdog_ms} ms for outputs, measurements are fresh for "
-        f"{fresh_ms:g} ms",
-        "let the freshness act before the watchdog does",
     )
     yield Finding(
         "lost frames",

@@ -68,8 +68,9 @@ class Drive(Device):
     """EPOS4 in cyclic synchronous torque."""
 
     rpdo: tuple[MappingEntry, ...]
-    master_timeout_ms: Count
-    """heartbeat consumer 0x1016: the drive leaves Operation Enabled when the daemon is silent"""
+    master_timeout_ms: Count | None = None
+    """heartbeat consumer 0x1016: the drive leaves Operation Enabled when the daemon is silent;
+    null: as `tolerance` has it (`config.timeouts`)"""
     interpolation_ms: Annotated[int, Field(ge=0, le=100)]
     """0x60C2: 0 for none and no RPDO timeout, else the period of the tick"""
     on_communication_error: Annotated[int, Field(ge=0, le=2)]
@@ -130,8 +131,8 @@ class Master(Section):
 
     node_id: NodeId
     heartbeat_ms: Count
-    heartbeat_periods: Count
-    """a node is silent after so many of its own periods"""
+    heartbeat_periods: Count | None = None
+    """a node is silent after so many of its own periods; null: as `tolerance` has it"""
     sdo_timeout_ms: Count
     boot_timeout_ms: Count
     boot_resets: Count
@@ -292,8 +293,9 @@ class EthercatMaster(Section):
 
     receive_timeout_us: Count
     """how long a tick waits for a frame that should have been there before it began"""
-    watchdog_ms: Count
-    """sync manager watchdog: outputs missing for so long stop the drive"""
+    watchdog_ms: Count | None = None
+    """sync manager watchdog: outputs missing for so long stop the drive; null: as `tolerance` has
+    it"""
     watch_ticks: Count
     """how often every slave's state is read, outside the tick"""
     state_policy: Literal["recover", "stop"]

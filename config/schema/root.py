@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydantic import model_validator
 
 from config.schema.base import Section
@@ -9,8 +11,10 @@ from config.schema.bus import Bus, Tracker
 from config.schema.control import Control, Recording
 from config.schema.lab import Lab
 from config.schema.operation import Operation
+from config.schema.place import with_defaults
 from config.schema.realtime import RealTime
 from config.schema.robot import Robot
+from config.schema.tolerance import Tolerance
 
 
 class Config(Section):
@@ -18,6 +22,7 @@ class Config(Section):
     robot: Robot
     fieldbus: Bus
     tracker: Tracker
+    tolerance: Tolerance
     control: Control
     realtime: RealTime
     recording: Recording
@@ -26,6 +31,11 @@ class Config(Section):
     scenario: str
     """the scenario that runs when none is named"""
     lab: Lab | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults_of_the_place(cls, data: Any) -> Any:
+        return with_defaults(data)
 
     @model_validator(mode="after")
     def _literal_stays_in_the_lab(self) -> Config:

@@ -12,6 +12,7 @@ import can
 from config.schema.bus import CanopenBus
 from config.schema.robot import CABLES
 from config.schema.root import Config
+from config.timeouts import master_timeout_ms
 from drivers import epos4, force_cell
 from drivers.canopen.channel import Channel
 from drivers.canopen.identifiers import HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
@@ -88,7 +89,9 @@ class CanopenFieldbus:
         self._heartbeat_ticks = max(1, bus.master.heartbeat_ms * 1000 // period_us)
         self._next_heartbeat = 0
         self._next_look = 0
-        self._supervision = Supervision(self._exchange, self._events, bus.master, period_us)
+        self._supervision = Supervision(
+            self._exchange, self._events, bus.master, config.tolerance, period_us
+        )
         self._recovery = Recovery(self._supervision, self._exchange, self._events)
         self._ticking = False
         self._pump_task: asyncio.Task[None] | None = None
@@ -231,7 +234,7 @@ class CanopenFieldbus:
                 device.tpdo,
                 (*settings, communication),
                 drive=True,
-                consumer_ms=device.master_timeout_ms,
+                consumer_ms=master_timeout_ms(self._bus, self._config.tolerance),
             )
             node = self._add_node(channel, drive.node_id, role)
             arrival = self._arrival(node, mapping, drive_fields(mapping, drive.axis, exchange))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from config.schema.bus import Master
+from config.schema.tolerance import Tolerance
+from config.timeouts import node_timeout_ms
 from drivers.canopen import emcy
 from drivers.canopen.identifiers import EMCY, HEARTBEAT
 from drivers.canopen.nmt import NmtState
@@ -45,12 +47,17 @@ class Supervision:
     """Turns those frames into events, and into what control must know of an axis or a cell."""
 
     def __init__(
-        self, exchange: Exchange, events: EventLog, master: Master, period_us: int
+        self,
+        exchange: Exchange,
+        events: EventLog,
+        master: Master,
+        tolerance: Tolerance,
+        period_us: int,
     ) -> None:
         self.watched: list[Watched] = []
         self._exchange = exchange
         self._events = events
-        self._periods = master.heartbeat_periods
+        self._master, self._tolerance = master, tolerance
         self._period_us = period_us
         self._late_ticks = master.late_ticks
         self._next = 0
@@ -85,7 +92,7 @@ class Supervision:
             node.monitor.heard = False
             watched.heard_at = tick
             return
-        allowed_ms = self._periods * node.role.device.heartbeat_ms
+        allowed_ms = node_timeout_ms(node.role.device, self._master, self._tolerance)
         if (tick - watched.heard_at) * self._period_us > allowed_ms * 1000 and node.started:
             watched.silent = True
             self.trust(watched)

@@ -113,7 +113,7 @@ class DeterministicMaster(StateAccess):
         self._slaves: list[_Slave] = []
         self._index = _FIRST_INDEX
         self._cycle_index = 0
-        self._watchdog_ms = bus.master.watchdog_ms
+        self._watchdog_ms = 0  # known once `map` tells it
         self._question: list[Datagram] = []
         self._template = bytearray()
         self._expected = 0

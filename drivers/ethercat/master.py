@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from config.schema.bus import DistributedClocks, EthercatBus
 from config.schema.robot import CABLES
 from config.schema.root import Config
+from config.timeouts import watchdog_ms
 from drivers import epos4
 from drivers.canopen import emcy
 from drivers.errors import BringUpError, DriverError
@@ -70,6 +71,7 @@ class EthercatFieldbus:
         self.channels: tuple[str, ...] = ()
         self.lost = LostFrames()
         self._period_ns = config.control.rates.period_ns
+        self._watchdog_ms = watchdog_ms(bus, config.tolerance, period_us)
         self._open_wire = open_wire
         self._clock = clock
         self._slaves = slaves(bus, config.robot)
@@ -125,7 +127,7 @@ class EthercatFieldbus:
                         f"bring-up failed: {slave.where} ({slave.title}): {error}"
                     ) from error
             self._phase.align(await wire.align_clocks())
-            await wire.map([each.sizes for each in self._slaves], self._bus.master.watchdog_ms)
+            await wire.map([each.sizes for each in self._slaves], self._watchdog_ms)
             for slave in self._slaves:
                 await wire.start_sync(slave.number, self._period_ns, self._phase.sync0_ns)
             await self._reach(AlState.SAFEOP)

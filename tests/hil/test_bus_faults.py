@@ -14,6 +14,7 @@ from hil.runs import configured
 from hil.test_events import Heard
 
 from config.schema.bus import CanopenBus
+from config.timeouts import master_timeout_ms
 from drivers.canopen.master import CanopenFieldbus
 from drivers.fieldbus import BusEvent
 from drivers.process_image import AxisCommand, AxisState, ProcessImage
@@ -27,7 +28,9 @@ from runtime.states import Operator, State
 from sim.lab import Lab
 
 FRESH = CONFIG.control.freshness.measurement_ticks
-SILENCE_S = 1.5e-3 * CONFIG.fieldbus.drive.master_timeout_ms
+assert isinstance(CONFIG.fieldbus, CanopenBus)
+TIMEOUT_S = 1e-3 * master_timeout_ms(CONFIG.fieldbus, CONFIG.tolerance)
+SILENCE_S = 1.5 * TIMEOUT_S
 
 
 def told(bench: Bench, name: str) -> list[BusEvent]:
@@ -50,14 +53,14 @@ def test_every_drive_stops_by_itself_when_the_daemon_is_killed() -> None:
         while (bench.tick - 1) % bus.master.heartbeat_ms:
             await bench.ticks(1)
         loop = asyncio.get_running_loop()
-        killed, timeout_s = loop.time() - PERIOD_S, 1e-3 * bus.drive.master_timeout_ms
+        killed = loop.time() - PERIOD_S
 
         def enabled_after(seconds: float) -> int:
             bench.lab.advance(round((killed + seconds) * 1e9))
             return sum(drive.enabled for drive in bench.lab.drives)
 
-        assert enabled_after(0.99 * timeout_s) == 8
-        assert enabled_after(timeout_s + PERIOD_S) == 0
+        assert enabled_after(0.99 * TIMEOUT_S) == 8
+        assert enabled_after(TIMEOUT_S + PERIOD_S) == 0
 
     on_lab(script)
 

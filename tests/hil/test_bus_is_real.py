@@ -9,6 +9,7 @@ import numpy as np
 from hil.runs import configured, virtual
 
 from config.schema.bus import CanopenBus
+from config.timeouts import master_timeout_ms
 from drivers.canopen.master import CanopenFieldbus
 from drivers.process_image import ProcessImage
 from runtime import clock
@@ -89,7 +90,7 @@ def test_when_the_master_falls_silent_every_drive_leaves_operation_enabled(
     config, scenario = configured()
     bus = config.fieldbus
     assert isinstance(bus, CanopenBus)
-    timeout_ms = bus.drive.master_timeout_ms
+    timeout_ms = master_timeout_ms(bus, config.tolerance)
 
     async def go_silent() -> tuple[list[int], list[int], set[int]]:
         lab = Lab(config, scenario.lab, seed=1, clock=clock.now_ns)

@@ -12,9 +12,10 @@ from click.testing import CliRunner
 from scipy.optimize import linprog
 
 import tools.mechanics
-from config import Config, Scenario, load
+from config import Config, ConfigError, Scenario, load
 from config.loader import HERE, load_scenario
 from config.schema.bus import CanopenBus
+from config.timeouts import master_timeout_ms
 from runtime.margin import tension_loop_margins
 from tools.check import Finding, check
 from tools.cli.check import check as command
@@ -44,7 +45,7 @@ def only(found: dict[str, Finding], rule: str) -> Finding:
     return found[rule]
 
 
-@pytest.mark.parametrize("name", ["can", "direct"])
+@pytest.mark.parametrize("name", ["can", "direct", "ethercat", "mixed", "robot"])
 def test_what_is_shipped_passes(name: str) -> None:
     config, scenario = load(f"config/{name}.yaml")
     findings = check(config, scenario)
@@ -103,8 +104,17 @@ def test_one_id_on_two_channels_is_no_collision() -> None:
 @pytest.mark.parametrize(
     ("overrides", "rule", "said"),
     [
-        ({"fieldbus.drive.master_timeout_ms": 69}, "heartbeat", "69 ms"),
-        ({"control.rates.period_us": 1500}, "period", "33.3333 cycles"),
+        ({"fieldbus.drive.master_timeout_ms": 99}, "heartbeat", "wait 99 ms"),
+        ({"fieldbus.master.heartbeat_periods": 2}, "heartbeat", "200 ms for a node's heartbeat"),
+        ({"tolerance.jitter_ms": 19}, "jitter", "19 ms late, drives and ticks need 20 ms"),
+        ({"tolerance.lost.pdo": 3}, "lost frames", "1 SYNCs, 3 PDOs lost in a row"),
+        ({"tolerance.lost.sync": 3}, "lost frames", "and 1 ticks of delay, need 4"),
+        ({"control.freshness.measurement_ticks": 1}, "lost frames", "usable for 1 ticks"),
+        ({"control.freshness.stale_stop_ticks": 2}, "lost frames", "stops after 2 ticks"),
+        ({"fieldbus.drive.interpolation_ms": 1}, "interpolation", "one lost set-point"),
+        ({"tracker.maximum_age_ms": 80.0}, "tracker", "a pose counts for 80 ms"),
+        ({"tracker.rate_hz": 40.0}, "tracker", "19 come in 0.5 s"),
+        ({"control.rates.period_us": 1500}, "period", "13.3333 cycles"),
         ({"fieldbus.channels.1.name": "can0"}, "channel names", "can0 is given twice"),
         ({"fieldbus.drive.rpdo": [0x60400010]}, "PDO mapping", "0x6071:0"),
         ({"fieldbus.drive.rpdo": [0x60400010, 0x60710010, 0x60FF0020]}, "PDO mapping", "60FF"),
@@ -129,8 +139,31 @@ def test_each_rule_can_fail(overrides: dict[str, Any], rule: str, said: str) -> 
     assert found[rule].where
 
 
-def test_the_heartbeat_may_be_late_by_exactly_20_ms() -> None:
-    assert failed({"fieldbus.drive.master_timeout_ms": 70}) == {}
+def test_a_timeout_that_is_stated_may_be_as_short_as_losses_and_jitter_allow() -> None:
+    assert failed({"fieldbus.drive.master_timeout_ms": 100}) == {}
+    quick = {"tolerance.jitter_ms": 20}
+    assert failed(quick | {"fieldbus.drive.master_timeout_ms": 60}) == {}
+    assert "heartbeat" in failed(quick | {"fieldbus.drive.master_timeout_ms": 59})
+
+
+def test_what_could_stop_the_robot_by_one_lost_frame_was_shipped_once() -> None:
+    """Consumers that wait for exactly two periods of their producer."""
+    found = failed({"fieldbus.master.heartbeat_ms": 50, "fieldbus.drive.master_timeout_ms": 100})
+    assert only(found, "heartbeat").remedy == "leave it out, or set it to at least 160"
+
+
+@pytest.mark.parametrize("kind", ["heartbeat", "sync", "pdo", "ethercat", "tracker"])
+def test_at_least_one_lost_frame_of_each_kind_is_tolerated(kind: str) -> None:
+    with pytest.raises(ConfigError, match=f"tolerance.lost.{kind}.*greater than or equal to 1"):
+        load("config/can.yaml", overrides={f"tolerance.lost.{kind}": 0})
+
+
+def test_a_robot_without_a_lab_waits_no_longer_than_it_must() -> None:
+    robot, _ = load("config/robot.yaml")
+    assert isinstance(robot.fieldbus, CanopenBus)
+    assert isinstance(CONFIG.fieldbus, CanopenBus)
+    assert master_timeout_ms(robot.fieldbus, robot.tolerance) == 2 * 20 + 20
+    assert master_timeout_ms(CONFIG.fieldbus, CONFIG.tolerance) == 2 * 20 + 60
 
 
 def with_load(force: float, direction: tuple[float, float, float] = (1, 0, 0)) -> Scenario:

@@ -85,10 +85,10 @@ def test_everything_on_one_channel_takes_almost_three_cycles() -> None:
 
 
 def test_heartbeats_count_with_their_mean_share() -> None:
-    """Four devices each 100 ms and the master each 50 ms, of 65 bits: 3.9 us a millisecond."""
+    """Four devices each 100 ms and the master each 20 ms, of 65 bits: 5.85 us a millisecond."""
     bus = canopen("four")
-    assert channel_load(bus, bus.channels[0], 1000).heartbeat_us == pytest.approx(3.9)
-    assert channel_load(bus, bus.channels[0], 4000).heartbeat_us == pytest.approx(15.6)
+    assert channel_load(bus, bus.channels[0], 1000).heartbeat_us == pytest.approx(5.85)
+    assert channel_load(bus, bus.channels[0], 4000).heartbeat_us == pytest.approx(23.4)
 
 
 def test_the_bit_rate_and_the_mapping_decide() -> None:

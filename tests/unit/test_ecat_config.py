@@ -12,6 +12,7 @@ from config.schema.bus import EthercatBus
 from drivers.errors import BringUpError
 from drivers.ethercat.soem import SoemMaster
 from tools.check_ethercat import check_ethercat
+from tools.check_losses import check_losses
 
 
 @pytest.mark.parametrize(
@@ -44,15 +45,17 @@ def test_a_device_on_two_buses_or_none_is_refused() -> None:
 def _failed(overrides: dict[str, Any]) -> set[str]:
     config, _ = load("config/ethercat.yaml", overrides=overrides)
     assert isinstance(config.fieldbus, EthercatBus)
-    return {finding.rule for finding in check_ethercat(config, config.fieldbus) if not finding.ok}
+    findings = [*check_ethercat(config, config.fieldbus), *check_losses(config)]
+    return {finding.rule for finding in findings if not finding.ok}
 
 
 @pytest.mark.parametrize(
     ("overrides", "rule"),
     [
-        ({"fieldbus.drive.interpolation_ms": 2}, "interpolation"),
+        ({"fieldbus.drive.interpolation_ms": 1}, "interpolation"),
         ({"fieldbus.clocks.frame_us": 55.0}, "SYNC0"),
-        ({"fieldbus.master.watchdog_ms": 3}, "watchdog"),
+        ({"fieldbus.master.watchdog_ms": 61}, "watchdog"),
+        ({"tolerance.lost.ethercat": 3}, "lost frames"),
         ({"fieldbus.master.receive_timeout_us": 800}, "lost frames"),
         ({"lab.ethercat.interface": "tonus0"}, "interfaces"),
         ({"lab.ethercat": None}, "lab"),

@@ -50,7 +50,7 @@ def test_who_sends_what_how_often(can4: Database) -> None:
     assert can4.get_message_by_frame_id(0x199).senders == ["Contact"]
     assert can4.get_message_by_frame_id(0x205).senders == ["Master"]
     assert can4.get_message_by_frame_id(0x205).signals[0].receivers == ["Axis4"]
-    assert can4.get_message_by_frame_id(0x77F).cycle_time == 50
+    assert can4.get_message_by_frame_id(0x77F).cycle_time == 20
     assert can4.get_message_by_frame_id(0x701).cycle_time == 100
 
 

@@ -1,0 +1,97 @@
+"""One lost frame of any kind, at many times in ACTIVE, stops nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hil.runs import configured, virtual
+
+from config import Scenario, load
+from runtime.states import Fault, State
+from sim.devices.tracker import Tracker
+from tools.log import Log
+from tools.run import Result
+
+FIRST_S, APART_S = 2.6, 0.1373
+"""after the drives were enabled: in ACTIVE; apart by no multiple of any period"""
+LOSSES = 40
+DURATION_S = FIRST_S + LOSSES * APART_S - 2.0
+CAN1 = (0x77F, 0x703, 0x713, 0x080, 0x203, 0x204, 0x183, 0x193)
+"""heartbeats of master, drive and cell, SYNC, torques, measurements"""
+
+
+def losses(channel: str, identifiers: tuple[int | None, ...]) -> list[dict[str, Any]]:
+    return [
+        {
+            "kind": "loss",
+            "channel": channel,
+            "identifier": identifiers[number % len(identifiers)],
+            "frames": 1,
+            "at": FIRST_S + number * APART_S,
+        }
+        for number in range(LOSSES)
+    ]
+
+
+def went_on(result: Result) -> None:
+    outcome = result.outcome
+    assert (outcome.state, outcome.fault) == (State.STANDBY, Fault.NONE), outcome.reason
+    assert outcome.reason == "scenario completed"
+
+
+def states_at(log: Log, event: str) -> set[int]:
+    """In which states an event of this name was told."""
+    ticks, states = log["/tonus/timing"]["tick"], log["/tonus/state"]["state"]
+    told = [each.tick for each in log.events() if each.name == event]
+    return {int(states[ticks.searchsorted(tick)]) for tick in told}
+
+
+def test_a_lost_heartbeat_of_the_master_stops_no_drive(tmp_path: Path) -> None:
+    """The one at 5.0 s stopped the robot where drives waited for exactly two periods."""
+    config, scenario = load("config/can.yaml", "hold")
+    faults = [
+        {"kind": "loss", "channel": "can1", "identifier": 0x77F, "frames": 1, "at": 5.0 + at}
+        for at in (0.0, 0.137, 0.281, 0.403, 0.555, 0.698, 0.839)
+    ]
+    data = scenario.model_dump() | {"duration": 2.0, "lab": {"faults": faults}}
+    result, _ = virtual(config, Scenario.model_validate(data), tmp_path, seed=3)
+    went_on(result)
+
+
+def test_one_lost_frame_of_each_kind_on_can_stops_nothing(tmp_path: Path) -> None:
+    script = {"faults": losses("can1", CAN1)}
+    config, scenario = configured(duration=DURATION_S, script=script)
+    result, log = virtual(config, scenario, tmp_path, seed=3)
+    went_on(result)
+    assert states_at(log, "missing_pdo") == {State.ACTIVE}
+
+
+def test_one_lost_frame_on_a_segment_stops_nothing(tmp_path: Path) -> None:
+    script = {"faults": losses("tonus0", (None,))}
+    config, scenario = configured("config/ethercat.yaml", duration=DURATION_S, script=script)
+    result, log = virtual(config, scenario, tmp_path, seed=3)
+    went_on(result)
+    assert states_at(log, "frame_lost") == {State.ACTIVE}
+
+
+def test_a_lost_pose_of_the_tracker_stops_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every tenth datagram, from bring-up on: referencing does without them as well."""
+    poll, seen = Tracker.poll, [0]
+
+    def lossy(tracker: Tracker, now_ns: int) -> list[bytes]:
+        kept = []
+        for datagram in poll(tracker, now_ns):
+            seen[0] += 1
+            if seen[0] % 10:
+                kept.append(datagram)
+        return kept
+
+    monkeypatch.setattr(Tracker, "poll", lossy)
+    result, log = virtual(*configured(duration=1.0), tmp_path, seed=3)
+    went_on(result)
+    assert seen[0] > 300
+    assert not [event for event in log.events() if event.name == "tracker_lost"]
