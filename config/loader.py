@@ -12,6 +12,7 @@ from pydantic_core import ErrorDetails
 
 from config.document import Document, Key, dotted, is_file, read
 from config.errors import ConfigError
+from config.relaxed import unnamed_risks
 from config.schema.budget import Budget
 from config.schema.protocol import Protocol
 from config.schema.root import Config
@@ -53,6 +54,8 @@ def load(
     for key, value in (overrides or {}).items():
         _override(document, key, value)
     config = _validate(document, Config)
+    for path_of, problem, remedy in unnamed_risks(config):
+        raise ConfigError(*document.place(path_of), dotted(path_of), problem, remedy)
     if scenario is not None:
         return config, load_scenario(scenario)
     return config, _scenario(config.scenario, *document.place(("scenario",)), "scenario")

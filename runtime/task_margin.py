@@ -90,8 +90,7 @@ class _Loop:
     outer integral, last tension reference and its filtered slope, torques under way."""
 
     def __init__(self, config: Config, tension: TensionLoop, outer: Outer, axis: int) -> None:
-        assert config.lab is not None
-        robot, lab = config.robot, config.lab
+        robot, response = config.robot, config.response
         kinematics = Kinematics(robot.geometry)
         kinematics.evaluate(np.array(robot.home), _LEVEL)
         self._gather = gather = float((kinematics.matrix[axis] ** 2).sum())
@@ -102,8 +101,8 @@ class _Loop:
         """rad/s of the drum for each newton by which the reference moves in a tick"""
         self._follow = 1.0 - np.exp(-2.0 * np.pi * tension.lead_cutoff_hz * self._period)
         c, inertia, mass = robot.cable.damping, robot.drum.inertia, robot.platform.mass
-        drive = 2.0 * np.pi * lab.plant.current_loop_hz
-        cell = 2.0 * np.pi * lab.noise.force_cell.bandwidth_hz
+        drive = 2.0 * np.pi * response.current_loop_hz
+        cell = 2.0 * np.pi * response.force_cell_hz
         pull = np.array([k * radius, c * radius, 0.0, 0.0, -k, -c])
         flow = np.zeros((_PLANT, _PLANT))
         flow[0, 1] = flow[4, 5] = 1.0
@@ -187,7 +186,7 @@ def margins(config: Config, controller: str, *, cut: str = "torque") -> Margins:
     ends of its stiffness. Cut at the ``torque``, the plant's input, every loop counts; at the
     ``force``, the outer one round all others. An unstable loop has none: minus infinity.
 
-    Bandwidths of drives and cells stand in the configuration's lab section, which it needs.
+    Bandwidths of drives and cells are the lab's, or the robot's where there is none.
     """
     found = Margins(np.inf, np.inf, 0.0)
     tension = CONTROLLERS[controller](config.robot, config.control).tension_loop

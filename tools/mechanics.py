@@ -176,12 +176,8 @@ def _drives(config: Config) -> Iterator[Finding]:
 
 def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
     """Shortest, mean and longest cable; a cable's stiffness goes with one over its length."""
-    loop, lab = config.control.tension_loop, config.lab
+    loop, response = config.control.tension_loop, config.response
     where = "control.tension_loop"
-    if lab is None:
-        text = "not computed: bandwidths of drives and cells stand in the lab section"
-        yield Finding("tension loop", True, where, text, "add a lab section")
-        return
     lengths = [float(length) for length in (at.lengths.min(), at.lengths.mean(), at.lengths.max())]
     found = [
         tension_loop_margins(
@@ -189,8 +185,8 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
             loop,
             config.control.rates.period,
             cable_length=length,
-            current_loop_hz=lab.plant.current_loop_hz,
-            cell_bandwidth_hz=lab.noise.force_cell.bandwidth_hz,
+            current_loop_hz=response.current_loop_hz,
+            cell_bandwidth_hz=response.force_cell_hz,
         )
         for length in lengths
     ]
@@ -209,8 +205,6 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
 def _whole_loop(config: Config) -> Iterator[Finding]:
     """The configured controller round the tension loop, cut where the torque acts and where the
     force is asked for."""
-    if config.lab is None:
-        return
     name, loop = config.control.controller, config.control.tension_loop
     for cut in ("torque", "force"):
         found = margins(config, name, cut=cut)

@@ -390,7 +390,8 @@ class Freshness(Section):
     measurement_ticks: Count
     """a measurement older than this carries no torque"""
     stale_stop_ticks: Count
-    """ticks without a fresh measurement until the controlled stop"""
+    """ticks without a fresh measurement until the controlled stop; left out, it is what
+    `config.schema.place` says"""
 
 
 class Envelope(Section):

@@ -1,29 +1,47 @@
 """Values that depend on where a configuration runs: on a robot the safe ones, in a lab indulgent
-ones, where nobody is hurt and the host has no real time."""
+ones, where nobody is hurt and the host has no real time. All R."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
-from config.document import Key
+from config.document import Key, dotted
 
+RelaxedKey = Literal[
+    "realtime.policy",
+    "realtime.overrun",
+    "realtime.overrun_ticks",
+    "control.freshness.stale_stop_ticks",
+    "tolerance.jitter_ms",
+]
 DEFAULTS: dict[Key, tuple[Any, Any]] = {
-    # R. EPOS4: a consumer waits at least 20 ms longer than the producer's period. The lab shares
+    ("realtime", "policy"): ("require", "prefer"),
+    ("realtime", "overrun"): ("stop", "skip"),
+    # As long as a measurement is fresh; in the lab each one counts, as nothing follows.
+    ("realtime", "overrun_ticks"): (3, 1),
+    # A measurement is usable for 3; the lab is a process of the same host and stalls with it.
+    ("control", "freshness", "stale_stop_ticks"): (5, 25),
+    # EPOS4: a consumer waits at least 20 ms longer than the producer's period. The lab shares
     # its host, whose stalls of some ten milliseconds are no failure of the daemon.
     ("tolerance", "jitter_ms"): (20, 60),
 }
 """Of a robot, and of a configuration with a lab section."""
+LARGEST_STALE_TICKS = 10
+"""that need no word under ``relaxed``"""
+LARGEST_JITTER_MS = 20
 
 
 def with_defaults(data: Any) -> Any:
-    """A configuration's raw data with what it leaves out, by whether it has a lab. ``data`` stays
-    as it is; what is not a mapping is left for the schema to refuse."""
+    """A configuration's raw data with what it leaves out: the safe values, with a lab section the
+    indulgent ones, and those as well of keys that it names under ``relaxed``. ``data`` stays as it
+    is; what is not a mapping is left for the schema to refuse."""
     if not isinstance(data, dict):
         return data
-    in_lab = data.get("lab") is not None
+    in_lab, relaxed = data.get("lab") is not None, data.get("relaxed") or ()
     data = {"tolerance": {}} | data
     for key, (safe, indulgent) in DEFAULTS.items():
-        data = _filled(data, key, indulgent if in_lab else safe)
+        named = isinstance(relaxed, list | tuple) and dotted(key) in relaxed
+        data = _filled(data, key, indulgent if in_lab or named else safe)
     return data
 
 

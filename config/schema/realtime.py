@@ -43,8 +43,9 @@ class HostLimits(Section):
 class RealTime(Section):
     """Defaults are what logs of before there were these keys were made with."""
 
-    policy: Annotated[Policy, BeforeValidator(_off)] = "prefer"
-    """require: no run without all of it; prefer: each refusal is reported; off: nothing is asked"""
+    policy: Annotated[Policy, BeforeValidator(_off)]
+    """require: no run without all of it; prefer: each refusal is reported; off: nothing is asked.
+    Like ``overrun`` and ``overrun_ticks`` left out it is what `config.schema.place` says"""
     daemon_priority: Priority
     """SCHED_FIFO, 0 for none"""
     lab_priority: Priority
@@ -65,10 +66,10 @@ class RealTime(Section):
     """how long before a tick the event loop is woken; the rest is slept outside of it"""
     spin_us: WholeNumber = 0
     """of this, how long the processor is kept busy rather than asleep"""
-    overrun: Overrun = "skip"
+    overrun: Overrun
     """on missed ticks, whoever's making: skip counts them; hold keeps the platform where it is;
     stop is a controlled stop"""
-    overrun_ticks: Count = 1
+    overrun_ticks: Count
     """ticks missed at once that make an overrun"""
     host: HostLimits = HostLimits()
 

@@ -93,6 +93,15 @@ class Workspace(Section):
         return self
 
 
+class Response(Section):
+    """First-order bandwidths between a command and a measurement, which the margins depend on."""
+
+    current_loop_hz: Positive = 500.0
+    """of the drives"""
+    force_cell_hz: Positive = 500.0
+    """of cells and amplifiers"""
+
+
 class Robot(Section):
     name: str
     platform: Platform
@@ -101,6 +110,8 @@ class Robot(Section):
     drum: Drum
     gearbox: Gearbox
     motor: Motor
+    response: Response = Response()
+    """a log of before there was any says nothing of it"""
     workspace: Workspace
     home: Vector3
     """m: where HOLD keeps the platform"""
@@ -167,6 +178,7 @@ __all__ = [
     "Motor",
     "Platform",
     "Rates",
+    "Response",
     "Robot",
     "Tension",
     "Workspace",

@@ -11,9 +11,9 @@ from config.schema.bus import Bus, Tracker
 from config.schema.control import Control, Recording
 from config.schema.lab import Lab
 from config.schema.operation import Operation
-from config.schema.place import with_defaults
+from config.schema.place import RelaxedKey, with_defaults
 from config.schema.realtime import RealTime
-from config.schema.robot import Robot
+from config.schema.robot import Response, Robot
 from config.schema.tolerance import Tolerance
 
 
@@ -31,11 +31,23 @@ class Config(Section):
     scenario: str
     """the scenario that runs when none is named"""
     lab: Lab | None = None
+    relaxed: tuple[RelaxedKey, ...] = ()
+    """what a configuration without a lab is to take from one (`config.schema.place`): each named
+    key gets the lab's default where it is left out, and may state a value less safe than a robot's
+    """
 
     @model_validator(mode="before")
     @classmethod
     def _defaults_of_the_place(cls, data: Any) -> Any:
         return with_defaults(data)
+
+    @property
+    def response(self) -> Response:
+        """Of drives and cells: the lab's where there is one, else what the robot's are given as."""
+        if self.lab is None:
+            return self.robot.response
+        plant, cell = self.lab.plant, self.lab.noise.force_cell
+        return Response(current_loop_hz=plant.current_loop_hz, force_cell_hz=cell.bandwidth_hz)
 
     @model_validator(mode="after")
     def _literal_stays_in_the_lab(self) -> Config:

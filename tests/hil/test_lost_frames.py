@@ -9,6 +9,8 @@ import pytest
 from hil.runs import configured, virtual
 
 from config import Scenario, load
+from config.document import dotted
+from config.schema.place import DEFAULTS
 from runtime.states import Fault, State
 from sim.devices.tracker import Tracker
 from tools.log import Log
@@ -60,17 +62,27 @@ def test_a_lost_heartbeat_of_the_master_stops_no_drive(tmp_path: Path) -> None:
     went_on(result)
 
 
-def test_one_lost_frame_of_each_kind_on_can_stops_nothing(tmp_path: Path) -> None:
+ROBOT: dict[str, Any] = {dotted(key): safe for key, (safe, _) in DEFAULTS.items()}
+"""what a robot without a lab has"""
+
+
+@pytest.mark.parametrize("values", [{}, ROBOT], ids=["lab", "robot"])
+def test_one_lost_frame_of_each_kind_on_can_stops_nothing(
+    tmp_path: Path, values: dict[str, Any]
+) -> None:
     script = {"faults": losses("can1", CAN1)}
-    config, scenario = configured(duration=DURATION_S, script=script)
+    config, scenario = configured(duration=DURATION_S, script=script, overrides=values)
     result, log = virtual(config, scenario, tmp_path, seed=3)
     went_on(result)
     assert states_at(log, "missing_pdo") == {State.ACTIVE}
 
 
 def test_one_lost_frame_on_a_segment_stops_nothing(tmp_path: Path) -> None:
+    """With a robot's values, the shorter watchdog among them."""
     script = {"faults": losses("tonus0", (None,))}
-    config, scenario = configured("config/ethercat.yaml", duration=DURATION_S, script=script)
+    config, scenario = configured(
+        "config/ethercat.yaml", duration=DURATION_S, script=script, overrides=ROBOT
+    )
     result, log = virtual(config, scenario, tmp_path, seed=3)
     went_on(result)
     assert states_at(log, "frame_lost") == {State.ACTIVE}

@@ -217,10 +217,37 @@ def test_weaker_cables_fail_with_share_and_worst_pose() -> None:
     assert "+0.200) m" in found.text
 
 
-def test_without_a_lab_no_margin_is_claimed() -> None:
-    config, _ = load("config/can.yaml", overrides={"lab": None})
-    loop = next(each for each in check(config, SCENARIO) if each.rule == "tension loop")
-    assert loop.text.startswith("not computed")
+def stability(name: str, overrides: dict[str, Any] | None = None) -> list[Finding]:
+    config, _ = load(f"config/{name}.yaml", overrides=overrides)
+    rules = ("tension loop", "margins")
+    return [each for each in check(config, SCENARIO) if each.rule in rules]
+
+
+def test_a_robot_without_a_lab_has_its_margins_judged_as_well() -> None:
+    """Its drives and cells are given as fast as the lab's, so that the figures are the same."""
+    found = stability("robot")
+    assert len(found) == 3
+    assert all(each.ok for each in found)
+    assert [each.text for each in found] == [each.text for each in stability("can")]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("control.tension_loop.rate_damping", 0.1),
+        ("control.tension_loop.proportional", 60.0),
+        ("robot.response.current_loop_hz", 60.0),
+        ("robot.response.force_cell_hz", 20.0),
+    ],
+)
+def test_margins_that_a_robot_lacks_are_refused(key: str, value: float) -> None:
+    assert any(not each.ok for each in stability("robot", {key: value}))
+
+
+def test_in_a_lab_its_own_drives_and_cells_decide() -> None:
+    slow = {"lab.plant.current_loop_hz": 60.0}
+    assert any(not each.ok for each in stability("can", slow))
+    assert all(each.ok for each in stability("can", {"robot.response.current_loop_hz": 60.0}))
 
 
 def bounded(maximum: float) -> Any:

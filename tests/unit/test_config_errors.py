@@ -72,11 +72,11 @@ def make_directory(folder: Path) -> None:
 
 CASES = [
     Broken(
-        "policy", Edit(REALTIME, "policy: prefer", "policy: demand"), REALTIME, "policy",
-        "realtime.policy", "'require', 'prefer' or 'off'", "choose one of these",
+        "policy", Edit(REALTIME, "spin_us: 30", "spin_us: 30\npolicy: demand"), REALTIME,
+        "policy:", "realtime.policy", "'require', 'prefer' or 'off'", "choose one of these",
     ),
     Broken(
-        "spins longer than awake", Edit(REALTIME, "spin_us: 30", "spin_us: 300"), REALTIME, 2,
+        "spins longer than awake", Edit(REALTIME, "spin_us: 30", "spin_us: 300"), REALTIME, 3,
         "realtime", "spin_us must not be longer than early_wake_us", "change one of the values",
     ),
     Broken(
@@ -145,7 +145,7 @@ CASES = [
         "mass: 2.4", "robot.platform.mass", "given twice, first on line 5", "keep one of the two",
     ),
     Broken(
-        "bad syntax", Edit(ROBOT, "rest: [0.0, 0.0, -0.10]", "rest: [0.0, 0.0, -0.10"), ROBOT, 47,
+        "bad syntax", Edit(ROBOT, "rest: [0.0, 0.0, -0.10]", "rest: [0.0, 0.0, -0.10"), ROBOT, 50,
         "", "not valid YAML: expected ',' or ']'", "mend the syntax there",
     ),
     Broken(
