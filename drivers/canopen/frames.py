@@ -119,7 +119,8 @@ class SocketcanFrames:
                         seconds, ns = _TIMESPEC.unpack_from(content)
                         stamp_ns = seconds * _SECOND_NS + ns
                 length = 0 if identifier & REMOTE else dlc
-                own = bool(flags & socket.MSG_DONTROUTE)
+                # Of this very socket; MSG_DONTROUTE is set for every sender on this host.
+                own = bool(flags & socket.MSG_CONFIRM)
                 frames.append(_RAW.pack(stamp_ns, identifier, dlc, own, data[:length]))
         except BlockingIOError:
             pass

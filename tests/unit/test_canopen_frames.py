@@ -104,14 +104,19 @@ def test_socketcan_frames_are_read_as_the_kernel_lays_them_out() -> None:
     raw.put(0x18DA00F1 | EXTENDED, 8, bytes(range(8)), (0, 5))
     raw.put(0x701 | REMOTE, 1, b"", (0, 6))
     frame, _, _ = raw.waiting[0]  # type: ignore[misc]
-    raw.waiting.append((frame, [], socket.MSG_DONTROUTE))
+    other_process = socket.MSG_DONTROUTE
+    raw.waiting.append((frame, [], other_process))
+    raw.waiting.append((frame, [], socket.MSG_DONTROUTE | socket.MSG_CONFIRM))
     frames = SocketcanFrames(raw)  # type: ignore[arg-type]
     assert heard(frames.receive_frames(3)) == [
         (1_700_000_000_123_456_789, 0x181, 2, False, b"\1\2"),
         (5, 0x18DA00F1 | EXTENDED, 8, False, bytes(range(8))),
         (6, 0x701 | REMOTE, 1, False, b""),
     ]
-    assert heard(frames.receive_frames(3)) == [(0, 0x181, 2, True, b"\1\2")]
+    assert heard(frames.receive_frames(3)) == [
+        (0, 0x181, 2, False, b"\1\2"),
+        (0, 0x181, 2, True, b"\1\2"),
+    ]
     assert heard(frames.receive_frames(3)) == []
 
 
