@@ -35,7 +35,16 @@ AXIS = np.dtype(
         ("untrusted", "i8"),  # silent, restarted or not operational
     ]
 )
-CELL = np.dtype([("tick", "i8"), ("value", "f8"), ("status", "i8")])
+CELL = np.dtype(
+    [
+        ("tick", "i8"),
+        ("value", "f8"),
+        ("status", "i8"),  # as mapped; 0 where none is
+        ("emergency", "i8"),  # raised by its node and not taken back
+    ]
+)
+UNTRUSTED = 0xFF
+"""Status of a cell whose node raised an emergency, whatever its mapped status says."""
 
 _WORD = 8
 _STATES = np.frombuffer(STATE_OF, np.uint8)
@@ -75,7 +84,7 @@ def _convert(
         if not 0 <= age < NEVER:
             age = NEVER
         cell.force = sample.value / scale[2]
-        cell.status = sample.status
+        cell.status = UNTRUSTED if sample.emergency else sample.status
         cell.age = age
 
 
@@ -107,7 +116,7 @@ class Exchange:
         self.positions, self.torques = axes["position"], axes["torque"]
         self.statuswords, self.error_codes = axes["statusword"], axes["error_code"]
         self.cell_tick, self.cells = cells["tick"], cells["value"]
-        self.cell_status = cells["status"]
+        self.cell_status, self.cell_emergency = cells["status"], cells["emergency"]
         self.axis_tick[:] = self.cell_tick[:] = NOT_YET
         self._events = events
         self._places = places
@@ -132,6 +141,7 @@ class Exchange:
         self.untrusted[:] = 0
         self.error_codes[:] = 0
         self.cell_status[:] = 0
+        self.cell_emergency[:] = 0
         # Also so that it is compiled before a tick needs it.
         self.fill(0)
 

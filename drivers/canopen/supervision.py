@@ -16,8 +16,6 @@ from drivers.epos4_errors import Cure, cure
 from drivers.events import EventLog
 from drivers.exchange import Exchange
 
-UNTRUSTED = 0xFF
-"""Status of a force cell that raised an emergency and has not taken it back."""
 _RESETS = (Cure.COMMUNICATION_RESET, Cure.DEVICE_RESET)
 
 
@@ -119,6 +117,7 @@ class Supervision:
         watched.heard_at = self._tick
         self._events.end("heartbeat_lost", watched.node.where)
         for cell in watched.cells:
+            self._exchange.cell_emergency[cell] = 0
             self._exchange.cell_status[cell] = 0
         self.trust(watched)
 
@@ -160,7 +159,7 @@ class Supervision:
             elif needed in _RESETS:
                 watched.standing.add(needed)
         for cell in watched.cells:
-            self._exchange.cell_status[cell] = UNTRUSTED if code else 0
+            self._exchange.cell_emergency[cell] = code
         title = node.role.title
         words = emcy.words(code, drive=node.role.drive)
         text = f"{title}: 0x{code:04X}, register 0x{register:02X}: {words}"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fake_can import Robot, Tap, in_virtual_time
 
+from config import load
 from drivers.process_image import NEVER, AxisCommand, AxisState
 
 INCREMENT = 2 * math.pi / (4096 * 49 / 4)
@@ -251,6 +252,35 @@ def test_an_emergency_is_told_in_words_and_reaches_the_image() -> None:
         assert not image.cells["status"].any()
 
     run(script)
+
+
+@pytest.mark.parametrize("emergency_first", [True, False])
+def test_a_mapped_status_does_not_take_an_emergency_of_its_cell_back(
+    emergency_first: bool,
+) -> None:
+    config, _ = load(
+        "config/can.yaml", overrides={"fieldbus.force_cell.tpdo": [0x91300120, 0x61500108]}
+    )
+
+    def script(robot: Robot) -> None:
+        bus, cells, can0 = robot.fieldbus, robot.image.cells, robot.buses["can0"]
+        emergency, measurement = (0x092, b"\x00\x50\x01\0\0\0\0\0"), (0x192, bytes(5))
+        bus.collect(0)
+        frames = [emergency, measurement] if emergency_first else [measurement, emergency]
+        for frame in frames:
+            can0.put(*frame)
+        bus.collect(1)
+        assert list(cells["status"][:2]) == [0, 0xFF]
+        can0.put(*measurement)
+        bus.collect(2)
+        assert cells["age"][1] == 0
+        assert cells["status"][1] == 0xFF
+        can0.put(0x192, bytes(4) + b"\x04")
+        can0.put(0x092, bytes(8))
+        bus.collect(3)
+        assert cells["status"][1] == 4, "the cell's own status counts again"
+
+    run(script, Robot(config))
 
 
 def test_a_node_that_restarts_while_running_is_told() -> None:
