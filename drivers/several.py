@@ -60,8 +60,8 @@ class SeveralFieldbuses:
                 await part.fieldbus.start(progress)
             started = []
         finally:
-            for fieldbus in reversed(started):
-                await fieldbus.stop()
+            # The error of the start is the first; none of stopping hides it.
+            await _stopped(started)
 
     def collect(self, tick: int) -> None:
         image = self.image
@@ -92,12 +92,20 @@ class SeveralFieldbuses:
         await asyncio.gather(*(part.fieldbus.recover() for part in self._parts))
 
     async def stop(self) -> None:
-        for part in self._parts:
-            await part.fieldbus.stop()
+        """All at once, so that none waits for another; then the first one's error is raised."""
+        errors = await _stopped([part.fieldbus for part in self._parts])
+        if errors:
+            raise errors[0]
 
     @property
     def parts(self) -> Sequence[Fieldbus]:
         return [part.fieldbus for part in self._parts]
+
+
+async def _stopped(fieldbuses: Sequence[Fieldbus]) -> list[BaseException]:
+    """Stop every one, whatever becomes of the others; the errors, in their order."""
+    ends = await asyncio.gather(*(each.stop() for each in fieldbuses), return_exceptions=True)
+    return [end for end in ends if isinstance(end, BaseException)]
 
 
 def _copy(source: NDArray[np.void], target: NDArray[np.void], rows: list[int]) -> None:
