@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import selectors
 import signal
 import subprocess
 import sys
@@ -30,7 +32,9 @@ from sim.server import serve
 from tools.errors import ToolError
 from tools.truth import TruthRing
 
-_READY = b"ready\n"
+_READY = b"ready"
+_COMMAND = (sys.executable, "-m", "tools.lab_process")
+_PIECE = 4096
 
 
 @dataclass
@@ -50,8 +54,10 @@ def start_lab(
 ) -> LabProcess:
     """Start a lab on the configuration's buses and wait until it answers.
 
-    Raises `ToolError` with the lab's own words when it cannot start.
+    Raises `ToolError` with the lab's own words when it cannot start, or when it does not answer
+    within `lab.start_timeout_s`; then it has been killed.
     """
+    assert config.lab is not None
     job = {
         "config": config.model_dump(mode="json"),
         "scenario": scenario.model_dump(mode="json"),
@@ -62,18 +68,42 @@ def start_lab(
     path = rings / "lab.json"
     path.write_text(json.dumps(job), encoding="utf-8")
     process = subprocess.Popen(
-        [sys.executable, "-m", "tools.lab_process", str(path)],
+        [*_COMMAND, str(path)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         process_group=0,
     )
-    assert process.stdout is not None
-    answer = process.stdout.readline()
+    answer = b""
+    try:
+        answer = _first_line(process, config.lab.start_timeout_s)
+    finally:
+        if answer != _READY:
+            process.kill()
+            process.wait()
     if answer != _READY:
-        process.wait()
         words = answer.decode(errors="replace").strip() or "it ended without a word"
         raise ToolError(f"the lab did not start: {words}")
     return LabProcess(process)
+
+
+def _first_line(process: subprocess.Popen[bytes], timeout_s: float) -> bytes:
+    """What a process says first, without the line's end; b"" if it ends before. Raises `ToolError`
+    if it says no whole line in time."""
+    assert process.stdout is not None
+    said, end = b"", clock.wall_seconds() + timeout_s
+    with selectors.DefaultSelector() as selector:
+        selector.register(process.stdout, selectors.EVENT_READ)
+        while b"\n" not in said:
+            if not selector.select(max(end - clock.wall_seconds(), 0.0)):
+                raise ToolError(
+                    f"the lab did not answer within {timeout_s:g} s; look what keeps this host "
+                    "busy, or set lab.start_timeout_s higher"
+                )
+            piece = os.read(process.stdout.fileno(), _PIECE)
+            if not piece:
+                break
+            said += piece
+    return said.partition(b"\n")[0]
 
 
 async def work(
@@ -107,7 +137,7 @@ async def _until_left_alone(job: dict[str, Any]) -> None:
     scenario = Scenario.model_validate(job["scenario"])
     truth = TruthRing(Path(job["truth"]), job["truth_capacity"])
     working = asyncio.get_running_loop().create_task(
-        work(config, scenario, job["seed"], truth.publish, lambda: _say(_READY))
+        work(config, scenario, job["seed"], truth.publish, lambda: _say(_READY + b"\n"))
     )
     asyncio.get_running_loop().add_reader(sys.stdin.fileno(), working.cancel)
     with suppress(asyncio.CancelledError):

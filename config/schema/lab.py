@@ -229,6 +229,8 @@ class Lab(Section):
     """for a fieldbus of that kind"""
     drive: PowerStage = PowerStage()
     phantom: Phantom | None = None
+    start_timeout_s: Positive = 180.0
+    """how long its process may take until it answers; a log of before there was one says nothing"""
 
 
 class LoadPoint(Section):
