@@ -90,6 +90,9 @@ EVENTS: dict[str, Meaning] = {
     ),
     "non_finite_torque": Meaning("control commanded a torque that is no number", "it gets 0"),
     "tracker_malformed": Meaning("a tracker datagram that cannot be believed", "not used"),
+    "tracker_receive_failure": Meaning(
+        "the tracker's socket reports an error", "the estimate rests on the cables meanwhile"
+    ),
     "dropped": Meaning("more events than can be kept between two ticks", "counted"),
 }
 """Every name a driver tells. The reaction ends the event's text."""

@@ -31,7 +31,8 @@ class TrackerSource(Protocol):
     """Where datagrams come from."""
 
     def poll(self, now_ns: int) -> list[bytes]:
-        """Everything that has arrived by ``now_ns``, oldest first; never waits."""
+        """Everything that has arrived by ``now_ns``, oldest first; never waits. Raises `OSError`
+        where nothing can be received."""
 
     def close(self) -> None: ...
 
@@ -43,6 +44,7 @@ class UdpTracker:
         """Raises `DriverError` if the port cannot be had."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        self._error: OSError | None = None
         try:
             self._socket.bind((address, port))
         except OSError as error:
@@ -56,11 +58,19 @@ class UdpTracker:
 
     def poll(self, now_ns: int) -> list[bytes]:
         del now_ns  # a socket gives what is there, whatever the time
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
         datagrams = []
         for _ in range(PER_POLL):
             try:
                 datagrams.append(self._socket.recv(2 * DATAGRAM.size))
             except BlockingIOError:
+                break
+            except OSError as error:
+                if not datagrams:
+                    raise
+                self._error = error  # the kernel tells it once; what came before it is not lost
                 break
         return datagrams
 
@@ -116,6 +126,8 @@ class TrackerInput:
         self._newest: int | None = None
         self.malformed = 0
         """datagrams that were not believed, so far"""
+        self.failures = 0
+        """polls in which nothing could be received, so far"""
 
     def collect(self, now_ns: int) -> None:
         """Take what has arrived by ``now_ns``; a pose older than the one held is passed over.
@@ -126,7 +138,7 @@ class TrackerInput:
         row = self._row
         row["fresh"] = 0
         newest: Pose | None = None
-        for datagram in self._source.poll(now_ns):
+        for datagram in self._received(now_ns):
             try:
                 pose = parse(datagram)
                 if pose is not None and pose.timestamp_ns > now_ns:
@@ -145,6 +157,16 @@ class TrackerInput:
             row["fresh"] = 1
         if self._newest is not None:
             row["delay"] = np.float64((now_ns - self._newest) * 1e-9)
+
+    def _received(self, now_ns: int) -> list[bytes]:
+        """A failing socket must not end a tick: the cables hold the robot without the tracker."""
+        try:
+            return self._source.poll(now_ns)
+        except OSError as error:
+            self.failures += 1
+            text = f"cannot receive: {error.strerror or error}"
+            self._events.counted("tracker_receive_failure", "tracker", text, kind=error.errno)
+            return []
 
     def take_events(self) -> list[BusEvent]:
         return self._events.take()

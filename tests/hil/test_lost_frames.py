@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 from typing import Any
 
@@ -107,3 +108,24 @@ def test_a_lost_pose_of_the_tracker_stops_nothing(
     went_on(result)
     assert seen[0] > 300
     assert not [event for event in log.events() if event.name == "tracker_lost"]
+
+
+def test_a_tracker_whose_socket_fails_stops_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For 300 ms in ACTIVE; the estimate rests on the cables and then has poses again."""
+    poll, polls = Tracker.poll, [0]
+
+    def failing(tracker: Tracker, now_ns: int) -> list[bytes]:
+        polls[0] += 1
+        if 4000 < polls[0] <= 4300:
+            raise OSError(errno.ENETDOWN, "Network is down")
+        return poll(tracker, now_ns)
+
+    monkeypatch.setattr(Tracker, "poll", failing)
+    result, log = virtual(*configured(duration=2.5), tmp_path, seed=3)
+    went_on(result)
+    assert states_at(log, "tracker_receive_failure") == {State.ACTIVE}
+    told = [event.name for event in log.events() if event.name.startswith("tracker_")]
+    assert told.count("tracker_receive_failure") == 9  # the 1st, 2nd, 4th ... 256th
+    assert {"tracker_lost", "tracker_back"} <= set(told)

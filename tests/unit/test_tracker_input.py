@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import struct
 
@@ -113,6 +114,54 @@ def test_a_datagram_that_cannot_be_believed_is_counted_and_told(bad: bytes, why:
     assert image.tracker.tobytes() == before
     assert tracker.malformed == 100
     assert len(tracker.take_events()) == 6
+
+
+class Failing(Listed):
+    def poll(self, now_ns: int) -> list[bytes]:
+        raise OSError(errno.ENETDOWN, "Network is down")
+
+
+def test_an_error_of_the_socket_is_counted_and_ends_no_tick() -> None:
+    image, source = ProcessImage(), Failing()
+    tracker = TrackerInput(image, source)
+    for _ in range(100):
+        tracker.collect(5 * MS)
+    assert tracker.failures == 100
+    events = tracker.take_events()
+    assert {event.name for event in events} == {"tracker_receive_failure"}
+    assert len(events) == 7
+    assert events[0].text.startswith("cannot receive: Network is down; ")
+    assert image.tracker["fresh"] == 0
+
+
+class BrokenSocket:
+    def __init__(self) -> None:
+        self.answers: list[bytes | OSError] = []
+
+    def recv(self, size: int) -> bytes:
+        answer = self.answers.pop(0) if self.answers else BlockingIOError(errno.EAGAIN, "none")
+        if isinstance(answer, OSError):
+            raise answer
+        return answer
+
+    def close(self) -> None:
+        pass
+
+
+def test_what_came_before_an_error_of_the_socket_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = UdpTracker("127.0.0.1", 0)
+    source.close()
+    broken = BrokenSocket()
+    monkeypatch.setattr(source, "_socket", broken)
+    image = ProcessImage()
+    tracker = TrackerInput(image, source)
+    broken.answers = [datagram(1, MS), OSError(errno.ECONNREFUSED, "refused"), datagram(2, 2 * MS)]
+    tracker.collect(5 * MS)
+    assert (image.tracker["sequence"], tracker.failures) == (1, 0)
+    tracker.collect(6 * MS)
+    assert (image.tracker["fresh"], tracker.failures) == (0, 1)
+    tracker.collect(7 * MS)
+    assert (image.tracker["sequence"], tracker.failures) == (2, 1)
 
 
 def test_the_socket_gives_what_has_arrived_and_never_waits() -> None:
