@@ -1,6 +1,5 @@
-"""The tick. `ControlCycle.step` is a pure function of its own state and its arguments:
-
-    sensors, filters, estimator, stiffness law, envelope, distribution, tension loop
+"""The tick. `ControlCycle.step` is a pure function of its own state and its arguments: sensors,
+filters, estimator, stiffness law, envelope, distribution, tension loop.
 
 No clock, no input or output, no randomness, nothing that grows. What an operator says and what the
 buses report come in as arguments, and the state machine is part of it, so that recorded inputs
@@ -156,12 +155,11 @@ class ControlCycle:
                 self._descent.bound(image.commands["torque"], sensing.rate, usable)
 
     def fall_back(self, image: ProcessImage, tick: int) -> None:
-        """In place of an `act` that failed: a passive stop, by nothing that it computed."""
-        self.sequence.give_way()
+        """In place of `act`, from the tick in which that raised on: each drive as in the last tick,
+        and the passive stop's torques, by the drums' rates alone."""
         self._sensing.step(image, tick)
-        self.sequence.step(image, tick, Operator.NONE)
-        image.commands["command"] = self.sequence.axis_command
-        self._give_way(image)
+        trusted = image.axes["age"] <= self._control.freshness.measurement_ticks
+        image.commands["torque"] = self._descent.guard.passive(self._sensing.rate, trusted)
 
     def _give_way(self, image: ProcessImage) -> None:
         """A tick of a passive stop."""

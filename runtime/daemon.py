@@ -8,7 +8,8 @@ All that is slow (bring-up, files, people) lies before, after or outside the tic
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator, Sequence
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,24 +21,24 @@ from config.schema.scenario import Scenario
 from drivers.fieldbus import BusEvent, Fieldbus, Progress
 from runtime.clock import Stopwatch, now_ns
 from runtime.cycle import ControlCycle
-from runtime.histogram import Histogram
-from runtime.keyframe import Keyframe
+from runtime.fallback import Fallback
+from runtime.firewall import Firewall, Part, in_one_line
+from runtime.keyframe_keeper import KeyframeKeeper, KeyframeSink
+from runtime.latencies import Latencies, Marks
 from runtime.operator import Commander
 from runtime.overruns import Overruns
 from runtime.reporter import EventSink, Reporter
 from runtime.scheduler import Misses, Pacing, Scheduler
 from runtime.self_test import SelfTest
-from runtime.states import Fault, Operator, State
+from runtime.signals import CycleRecord
+from runtime.states import ARMED, Fault, Operator, State
 from runtime.taps import Level
+from runtime.words import describe
 
 _NOTICEABLE_S = 0.5
 """Slowing at the start and at the end takes a tenth of a second; more was the envelope."""
 _SERVICE_PERIOD_S = 0.02
 """between two looks at the control socket while the bus is brought up"""
-
-
-def _nobody(due_ns: int) -> None:
-    """Nobody is to be served."""
 
 
 class TrackerDoor(Protocol):
@@ -54,12 +55,6 @@ class Ring(Protocol):
     def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None: ...
 
 
-class KeyframeSink(Protocol):
-    """Where the cycle's state goes now and then."""
-
-    def __call__(self, stamp_ns: int, tick: int, state: bytes) -> None: ...
-
-
 @dataclass
 class Outcome:
     """How a run ended."""
@@ -73,13 +68,6 @@ class Outcome:
     """it was stopped because ticks were missed"""
     obstacle: str = ""
     """why the robot was never armed; empty if it was, or nobody asked"""
-
-
-class Latencies:
-    """Histograms of a run so far; empty in virtual time, where the host is not to be seen."""
-
-    def __init__(self) -> None:
-        self.wakeup, self.compute, self.cycle, self.slack = (Histogram() for _ in range(4))
 
 
 class Daemon:
@@ -98,8 +86,10 @@ class Daemon:
         stopwatch: Stopwatch,
         keyframes: KeyframeSink | None = None,
         others: Sequence[Scenario] = (),
+        firewall: Firewall | None = None,
     ) -> None:
-        """``others``: scenarios that may be chosen instead, by their numbers from 1 on."""
+        """``others``: scenarios that may be chosen instead, by their numbers from 1 on;
+        ``firewall``: one that guards parts outside the daemon too."""
         self._config = config
         self._fieldbus, self._tracker, self._commander = fieldbus, tracker, commander
         self._ring, self._events, self._stopwatch = ring, events, stopwatch
@@ -107,24 +97,31 @@ class Daemon:
         self.cycle = ControlCycle(
             config.robot, config.control, config.tracker, scenario.reference, references
         )
-        self._reporter = Reporter(config, self.cycle, events)
+        self.firewall = firewall or Firewall(config.operation.firewall.failures)
+        self._guard = _Guard(self.firewall)
+        self._fallback = Fallback(config, self.cycle, self._guard.fallback)
+        self._reporter = Reporter(config, self.cycle, self._send)
         self.self_test = SelfTest(config)
         self.scheduler: Scheduler | None = None
         """there is one once the bus is up"""
-        self.service: Callable[[int], None] = _nobody
-        """called with the due time (ns) after each tick, and now and then before the first: people
-        are served then, in bounded time"""
+        self._services: list[tuple[Part, Callable[[int], None]]] = []
         self._duration = scenario.duration
-        self._keyframes, self._keyframe = keyframes, Keyframe(self.cycle)
-        self._keyframe_ticks = round(config.recording.keyframe_s / config.control.rates.period)
-        self._keyframe_due = 0
-        self._kept: tuple[int, int, Iterator[bytes]] | None = None
+        self._keeper: KeyframeKeeper | None = None
+        if keyframes is not None:
+            ticks = round(config.recording.keyframe_s / config.control.rates.period)
+            self._keeper = KeyframeKeeper(self.cycle, keyframes, ticks)
         self._due_ns = self._after_ns = 0
         self._overruns = Overruns(config.realtime)
         self.latencies = Latencies()
         self._recovery: asyncio.Task[None] | None = None
         self._refused = ""
+        self._select = 0
         self._who = self._resetting_for = ""
+
+    def serve(self, name: str, action: Callable[[int], None], *, lasting: bool = False) -> None:
+        """Call ``action`` with the due time (ns) after each tick, and now and then before the
+        first: people are served then, in bounded time. A ``lasting`` one is never switched off."""
+        self._services.append((self.firewall.part(name, lasting=lasting), action))
 
     async def run(
         self,
@@ -155,6 +152,7 @@ class Daemon:
                 self._give_up_recovery()
         finally:
             await self._fieldbus.stop()
+            sys.stderr.write(self.firewall.tracebacks())
         sequence = self.cycle.sequence
         return Outcome(
             sequence.state,
@@ -167,7 +165,12 @@ class Daemon:
         )
 
     def _verdict(self) -> str:
-        """What became of the scenario when nothing went wrong."""
+        """What became of the scenario when nothing went wrong; a fault that nobody reported."""
+        sequence = self.cycle.sequence
+        if sequence.fault is not Fault.NONE:
+            return describe(self._config, sequence.fault, sequence.where, sequence.reason)
+        if self._guard.commander.failing:
+            return "stopped because what commands the run failed"
         if self._overruns.stopped:
             return "stopped because ticks were missed, as realtime.overrun asks for"
         if self._commander.obstacle:
@@ -183,10 +186,14 @@ class Daemon:
         return "scenario completed"
 
     async def _serve_meanwhile(self) -> None:
-        while self.service is not _nobody:
+        while self._services:
             self._due_ns = now_ns()
-            self.service(self._due_ns)
+            self._serve_all()
             await asyncio.sleep(_SERVICE_PERIOD_S)
+
+    def _serve_all(self) -> None:
+        for part, action in self._services:
+            part(action, self._due_ns)
 
     def _schedule(self, pacing: Pacing, start_ns: int) -> Scheduler:
         """The first tick is due on a whole period, at least one from now."""
@@ -196,73 +203,76 @@ class Daemon:
 
     async def _tick_until_done(self, scheduler: Scheduler) -> int:
         ticks = 0
-        while not self._commander.finished:
+        while not self._finished:
             self._tick(await scheduler.next(), scheduler)
             ticks += 1
         return ticks
+
+    @property
+    def _finished(self) -> bool:
+        """By its commander; where that or control failed, once the drives are disabled."""
+        if self._fallback.active:
+            return self._fallback.over
+        if self._guard.commander.failing:
+            return self.cycle.sequence.state not in ARMED
+        return self._commander.finished
 
     def _tick(self, tick: int, scheduler: Scheduler) -> None:
         wall, fieldbus, cycle = self._stopwatch.wall_ns, self._fieldbus, self.cycle
         self._due_ns = due_ns = scheduler.due_ns(tick)
         began, used = wall(), self._stopwatch.processor_ns()
         fieldbus.collect(tick)
-        self._tracker.collect(now_ns())
+        self._collect_tracker()
         collected = wall()
-        command = self._command(tick, scheduler)
-        select = self._commander.select
-        cycle.act(fieldbus.image, tick, command, select)
+        command, select = self._command(tick, scheduler), self._select
+        self._act(tick, command, select)
         computed = wall()
         fieldbus.publish(tick)
         published = wall()
         used = self._stopwatch.processor_ns() - used
-        record = cycle.write(fieldbus.image, tick, command, select)
-        self._write_timing(scheduler, began, collected, computed, published)
-        record.timing.processor_us[...] = used * 1e-3
-        self._ring.publish(record.data, due_ns)
-        if self._keyframes is not None:
-            self._keep_state(tick, self._keyframes)
+        guard = self._guard
+        record = guard.record(cycle.write, fieldbus.image, tick, command, select)
+        if record is not None:
+            marks = Marks(began, collected, computed, published)
+            guard.record(self._write_timing, record, scheduler, marks, used)
+            guard.ring(self._ring.publish, record.data, due_ns)
+        if self._keeper is not None:
+            guard.keyframe(self._keeper, due_ns, tick)
         self._report(tick, command)
-        self._look(tick)
-        self.service(due_ns)
+        guard.self_test(self._look, tick)
+        self._serve_all()
         self._after_ns = wall() - published
 
-    def _keep_state(self, tick: int, keyframes: KeyframeSink) -> None:
-        """A keyframe now and then, a step a tick: more would overrun one."""
-        if self._kept is None:
-            if tick < self._keyframe_due:
-                return
-            self._keyframe_due = tick + self._keyframe_ticks
-            self._kept = (self._due_ns, tick, self._keyframe.steps())
-        due_ns, seen_in, steps = self._kept
-        data = next(steps)
-        if data:
-            self._kept = None
-            keyframes(due_ns, seen_in, data)
-
     def _write_timing(
-        self, scheduler: Scheduler, began: int, collected: int, computed: int, published: int
+        self, record: CycleRecord, scheduler: Scheduler, marks: Marks, used_ns: int
     ) -> None:
-        """``began`` to ``published`` in ns of the stopwatch."""
-        timing, misses, found = self.cycle.record.timing, scheduler.misses, scheduler.disturbances
-        timing.due_ns[...] = self._due_ns
-        timing.missed_own[...] = misses.own
-        timing.missed_host[...] = misses.host
-        timing.page_faults[...] = found.page_faults
-        timing.switches[...] = found.switches
-        timing.wakeup_us[...] = scheduler.wakeup_ns * 1e-3
-        timing.bus_us[...] = self._fieldbus.image.bus_ns * 1e-3
-        timing.collect_us[...] = (collected - began) * 1e-3
-        timing.compute_us[...] = (computed - collected) * 1e-3
-        timing.publish_us[...] = (published - computed) * 1e-3
-        timing.after_us[...] = self._after_ns * 1e-3
-        if self._stopwatch.running:
-            slack = self._due_ns + scheduler.period_ns - published
-            timing.slack_us[...] = slack * 1e-3
-            latencies = self.latencies
-            latencies.wakeup.add(scheduler.wakeup_ns)
-            latencies.compute.add(computed - collected)
-            latencies.cycle.add(published - began)
-            latencies.slack.add(slack)
+        record.timing.bus_us[...] = self._fieldbus.image.bus_ns * 1e-3
+        record.timing.after_us[...] = self._after_ns * 1e-3
+        record.timing.processor_us[...] = used_ns * 1e-3
+        measured = self._stopwatch.running
+        self.latencies.write(record, scheduler, marks, self._due_ns, measured=measured)
+
+    def _collect_tracker(self) -> None:
+        """Without one the pose is as old as the last that came."""
+        tracker, part = self._fieldbus.image.tracker, self._guard.tracker
+        failures = part.failures
+        part(self._tracker.collect, now_ns())
+        if part.failures > failures:
+            tracker["fresh"] = 0
+            tracker["delay"] += self._config.control.rates.period
+
+    def _act(self, tick: int, command: Operator, select: int) -> None:
+        """Control; once it has raised, its passive fallback in its place."""
+        image, fallback = self._fieldbus.image, self._fallback
+        if not fallback.active:
+            try:
+                self.cycle.act(image, tick, command, select)
+            except Exception as error:  # noqa: BLE001 - power off at height would be worse
+                self._guard.control.failed(error)
+                fallback.begin(in_one_line(error), tick)
+            else:
+                return
+        fallback.step(image, tick, disable=command is Operator.ESTOP)
 
     def _look(self, tick: int) -> None:
         """The self-test, as long as the robot is not armed."""
@@ -283,8 +293,20 @@ class Daemon:
         self._emit(int(self.cycle.record.timing.tick), level, name, "", text)
 
     def _command(self, tick: int, scheduler: Scheduler) -> Operator:
+        """This tick's command; a controlled stop where what gives commands keeps failing."""
+        part = self._guard.commander
+        command = part(self._decide, tick, scheduler)
+        if command is not None:
+            return command
+        self._who, state = "", self.cycle.sequence.state
+        stop = part.failing and state in ARMED and state is not State.SAFE_STOP
+        return Operator.STOP if stop else Operator.NONE
+
+    def _decide(self, tick: int, scheduler: Scheduler) -> Operator:
         """What the operator says, or the overrun policy in their place."""
+        self._select = 0
         said = self._operator(tick)
+        self._select = self._commander.select
         if not scheduler.skipped:
             return said
         command = self._overruns.answer(scheduler.skipped, self.cycle.sequence.state, said)
@@ -313,16 +335,16 @@ class Daemon:
             if command is not Operator.RESET or self.cycle.sequence.state is not State.FAULT:
                 return command
             self._resetting_for = self._commander.who
-            recovery = self._fieldbus.recover()
-            self._recovery = asyncio.get_running_loop().create_task(recovery)
+            loop = asyncio.get_running_loop()
+            self._recovery = loop.create_task(self._fieldbus.recover())
             return Operator.NONE
         if command is Operator.ESTOP:
             self._give_up_recovery()
             return command
         if not self._recovery.done():
             return Operator.NONE
-        self._recovery.result()
-        self._recovery = None
+        recovery, self._recovery = self._recovery, None
+        recovery.result()
         self._who = self._resetting_for
         return Operator.RESET
 
@@ -346,10 +368,37 @@ class Daemon:
             who = self._who
             text = f"{command.name.lower()}{f' by {who}' if who else ''}"
             self._emit(tick, Level.INFO, "operator", "", text)
-        self._reporter.look(self._due_ns, tick)
-        for source in (self._fieldbus, self._tracker):
-            for event in source.take_events():
+        guard = self._guard
+        guard.reporter(self._reporter.look, self._due_ns, tick)
+        for part, source in ((guard.bus_events, self._fieldbus), (guard.tracker, self._tracker)):
+            for event in part(source.take_events) or ():
                 self._emit(tick, Level.WARNING, event.name, event.where, event.text)
+        for event in self.firewall.take_events():
+            self._emit(tick, Level.ERROR, event.name, event.where, event.text)
 
     def _emit(self, tick: int, level: Level, name: str, where: str, text: str) -> None:
-        self._events(self._due_ns, tick, level, name, where, text)
+        self._send(self._due_ns, tick, level, name, where, text)
+
+    def _send(
+        self, stamp_ns: int, tick: int, level: Level, name: str, where: str, text: str
+    ) -> None:
+        self._guard.events(self._events, stamp_ns, tick, level, name, where, text)
+
+
+class _Guard:
+    """The parts of the daemon that a firewall keeps from control. Those that bring inputs or
+    commands are never switched off."""
+
+    def __init__(self, firewall: Firewall) -> None:
+        part = firewall.part
+        self.control = part("control", lasting=True)
+        self.fallback = part("fallback", lasting=True)
+        self.commander = part("commander", lasting=True)
+        self.tracker = part("tracker", lasting=True)
+        self.record = part("record")
+        self.ring = part("ring")
+        self.keyframe = part("keyframe")
+        self.reporter = part("reporter")
+        self.bus_events = part("fieldbus events")
+        self.events = part("events")
+        self.self_test = part("self-test")

@@ -26,7 +26,7 @@ CABLE_GONE = frozenset(
     }
 )
 """Faults after which the cable they name is asked for nothing."""
-PASSIVE = frozenset({Fault.NOT_FINITE, Fault.CONTROL_FAILED})
+PASSIVE = frozenset({Fault.NOT_FINITE})
 """Faults after which nothing that is computed may be relied on."""
 _CELL_UNKNOWN = frozenset(
     {Fault.CELL_LOST, Fault.CELL_BAD, Fault.IMPLAUSIBLE_CELL, Fault.CELL_FROZEN}

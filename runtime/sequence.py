@@ -89,7 +89,7 @@ class Sequence:
         self._passive_at = self._released_at = -1.0
         self._standing = 0.0
         self.reason = ""
-        """why referencing refused, in words"""
+        """why referencing refused, or what control raised, in words"""
         self.enabled = False
         """every drive has been in Operation Enabled since arming"""
         self.referenced = False
@@ -165,10 +165,13 @@ class Sequence:
             if wanted is StopMode.PASSIVE:
                 self._passive_at, self._standing = self.elapsed, 0.0
 
-    def give_way(self) -> None:
-        """Control has failed: a passive stop, whatever was going on."""
-        if self.state in ARMED:
-            self.faults.add(Fault.CONTROL_FAILED, -1)
+    def abandon(self, reason: str, tick: int) -> None:
+        """Control raised for ``reason``: nothing is followed any more, the daemon ends the run."""
+        self.faults.add(Fault.CONTROL_FAILED, -1)
+        self.reason = reason
+        self.state = State.SAFE_STOP if self.state in ARMED else State.FAULT
+        self.stop_mode = StopMode.PASSIVE if self.state is State.SAFE_STOP else StopMode.NONE
+        self._entered, self.elapsed = tick, 0.0
 
     @property
     def passive_share(self) -> float:

@@ -29,7 +29,7 @@ TEXT = {
     Fault.TENSION_ERROR: "the tension does not follow: drum jammed, motor weak, or cell wrong",
     Fault.LENGTH_DRIFT: "the cable contradicts the others more and more",
     Fault.CELL_FROZEN: "the force cell repeats one reading",
-    Fault.CONTROL_FAILED: "the control computation failed",
+    Fault.CONTROL_FAILED: "control raised an exception",
 }
 STOP_TEXT = {
     StopMode.ON_PATH: "along the path and down to the cradle",
@@ -57,6 +57,8 @@ def reaction(fault: Fault, *, armed: bool) -> str:
         return "drives disabled at once"
     if not armed:
         return "stays disarmed"
+    if fault is Fault.CONTROL_FAILED:
+        return "passive stop, then drives disabled; the run ends"
     return "passive stop" if fault in PASSIVE else "controlled stop"
 
 

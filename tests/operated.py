@@ -145,6 +145,8 @@ class Operated:
         self.bus = StoneBus()
         self.bus.bring_up_s = bring_up_s
         self.console = Console(script)
+        self.failing = False
+        """whether a test lets something fail inside the daemon"""
         self.history: list[Moment] = []
         self.events: list[Event] = []
         self.path = folder / "tonus.sock"
@@ -170,7 +172,7 @@ class Operated:
         self.socket.open_to(
             ControlDoor(self.config, self.daemon, self.console, self.catalogue, "run.mcap")
         )
-        self.daemon.service = self.socket.poll
+        self.daemon.serve("control socket", self.socket.poll)
         running = self.daemon.run(VirtualPacing, lambda _: None, lambda: None)
         self._running = asyncio.get_running_loop().create_task(running)
 
@@ -199,7 +201,8 @@ class Operated:
     def advance(self, ticks: int) -> None:
         """Let virtual time go on; an error in the daemon comes out here."""
         self._runner.run(asyncio.sleep(ticks * self.config.control.rates.period))
-        assert self.outcome is None or self.console.finished
+        assert self.failing or not self.daemon.firewall.tracebacks()
+        assert self.failing or self.outcome is None or self.console.finished
 
     def command(self, op: str, ticks: int = 4, **fields: Any) -> dict[str, Any]:
         """Ask, let a few ticks pass, and give the one reply."""

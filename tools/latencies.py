@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from runtime.daemon import Latencies
+from runtime.latencies import Latencies
 from tools.summary import Summary
 
 

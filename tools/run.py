@@ -26,7 +26,10 @@ from drivers.tracker import TrackerInput, TrackerSource, UdpTracker
 from runtime import clock
 from runtime.control_door import ControlDoor
 from runtime.control_socket import ControlSocket, ControlSocketError
-from runtime.daemon import Daemon, Latencies, Outcome
+from runtime.daemon import Daemon, Outcome
+from runtime.firewall import Firewall
+from runtime.guarded_tap import GuardedTap
+from runtime.latencies import Latencies
 from runtime.notify import Notifier
 from runtime.operator import Console, Script
 from runtime.realtime import Grant, Hygiene, compared, demand, settled, stolen_jiffies
@@ -164,10 +167,12 @@ class _Stage:
         self._cycles = RingWriter.create(rings / "cycle.ring", CYCLE.itemsize, ticks, meta)
         self._events = EventRing.open(rings / "events.ring")
         self._keyframes = KeyframeRing.open(rings / "keyframes.ring")
+        self._firewall = Firewall(config.operation.firewall.failures)
         self._tap: FrameTap | None = None
         channels = fieldbuses.channels(config)
         if config.recording.raw_frames and channels:
-            self._tap = FrameRing.open(rings / "frames.ring", channels, ticks * FRAMES_PER_TICK)
+            frames = FrameRing.open(rings / "frames.ring", channels, ticks * FRAMES_PER_TICK)
+            self._tap = GuardedTap(frames, self._firewall.part("frame tap"))
         self._ticks = ticks
         self._began = 0.0
         self._hygiene: Hygiene | None = None
@@ -200,7 +205,9 @@ class _Stage:
                 if lines is not None:
                     lines.tell()
 
-            draining = _every(DRAIN_S, drain)
+            # In this process and this loop in virtual time only: a process of its own otherwise.
+            part = self._firewall.part("recorder")
+            draining = _every(DRAIN_S, lambda: part(drain))
             try:
                 return await daemon.run(pacing, order.say, self._begin, start_ns=order.start_ns)
             finally:
@@ -341,18 +348,17 @@ class _Stage:
             stopwatch=stopwatch,
             keyframes=self._keyframes.write,
             others=order.others,
+            firewall=self._firewall,
         )
         control, beat, sequence = self._control, self._notifier.beat, daemon.cycle.sequence
         if control is not None:
             catalogue = (order.scenario, *order.others)
             control.open_to(ControlDoor(config, daemon, self._console, catalogue, str(self._log)))
-            poll = control.poll
-
-            def serve(due_ns: int) -> None:
-                poll(due_ns)
-                beat(due_ns, sequence.state)
-
-            daemon.service = serve
+            daemon.serve("control socket", control.poll)
+            # Lasting: without it the service manager would kill the daemon, the robot at height.
+            daemon.serve(
+                "service notification", lambda due_ns: beat(due_ns, sequence.state), lasting=True
+            )
         return daemon
 
     @contextmanager

@@ -48,8 +48,30 @@ class SelfTest(Section):
     """N: most that a cable of a disarmed robot pulls, or a zeroed cell may read"""
 
 
+class Firewall(Section):
+    """What becomes of code beside control that raises."""
+
+    failures: Count = 3
+    """in a row, after which a part is not called again in this run"""
+
+
+class Fallback(Section):
+    """How a run ends in which control itself raised: passively to rest, then disabled."""
+
+    rest_travel: Positive = 0.002
+    """m of cable at a drum within which it counts as at rest"""
+    rest_s: Positive = 0.5
+    """for which every drum has to be at rest before the drives are disabled"""
+    longest_s: Positive = 10.0
+    """after which they are disabled in any case"""
+    off_s: Positive = 1.0
+    """longest wait for the drives to say that they are disabled"""
+
+
 class Operation(Section):
     socket: ControlSocket = ControlSocket()
     self_test: SelfTest = SelfTest()
+    firewall: Firewall = Firewall()
+    fallback: Fallback = Fallback()
     scenarios: tuple[Name, ...] | None = None
     """what an operator may choose from, by name or file; null: all that come with the package"""

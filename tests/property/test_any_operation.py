@@ -81,10 +81,10 @@ class AnyOperation(RuleBasedStateMachine):
         self.troubled = 0
         """ticks in a row with a trouble that is no fault while disarmed"""
         test = self.robot.daemon.self_test
-        self.robot.daemon.service = self._watched(self.robot.daemon.service, test)
+        self.robot.daemon.serve("watch", self._watched(test))
         self.robot.advance(2)
 
-    def _watched(self, service: Any, test: Any) -> Any:
+    def _watched(self, test: Any) -> Any:
         def watch(due_ns: int) -> None:
             if self.robot.history:
                 tick = self.robot.history[-1].tick
@@ -92,7 +92,6 @@ class AnyOperation(RuleBasedStateMachine):
                 self.troubled = self.troubled + 1 if there else 0
                 old = self.troubled > self.robot.config.operation.self_test.maximum_age_ms
                 self.unfit[tick + 1] = old or bool(test.obstacles(tick + 1))
-            service(due_ns)
 
         return watch
 

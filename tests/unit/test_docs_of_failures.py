@@ -9,6 +9,7 @@ from pathlib import Path
 import runtime
 import tools
 from drivers.events import EVENTS
+from runtime import firewall
 from runtime.signals import Consistency
 from runtime.states import Fault
 
@@ -50,6 +51,10 @@ def test_every_fault_has_a_row() -> None:
 
 def test_every_event_of_a_driver_has_a_row() -> None:
     assert set(EVENTS) <= named()
+
+
+def test_every_event_of_the_firewall_has_a_row() -> None:
+    assert set(firewall.EVENTS) <= named()
 
 
 def test_every_event_of_the_daemon_has_a_row() -> None:

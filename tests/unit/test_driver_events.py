@@ -7,6 +7,7 @@ from pathlib import Path
 
 import drivers
 from drivers.events import EVENTS
+from runtime import firewall
 
 DOCS = Path("docs/events.md")
 _TELLS = {"add", "counted", "begin"}
@@ -38,4 +39,5 @@ def test_every_event_has_a_meaning() -> None:
 def test_the_documentation_lists_the_same_events() -> None:
     rows = [line.split("|") for line in DOCS.read_text().splitlines() if line.startswith("| `")]
     listed = {row[1].strip(" `"): (row[2].strip(), row[3].strip()) for row in rows}
-    assert listed == {name: (entry.meaning, entry.reaction) for name, entry in EVENTS.items()}
+    every = EVENTS | firewall.EVENTS
+    assert listed == {name: (entry.meaning, entry.reaction) for name, entry in every.items()}

@@ -81,13 +81,7 @@ def heard(manager: socket.socket) -> list[str]:
 def test_the_watchdog_is_fed_from_the_tick(tmp_path: Path, manager: socket.socket) -> None:
     notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "20000"})
     robot = Operated(tmp_path)
-    served = robot.daemon.service
-
-    def service(due_ns: int) -> None:
-        served(due_ns)
-        notifier.beat(due_ns, robot.state)
-
-    robot.daemon.service = service
+    robot.daemon.serve("service", lambda due_ns: notifier.beat(due_ns, robot.state))
     notifier.ready()
     robot.until(State.STANDBY)
     lines = heard(manager)

@@ -22,7 +22,7 @@ from runtime.cycle import ControlCycle
 from runtime.keyframe import KeyframeError, restore
 from runtime.messages import KEYFRAME_TOPIC
 from runtime.signals import CYCLE, TOPICS
-from runtime.states import Operator
+from runtime.states import Fault, Operator
 from tools.errors import ToolError
 from tools.log.decode import Column
 from tools.log.log import Log
@@ -275,10 +275,12 @@ class _Replayer:
         operators = state["operator"]
         # A log of before there was anything to choose has no such signal.
         selects = state["select"] if "select" in (state.dtype.names or ()) else 0 * operators
+        failed = state["fault"] == Fault.CONTROL_FAILED
         for index, tick in enumerate(ticks.tolist()):
             if tick > self._last:
                 break
-            if self._next != sequence[index]:
+            if self._next != sequence[index] or failed[index]:
+                # Where control raised, the daemon's fallback commanded, which is no step.
                 self._cycle, self._next = None, None
             if self._cycle is None:
                 self._take_up(tick, int(sequence[index]))
