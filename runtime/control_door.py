@@ -115,9 +115,11 @@ class ControlDoor:
         self._catalogue = catalogue
         self._names = [scenario.name for scenario in catalogue]
         self._awaited: _Awaited | None = None
+        self._stop_awaited: _Awaited | None = None
 
-    def answer(self, message: bytes, who: str) -> Reply | None:
-        """The reply to a message of ``who``, whatever its bytes are; None: ask `later`."""
+    def answer(self, message: bytes, who: str, *, overtaken: bool = False) -> Reply | None:
+        """The reply to a message of ``who``, whatever its bytes are; None: ask `later`.
+        ``overtaken`` by an emergency stop, a command is refused."""
         try:
             request = json.loads(message)
         except UnicodeDecodeError:
@@ -137,7 +139,26 @@ class ControlDoor:
             return refusal(f"{reprlib.repr(unknown[0])} is not a field of {op}", "remove it")
         if verb.name == "status":
             return self._status()
+        if overtaken:
+            state, late = self._daemon.cycle.sequence.state, "an emergency stop came after it"
+            self._daemon.note(Level.WARNING, "refused", f"{verb.name} by {who}: {late}")
+            return self._refusal(verb, state, late, NEXT[state])
         return self._order(verb, request.get("name"), who)
+
+    def emergency(self, who: str) -> None:
+        """The next tick disables every drive."""
+        if self._stop_awaited is None:
+            state = self._daemon.cycle.sequence.state
+            self._stop_awaited = _Awaited(VERBS["estop"], state, 0)
+        self._console.give(Operator.ESTOP, who)
+
+    def stopped(self) -> Reply | None:
+        """The reply to emergency stops, once a tick has taken them."""
+        awaited = self._stop_awaited
+        if awaited is None or self._console.pending:
+            return None
+        self._stop_awaited = None
+        return self._became(awaited)
 
     def _order(self, verb: Verb, name: object, who: str) -> Reply | None:
         state = self._daemon.cycle.sequence.state
@@ -200,6 +221,10 @@ class ControlDoor:
         if awaited is None or self._console.pending:
             return None
         self._awaited = None
+        return self._became(awaited)
+
+    def _became(self, awaited: _Awaited) -> Reply:
+        """What became of a command that a tick has taken."""
         verb, before = awaited.verb, awaited.before
         state = self._daemon.cycle.sequence.state
         if verb.operator is Operator.NONE:

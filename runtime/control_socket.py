@@ -1,8 +1,9 @@
 """The daemon's control socket: a Unix stream socket, one JSON object a line.
 
-It is looked at once after each tick and does one bounded thing then: let one client in, and take
-one message. Nothing here waits, and no client can make it do more. Who is at the other end the
-kernel says; one daemon holds a socket at a time, and what a killed one left is taken over.
+It is looked at once after each tick. `ControlSocket.listen` takes what every client has sent, up to
+a bound, and passes emergency stops on at once; `ControlSocket.poll` then takes one other message.
+Nothing here waits. Who is at the other end the kernel says; one daemon holds a socket at a time,
+and what a killed one left is taken over.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ import socket
 import struct
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from config.schema.operation import ControlSocket as Settings
 from runtime.errors import DaemonError
+from runtime.socket_client import SocketClient
 
 _CREDENTIALS = struct.Struct("@iII")
 """struct ucred: process, user, group"""
@@ -31,7 +32,8 @@ _PEER_GROUPS = 59
 _MOST_GROUPS = 4 * 256
 _ROOT = 0
 _SECOND_NS = 1_000_000_000
-_NEWLINE = b"\n"
+_CHUNKS_A_LOOK = 16
+"""read in one look, beside one of every client: more than a connection's buffer usually holds"""
 
 
 class ControlSocketError(DaemonError):
@@ -41,24 +43,21 @@ class ControlSocketError(DaemonError):
 class Door(Protocol):
     """What lies behind the socket."""
 
-    def answer(self, message: bytes, who: str) -> dict[str, Any] | None:
-        """The reply, or None when there will be one later."""
+    def answer(self, message: bytes, who: str, *, overtaken: bool = False) -> dict[str, Any] | None:
+        """The reply, or None when there will be one later. ``overtaken`` by an emergency stop, a
+        command is refused."""
 
     def later(self) -> dict[str, Any] | None:
         """That reply, as soon as there is one."""
 
+    def emergency(self, who: str) -> None:
+        """An emergency stop, in the next tick."""
+
+    def stopped(self) -> dict[str, Any] | None:
+        """The reply to emergency stops, as soon as there is one."""
+
     def watch(self) -> None:
         """Called each time the socket is looked at."""
-
-
-@dataclass
-class _Client:
-    connection: socket.socket
-    who: str
-    tokens: float
-    buffer: bytearray = field(default_factory=bytearray)
-    turn: int = 0
-    """number of the last look that served it"""
 
 
 class Peers:
@@ -116,37 +115,65 @@ class ControlSocket:
         self._door: Door | None = None
         self._poller = select.epoll()
         self._poller.register(self._listener, select.EPOLLIN)
-        self._clients: dict[int, _Client] = {}
-        self._asking: _Client | None = None
+        self._clients: dict[int, SocketClient] = {}
+        self._asking: SocketClient | None = None
         """whose command the door has not answered yet"""
+        self._stopping: list[SocketClient] = []
+        """who have given an emergency stop that the door has not answered yet"""
         self._look = 0
-        self._listener_turn = 0
         self._at_ns: int | None = None
 
     def open_to(self, door: Door) -> None:
         """Answer from now on."""
         self._door = door
 
+    def listen(self, now_ns: int) -> None:
+        """Take what has been sent, a bounded piece; emergency stops reach the next tick, whoever
+        gave them and whatever waits before them."""
+        del now_ns
+        door = self._door
+        if door is None:
+            return
+        if self._stopping:
+            self._reply_to_stops(door)
+        ready = self._poller.poll(0)
+        if not ready:
+            return
+        waiting = [self._clients[each] for each, _ in ready if each in self._clients]
+        budget = _CHUNKS_A_LOOK + len(waiting)
+        budget = self._receive_all(waiting, door, budget)
+        if any(descriptor == self._listener.fileno() for descriptor, _ in ready):
+            for _ in range(self._settings.clients + 1):  # as many as can wait to be let in
+                connection = self._accept()
+                if connection is None:
+                    break
+                client = self._admit(connection)
+                if client is not None:
+                    budget = self._receive_all([client], door, budget + 1)
+
+    def _receive_all(self, waiting: list[SocketClient], door: Door, budget: int) -> int:
+        """A chunk of each in turn, as long as there are more; what is left of the ``budget``."""
+        while waiting and budget > 0:
+            budget -= len(waiting)
+            waiting = [client for client in waiting if self._receive(client, door)]
+        return budget
+
     def poll(self, now_ns: int) -> None:
-        """One bounded piece of service; ``now_ns`` is when, on the loop's clock."""
+        """One message that is no emergency stop; ``now_ns`` is when, on the loop's clock."""
         door = self._door
         if door is None:
             return
         self._look += 1
-        door.watch()
-        if self._asking is not None:
-            reply = door.later()
-            if reply is None:
-                return
-            self._send(self._asking, reply)
-            self._asking = None
-            return
-        ready = self._poller.poll(0)
-        if not ready and not any(client.buffer for client in self._clients.values()):
-            self._refill(now_ns)
-            return
         self._refill(now_ns)
-        self._serve([descriptor for descriptor, _ in ready], door)
+        door.watch()
+        if not self._stopping:
+            if self._asking is None:
+                self._serve(door)
+            elif (reply := door.later()) is not None:
+                self._send(self._asking, reply)
+                self._asking = None
+        for client in list(self._clients.values()):
+            self._look_after(client)
 
     def close(self) -> None:
         """Let go of everything; the file goes first."""
@@ -164,35 +191,74 @@ class ControlSocket:
         for client in self._clients.values():
             client.tokens = min(client.tokens + gain, most)
 
-    def _serve(self, ready: list[int], door: Door) -> None:
-        """Whoever has waited longest among those that may."""
-        turns = [
-            (client.turn, descriptor)
-            for descriptor, client in self._clients.items()
-            if client.tokens >= 1.0 and (descriptor in ready or _NEWLINE in client.buffer)
-        ]
-        if self._listener.fileno() in ready:
-            turns.append((self._listener_turn, self._listener.fileno()))
-        if not turns:
-            return
-        _, descriptor = min(turns)
-        if descriptor == self._listener.fileno():
-            self._listener_turn = self._look
-            self._accept(door)
-        else:
-            client = self._clients[descriptor]
-            client.turn = self._look
-            self._hear(client, door)
-
-    def _accept(self, door: Door) -> None:
-        """Let one in, and hear it if it has spoken already: an emergency stop does not wait."""
+    def _receive(self, client: SocketClient, door: Door) -> bool:
+        """Take a chunk of a client; whether more may be there."""
         try:
-            connection, _ = self._listener.accept()
-        except OSError:  # it was gone before it was let in
+            more = client.receive()
+        except Exception:
+            self._drop(client)  # so that the others are heard in the next look
+            raise
+        if client.stops:
+            door.emergency(client.who)
+            self._stopping += [client] * client.stops
+            client.stops = 0
+            # An older message, a reset say, must not act after it.
+            for each in self._clients.values():
+                each.overtaken = len(each.lines)
+        if client.too_long:
+            self._refuse_long(client)
+        elif client.ended:
+            # What it has sent before is still served.
+            self._poller.unregister(client.connection)
+        return more and not client.too_long
+
+    def _look_after(self, client: SocketClient) -> None:
+        """Tell it what was not kept, and let it go when it has ended and been answered."""
+        if client.lost:
+            text = f"{client.lost} messages more than {self._settings.backlog} that may wait"
+            client.lost = 0
+            self._send(client, {"ok": False, "error": f"{text} were not kept", "next": "send less"})
+        if client.ended and not (
+            client.lines or client is self._asking or client in self._stopping
+        ):
+            self._drop(client)
+
+    def _reply_to_stops(self, door: Door) -> None:
+        reply = door.stopped()
+        if reply is not None:
+            stopping, self._stopping = self._stopping, []
+            for client in stopping:
+                self._send(client, reply)
+
+    def _serve(self, door: Door) -> None:
+        """Whoever has waited longest among those that may."""
+        able = [each for each in self._clients.values() if each.lines and each.tokens >= 1.0]
+        if not able:
             return
+        client = min(able, key=lambda each: each.turn)
+        client.turn = self._look
+        client.tokens -= 1.0
+        line, overtaken = client.take()
+        if len(line) > self._settings.message_bytes:
+            self._refuse_long(client)
+            return
+        reply = door.answer(line, client.who, overtaken=overtaken)
+        if reply is None:
+            self._asking = client
+        else:
+            self._send(client, reply)
+
+    def _accept(self) -> socket.socket | None:
+        try:
+            return self._listener.accept()[0]
+        except OSError:  # nobody is there, or is gone before it was let in
+            return None
+
+    def _admit(self, connection: socket.socket) -> SocketClient | None:
+        """Let one in that may operate this daemon; another is told so, and let go."""
         connection.setblocking(False)
         heard, who = self._peers.heard(connection)
-        client = _Client(connection, who, float(self._settings.burst), turn=self._look)
+        client = SocketClient(connection, who, self._look, self._settings)
         if not heard:
             self._send(
                 client,
@@ -203,45 +269,21 @@ class ControlSocket:
                 },
             )
             connection.close()
-            return
+            return None
         if len(self._clients) >= self._settings.clients:
             self._drop(min(self._clients.values(), key=lambda each: each.turn))
         self._clients[connection.fileno()] = client
         self._poller.register(connection, select.EPOLLIN)
-        self._hear(client, door)
+        return client
 
-    def _hear(self, client: _Client, door: Door) -> None:
-        """At most one message, from what is there."""
-        most = self._settings.message_bytes
-        if _NEWLINE not in client.buffer:
-            try:
-                came = client.connection.recv(most + 1 - len(client.buffer))
-            except BlockingIOError:
-                return
-            except OSError:
-                came = b""
-            if not came:
-                self._drop(client)
-                return
-            client.buffer += came
-        line, newline, rest = client.buffer.partition(_NEWLINE)
-        if not newline:
-            if len(client.buffer) > most:
-                error = f"a message is longer than {most} bytes"
-                self._send(client, {"ok": False, "error": error, "next": "send less"})
-                self._drop(client)
-            return
-        client.buffer = rest
-        client.tokens -= 1.0
-        reply = door.answer(bytes(line), client.who)
-        if reply is None:
-            self._asking = client
-        else:
-            self._send(client, reply)
+    def _refuse_long(self, client: SocketClient) -> None:
+        error = f"a message is longer than {self._settings.message_bytes} bytes"
+        self._send(client, {"ok": False, "error": error, "next": "send less"})
+        self._drop(client)
 
-    def _send(self, client: _Client, reply: dict[str, Any]) -> None:
+    def _send(self, client: SocketClient, reply: dict[str, Any]) -> None:
         """One that does not read its replies is let go."""
-        data = json.dumps(reply).encode() + _NEWLINE
+        data = json.dumps(reply).encode() + b"\n"
         try:
             sent = client.connection.send(data)
         except OSError:
@@ -249,10 +291,12 @@ class ControlSocket:
         if sent != len(data):
             self._drop(client)
 
-    def _drop(self, client: _Client) -> None:
+    def _drop(self, client: SocketClient) -> None:
         descriptor = client.connection.fileno()
-        if self._clients.pop(descriptor, None) is not None:
-            self._poller.unregister(descriptor)
+        if self._clients.get(descriptor) is client:
+            del self._clients[descriptor]
+            with suppress(OSError):  # one that has ended is unregistered already
+                self._poller.unregister(descriptor)
         client.connection.close()
 
 

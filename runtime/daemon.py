@@ -11,22 +11,21 @@ import asyncio
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from config.schema.root import Config
 from config.schema.scenario import Scenario
-from drivers.fieldbus import BusEvent, Fieldbus, Progress
+from drivers.fieldbus import Fieldbus, Progress
 from runtime.clock import Stopwatch, now_ns
 from runtime.cycle import ControlCycle
 from runtime.fallback import Fallback
 from runtime.firewall import Firewall, Part, in_one_line
+from runtime.guarded_parts import GuardedParts
 from runtime.keyframe_keeper import KeyframeKeeper, KeyframeSink
 from runtime.latencies import Latencies, Marks
 from runtime.operator import Commander
 from runtime.overruns import Overruns
+from runtime.ports import Ring, TrackerDoor
 from runtime.reporter import EventSink, Reporter
 from runtime.scheduler import Misses, Pacing, Scheduler
 from runtime.self_test import SelfTest
@@ -39,20 +38,6 @@ _NOTICEABLE_S = 0.5
 """Slowing at the start and at the end takes a tenth of a second; more was the envelope."""
 _SERVICE_PERIOD_S = 0.02
 """between two looks at the control socket while the bus is brought up"""
-
-
-class TrackerDoor(Protocol):
-    """Brings the tracker's poses into the image."""
-
-    def collect(self, now_ns: int) -> None: ...
-
-    def take_events(self) -> list[BusEvent]: ...
-
-
-class Ring(Protocol):
-    """Where the cycle record goes."""
-
-    def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None: ...
 
 
 @dataclass
@@ -98,7 +83,7 @@ class Daemon:
             config.robot, config.control, config.tracker, scenario.reference, references
         )
         self.firewall = firewall or Firewall(config.operation.firewall.failures)
-        self._guard = _Guard(self.firewall)
+        self._guard = GuardedParts(self.firewall)
         self._fallback = Fallback(config, self.cycle, self._guard.fallback)
         self._reporter = Reporter(config, self.cycle, self._send)
         self.self_test = SelfTest(config)
@@ -116,6 +101,8 @@ class Daemon:
         self._recovery: asyncio.Task[None] | None = None
         self._refused = ""
         self._select = 0
+        self._halted = False
+        """while the bus was brought up"""
         self._who = self._resetting_for = ""
 
     def serve(self, name: str, action: Callable[[int], None], *, lasting: bool = False) -> None:
@@ -137,19 +124,16 @@ class Daemon:
         Raises a `DriverError` when the bus cannot be brought up; a fault in operation is an
         outcome, not an exception.
         """
-        serving = asyncio.get_running_loop().create_task(self._serve_meanwhile())
+        ticks, scheduler = 0, None
         try:
-            try:
-                await self._fieldbus.start(progress)
-            finally:
-                serving.cancel()
-            ready()
-            scheduler = self.scheduler = self._schedule(pacing(), start_ns)
-            try:
-                ticks = await self._tick_until_done(scheduler)
-            finally:
-                scheduler.close()
-                self._give_up_recovery()
+            if await self._bring_up(progress):
+                ready()
+                scheduler = self.scheduler = self._schedule(pacing(), start_ns)
+                try:
+                    ticks = await self._tick_until_done(scheduler)
+                finally:
+                    scheduler.close()
+                    self._give_up_recovery()
         finally:
             await self._fieldbus.stop()
             sys.stderr.write(self.firewall.tracebacks())
@@ -159,10 +143,25 @@ class Daemon:
             sequence.fault,
             self._reporter.fault or self._verdict(),
             ticks,
-            scheduler.misses,
+            scheduler.misses if scheduler is not None else Misses(),
             self._overruns.stopped,
             self._commander.obstacle,
         )
+
+    async def _bring_up(self, progress: Progress) -> bool:
+        """Whether the bus is up; a signal or an emergency stop ends the bring-up."""
+        task = asyncio.current_task()
+        assert task is not None
+        serving = asyncio.get_running_loop().create_task(self._serve_meanwhile(task))
+        try:
+            await self._fieldbus.start(progress)
+        except asyncio.CancelledError:
+            if not self._halted:
+                raise
+            task.uncancel()
+        finally:
+            serving.cancel()
+        return not self._halted
 
     def _verdict(self) -> str:
         """What became of the scenario when nothing went wrong; a fault that nobody reported."""
@@ -175,6 +174,8 @@ class Daemon:
             return "stopped because ticks were missed, as realtime.overrun asks for"
         if self._commander.obstacle:
             return f"not armed: {self._commander.obstacle}"
+        if self._halted:
+            return "stopped by the operator while the bus was brought up"
         if self._commander.interrupted:
             return "stopped by the operator"
         played, asked = float(self.cycle.record.state.scenario_time), self._duration
@@ -185,11 +186,25 @@ class Daemon:
             )
         return "scenario completed"
 
-    async def _serve_meanwhile(self) -> None:
-        while self._services:
+    async def _serve_meanwhile(self, starting: asyncio.Task[Any]) -> None:
+        """Serve people until ``starting`` has brought the bus up; cancel it when asked to."""
+        while self._services and not self._halted:
             self._due_ns = now_ns()
             self._serve_all()
+            if self._guard.commander(lambda: self._commander.urgent):
+                self._halt(starting)
             await asyncio.sleep(_SERVICE_PERIOD_S)
+
+    def _halt(self, starting: asyncio.Task[Any]) -> None:
+        guard, sequence = self._guard, self.cycle.sequence
+        command = guard.commander(self._commander.next, sequence)
+        self._who = self._commander.who
+        if command is Operator.ESTOP:
+            sequence.stop_before_ticks()
+        self._report(0, command or Operator.NONE)
+        self._serve_all()  # so that an emergency stop is answered
+        self._halted = True
+        starting.cancel()
 
     def _serve_all(self) -> None:
         for part, action in self._services:
@@ -383,22 +398,3 @@ class Daemon:
         self, stamp_ns: int, tick: int, level: Level, name: str, where: str, text: str
     ) -> None:
         self._guard.events(self._events, stamp_ns, tick, level, name, where, text)
-
-
-class _Guard:
-    """The parts of the daemon that a firewall keeps from control. Those that bring inputs or
-    commands are never switched off."""
-
-    def __init__(self, firewall: Firewall) -> None:
-        part = firewall.part
-        self.control = part("control", lasting=True)
-        self.fallback = part("fallback", lasting=True)
-        self.commander = part("commander", lasting=True)
-        self.tracker = part("tracker", lasting=True)
-        self.record = part("record")
-        self.ring = part("ring")
-        self.keyframe = part("keyframe")
-        self.reporter = part("reporter")
-        self.bus_events = part("fieldbus events")
-        self.events = part("events")
-        self.self_test = part("self-test")

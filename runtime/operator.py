@@ -35,6 +35,11 @@ class Commander(Protocol):
         ...
 
     @property
+    def urgent(self) -> bool:
+        """Something waits for the next tick that must not wait for a bus being brought up."""
+        ...
+
+    @property
     def obstacle(self) -> str:
         """Why nothing was played at all; empty if something was."""
         ...
@@ -59,6 +64,10 @@ class _Stoppable:
 
     @property
     def interrupted(self) -> bool:
+        return self._asked > 0
+
+    @property
+    def urgent(self) -> bool:
         return self._asked > 0
 
     def stop(self, who: str = "") -> None:
@@ -131,6 +140,11 @@ class Console(_Stoppable):
     @property
     def interrupted(self) -> bool:
         return self._asked > 0 or self._halted
+
+    @property
+    def urgent(self) -> bool:
+        stopping = self._given is not None and self._given[0] is Operator.ESTOP
+        return stopping or super().urgent
 
     @property
     def ending(self) -> bool:

@@ -173,6 +173,11 @@ class Sequence:
         self.stop_mode = StopMode.PASSIVE if self.state is State.SAFE_STOP else StopMode.NONE
         self._entered, self.elapsed = tick, 0.0
 
+    def stop_before_ticks(self) -> None:
+        """An emergency stop while the bus is brought up: no tick follows."""
+        self.faults.add(Fault.EMERGENCY_STOP, -1)
+        self.state = State.FAULT
+
     @property
     def passive_share(self) -> float:
         """Share of the passive tension, 1 down to 0 once all drums stand; negative outside a

@@ -65,6 +65,7 @@ class StoneBus:
         self.image = self.statue.image
         self.spoils: list[Spoil] = []
         self.bring_up_s = 0.0
+        self.stopped = False
 
     async def start(self, progress: Progress) -> None:
         await asyncio.sleep(self.bring_up_s)
@@ -83,7 +84,8 @@ class StoneBus:
     async def recover(self) -> None:
         await asyncio.sleep(RECOVERY_S)
 
-    async def stop(self) -> None: ...
+    async def stop(self) -> None:
+        self.stopped = True
 
 
 class _NoTracker:
@@ -172,6 +174,7 @@ class Operated:
         self.socket.open_to(
             ControlDoor(self.config, self.daemon, self.console, self.catalogue, "run.mcap")
         )
+        self.daemon.serve("emergency stop", self.socket.listen, lasting=True)
         self.daemon.serve("control socket", self.socket.poll)
         running = self.daemon.run(VirtualPacing, lambda _: None, lambda: None)
         self._running = asyncio.get_running_loop().create_task(running)
@@ -202,7 +205,9 @@ class Operated:
         """Let virtual time go on; an error in the daemon comes out here."""
         self._runner.run(asyncio.sleep(ticks * self.config.control.rates.period))
         assert self.failing or not self.daemon.firewall.tracebacks()
-        assert self.failing or self.outcome is None or self.console.finished
+        outcome = self.outcome
+        over = outcome is None or self.console.finished or not outcome.ticks
+        assert self.failing or over
 
     def command(self, op: str, ticks: int = 4, **fields: Any) -> dict[str, Any]:
         """Ask, let a few ticks pass, and give the one reply."""

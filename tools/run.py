@@ -219,7 +219,7 @@ class _Stage:
         try:
             with self._signals():
                 outcome = clock.run(main(), virtual=True)
-                seconds = clock.wall_seconds() - self._began
+                seconds = self._seconds()
         finally:
             recorder.finish()
             if live:
@@ -254,7 +254,7 @@ class _Stage:
         try:
             with self._signals():
                 outcome = clock.run(main(), virtual=False)
-            seconds = clock.wall_seconds() - self._began
+            seconds = self._seconds()
         finally:
             self._notifier.stopping()
             if self._hygiene is not None:
@@ -273,6 +273,10 @@ class _Stage:
     def _begin(self) -> None:
         self._notifier.ready()
         self._began = clock.wall_seconds()
+
+    def _seconds(self) -> float:
+        """s of wall time since the first tick; 0: there was none."""
+        return clock.wall_seconds() - self._began if self._began else 0.0
 
     def _lab(self) -> Lab | None:
         order = self._order
@@ -354,6 +358,7 @@ class _Stage:
         if control is not None:
             catalogue = (order.scenario, *order.others)
             control.open_to(ControlDoor(config, daemon, self._console, catalogue, str(self._log)))
+            daemon.serve("emergency stop", control.listen, lasting=True)
             daemon.serve("control socket", control.poll)
             # Lasting: without it the service manager would kill the daemon, the robot at height.
             daemon.serve(

@@ -32,8 +32,10 @@ class ControlSocket(Section):
     """connections at a time; one more, and that which was silent longest is closed"""
     message_bytes: Annotated[int, Field(ge=64, le=65536)] = 1024
     rate_hz: Positive = 20.0
-    """messages a second and client, in the long run; the others wait in the client's socket"""
+    """messages a second and client, in the long run; the others wait, an emergency stop never"""
     burst: Count = 20
+    backlog: Count = 256
+    """messages of a client that may wait; more are not kept, and that is answered"""
 
 
 class SelfTest(Section):

@@ -80,7 +80,13 @@ class SoemMaster(StateAccess):
     async def _beside(self, action: Callable[[], Result]) -> Result:
         if self._thread is None:
             self._thread = _thread_below_this()
-        return await asyncio.get_running_loop().run_in_executor(self._thread, action)
+        call = asyncio.get_running_loop().run_in_executor(self._thread, action)
+        try:
+            return await asyncio.shield(call)
+        except asyncio.CancelledError:
+            # What stops the bus then must not meet SOEM at work in its thread.
+            await asyncio.wait([call])
+            raise
 
     # -- bring-up ---------------------------------------------------------------------------
 

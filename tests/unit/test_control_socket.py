@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -100,9 +101,48 @@ def test_a_status_is_there_while_the_bus_is_brought_up(tmp_path: Path) -> None:
     reply = robot.command("status", 100)
     assert (reply["state"], reply["tick"]) == ("OFF", None)
     assert "brought up" in robot.command("arm", 100)["error"]
+    robot.close()
+
+
+def test_an_emergency_stop_ends_a_bring_up(tmp_path: Path) -> None:
+    robot = Operated(tmp_path, bring_up_s=1000.0)
+    robot.advance(50)
     robot.client.ask(op="estop")
-    robot.advance(1000)
-    assert robot.history[0].state is State.FAULT, "the first tick there is"
+    robot.advance(50)
+    (reply,) = robot.client.replies()
+    assert (reply["ok"], reply["state"]) == (True, "FAULT")
+    outcome = robot.outcome
+    assert outcome is not None
+    assert (outcome.state, outcome.fault) == (State.FAULT, Fault.EMERGENCY_STOP)
+    assert "emergency stop" in outcome.reason
+    assert (outcome.ticks, robot.bus.stopped) == (0, True)
+    assert told(robot.events, "emergency_stop")
+    assert told(robot.events, "operator")[0].startswith("estop by ")
+    robot.close()
+
+
+@pytest.mark.parametrize("script", [None, Script(10.0)])
+def test_a_signal_ends_a_bring_up(tmp_path: Path, script: Script | None) -> None:
+    robot = Operated(tmp_path, bring_up_s=1000.0, script=script)
+    robot.advance(50)
+    robot.console.stop("signal SIGINT")
+    robot.advance(50)
+    outcome = robot.outcome
+    assert outcome is not None
+    assert (outcome.state, outcome.fault) == (State.OFF, Fault.NONE)
+    assert outcome.reason == "stopped by the operator while the bus was brought up"
+    assert (outcome.ticks, robot.bus.stopped) == (0, True)
+    robot.close()
+
+
+def test_who_cancels_the_run_itself_cancels_a_bring_up(tmp_path: Path) -> None:
+    robot = Operated(tmp_path, bring_up_s=1000.0)
+    robot.advance(50)
+    assert robot._running is not None
+    robot._running.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        robot.advance(50)
+    assert robot.bus.stopped
     robot.close()
 
 
@@ -154,12 +194,147 @@ def test_a_flood_is_slowed_down_and_holds_up_nobody_else(tmp_path: Path) -> None
     flood = Client(robot.path)
     flood.send(b'{"op": "status"}\n' * 2000)
     robot.advance(500)
-    answered = len(flood.replies())
-    burst = robot.config.operation.socket.burst
+    replies = flood.replies()
+    answered = sum(reply["ok"] for reply in replies)
+    refused = [reply["error"] for reply in replies if not reply["ok"]]
+    burst, backlog = robot.config.operation.socket.burst, robot.config.operation.socket.backlog
     assert burst <= answered <= burst + 20 * 0.6
+    assert refused == [f"{2000 - backlog} messages more than {backlog} that may wait were not kept"]
     assert robot.command("estop")["ok"], "another client is heard within a few ticks"
     flood.close()
     robot.close()
+
+
+STATUS_LINE, STOP_LINE = b'{"op": "status"}\n', b'{"op": "estop"}\n'
+SLOW = {"operation.socket.rate_hz": 0.1, "operation.socket.burst": 1}
+
+
+def stopped_in_the_next_tick(robot: Operated) -> bool:
+    """The tick under way hears it, the next one obeys."""
+    robot.advance(1)
+    handled = len(robot.history)
+    robot.advance(1)
+    return robot.history[handled].state is State.FAULT and not robot.history[handled].enabled
+
+
+@pytest.mark.parametrize("before", [1, 100, 2000, 9000])
+def test_an_emergency_stop_waits_behind_no_message_of_its_own_client(
+    tmp_path: Path, before: int
+) -> None:
+    robot = Operated(tmp_path, overrides=SLOW)
+    robot.until(State.STANDBY)
+    robot.advance(30)
+    robot.client.ask(op="status")
+    robot.advance(2)
+    assert len(robot.client.replies()) == 1, "and its last token is spent"
+    robot.client.send(STATUS_LINE * before + STOP_LINE)
+    assert stopped_in_the_next_tick(robot)
+    robot.advance(5)
+    replies = [reply for reply in robot.client.replies() if reply.get("op") == "estop"]
+    assert [reply["ok"] for reply in replies] == [True]
+    robot.close()
+
+
+def test_emergency_stops_wait_behind_no_other_client(tmp_path: Path) -> None:
+    robot = Operated(tmp_path, overrides=SLOW)
+    robot.until(State.STANDBY)
+    clients = [Client(robot.path) for _ in range(robot.config.operation.socket.clients - 1)]
+    robot.advance(10)
+    for client in clients:
+        client.send(STATUS_LINE * 300)
+    clients[-1].send(STOP_LINE)
+    assert stopped_in_the_next_tick(robot)
+    robot.advance(5)
+    assert any(reply.get("op") == "estop" for reply in clients[-1].replies())
+    for client in clients:
+        client.close()
+    robot.close()
+
+
+def test_an_emergency_stop_comes_through_however_many_connect_at_once(tmp_path: Path) -> None:
+    robot = Operated(tmp_path)
+    robot.until(State.STANDBY)
+    clients = [Client(robot.path) for _ in range(robot.config.operation.socket.clients)]
+    clients[-1].send(STATUS_LINE * 3000 + STOP_LINE)
+    assert stopped_in_the_next_tick(robot)
+    for client in clients:
+        client.close()
+    robot.close()
+
+
+def test_an_emergency_stop_does_not_wait_for_the_reply_to_a_command(robot: Operated) -> None:
+    robot.bring_to(State.HOLD)
+    other = Client(robot.path)
+    robot.advance(5)
+    robot.client.ask(op="start")
+    other.ask(op="estop")
+    assert stopped_in_the_next_tick(robot)
+    robot.advance(5)
+    assert other.replies()[0]["ok"]
+    assert len(robot.client.replies()) == 1
+    other.close()
+
+
+def test_several_emergency_stops_are_each_answered(robot: Operated) -> None:
+    robot.until(State.STANDBY)
+    other = Client(robot.path)
+    robot.advance(5)
+    for client in (robot.client, other):
+        client.send(STOP_LINE * 2)
+    robot.advance(3)
+    for client in (robot.client, other):
+        assert [reply["ok"] for reply in client.replies()] == [True, True]
+    other.close()
+
+
+def test_what_was_sent_before_an_emergency_stop_does_not_act_after_it(robot: Operated) -> None:
+    robot.bring_to(State.HOLD)
+    other = Client(robot.path)
+    robot.advance(5)
+    other.send(STATUS_LINE * 10 + b'{"op": "reset"}\n' + STATUS_LINE + b'{"op": "arm"}\n')
+    robot.client.send(b'{"op": "reset"}\n' + STOP_LINE)
+    robot.advance(60)
+    assert robot.state is State.FAULT
+    late = [reply for reply in other.replies() if "error" in reply]
+    assert [reply["op"] for reply in late] == ["reset", "arm"]
+    assert all("an emergency stop came after it" in reply["error"] for reply in late)
+    assert len(robot.client.replies()) == 2
+    assert robot.command("reset")["ok"], "a new one does"
+    other.close()
+
+
+def test_more_mentions_than_can_be_read_are_an_emergency_stop(robot: Operated) -> None:
+    robot.until(State.STANDBY)
+    robot.client.send(b'{"op": "arm", "x": "estop"}\n' * 10)
+    robot.advance(20)
+    assert robot.state is State.STANDBY
+    robot.client.send(b'{"op": "arm", "x": "estop"}\n' * 100)
+    assert stopped_in_the_next_tick(robot)
+
+
+def test_one_who_says_stop_and_hangs_up_is_heard(robot: Operated) -> None:
+    robot.until(State.STANDBY)
+    robot.client.send(STATUS_LINE + STOP_LINE)
+    robot.client.close()
+    assert stopped_in_the_next_tick(robot)
+    robot.advance(20)
+    assert not robot.socket._clients
+
+
+def test_an_emergency_stop_is_heard_while_the_rest_of_the_socket_fails(robot: Operated) -> None:
+    robot.bring_to(State.HOLD)
+    robot.failing = True
+    door = robot.socket._door
+    assert door is not None
+
+    def raising() -> None:
+        raise LookupError
+
+    door.watch = raising  # type: ignore[method-assign]
+    robot.advance(10)
+    assert told(robot.events, "part_off")
+    robot.client.ask(op="estop")
+    assert stopped_in_the_next_tick(robot)
 
 
 def test_who_does_not_read_or_says_nothing_makes_room(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def _play(order: Order, *, as_json: bool) -> tuple[bool, bool]:
     result = carry_out(order)
     outcome = result.outcome
     good = outcome.fault is Fault.NONE and not outcome.obstacle and not outcome.overrun
-    if order.serve:
+    if order.serve or not outcome.ticks:  # ended while the bus was brought up: nothing to sum up
         _tell_served(result, as_json=as_json)
         return good, False
     summary = _summary(order, result)

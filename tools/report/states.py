@@ -41,6 +41,7 @@ number, skip all this: every drive is disabled in that tick.
 |---|---|
 | SIGTERM, SIGINT | controlled stop, then it ends |
 | the same again | emergency stop, then it ends |
+| one of them while the bus is brought up | the bring-up and the run end at once |
 | SIGHUP with `--serve` | noted in the log; the configuration is read at the start only |
 | SIGHUP without | as SIGTERM: the terminal is gone |
 | SIGKILL | nothing; the drives' heartbeat consumers stop them ([fmea.md](fmea.md)) |
