@@ -9,8 +9,6 @@ torque, where everything acts, and at the force, where the outer loop alone does
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
@@ -18,9 +16,9 @@ from scipy import signal
 from config.schema.control import TensionLoop
 from config.schema.root import Config
 from runtime.controllers import CONTROLLERS
+from runtime.controllers.linear import LinearLaw
 from runtime.kinematics import Kinematics
-from runtime.margin import DELAY_TICKS, Margins, margins_of
-from runtime.passivity import damping
+from runtime.margin import DELAY_TICKS, UNSTABLE, Margins, frequencies, margins_of, stable
 
 Array = NDArray[np.float64]
 _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -29,72 +27,19 @@ _PLANT = 6
 _INTEGRAL, _LAST, _OUTER, _ASKED, _SLOPE, _PIPE = range(_PLANT, _PLANT + 6)
 
 
-@dataclass(frozen=True)
-class Outer:
-    """What a controller's feedback comes to along one axis: force on error, or tension on drums."""
-
-    stiffness: float = 0.0
-    """N/m"""
-    damping: float = 0.0
-    """N s/m"""
-    integral: float = 0.0
-    """N/(m s)"""
-    cable: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """per cable: N/m, N s/m, N/(m s)"""
-    contact: tuple[float, float] = (0.0, 0.0)
-    """on the contact force: -, 1/s"""
-    body: float = 0.0
-    """N/m touched"""
-    follows: bool = True
-    """the drums' damping is against the rate that follows the platform"""
-
-
-def _outer_loops(config: Config, name: str) -> list[Outer]:
-    """The feedback of a controller at the ends of its range."""
-    control, mass = config.control, config.robot.platform.mass
-    law = control.stiffness
-    ratio = CONTROLLERS[name](config.robot, control).damping_ratio
-
-    def spring(stiffness: float, integral: float = 0.0) -> Outer:
-        return Outer(stiffness, damping(ratio, stiffness, mass), integral)
-
-    if name == "pid":
-        return [spring(control.pid.stiffness, control.pid.integral.gain)]
-    if name == "pid_length":
-        own = control.pid_length
-        gains = (own.proportional, own.derivative, own.integral)
-        return [Outer(cable=gains, follows=False)]
-    if name == "pd_matched":
-        return [spring(control.pd_matched.stiffness)]
-    if name == "constant_tension":
-        return [spring(law.base)]
-    if name in ("pd", "force"):
-        free, force = spring(control.pd.stiffness or law.base), control.force
-        touching = Outer(
-            damping=force.damping,
-            contact=(force.proportional, force.integral),
-            body=force.body_stiffness,
-        )
-        return [free, touching] if name == "force" else [free]
-    integral = control.bio_integral.gain if name == "bio_integral" else 0.0
-    found = [spring(stiffness, integral) for stiffness in (law.base, law.maximum)]
-    if name == "bio_observer":
-        reflex = (0.0, control.bio_observer.reflex)
-        body = control.force.body_stiffness
-        found += [replace(free, contact=reflex, body=body) for free in found]
-    return found
-
-
 class _Loop:
     """The sampled loop as a linear map of its state: plant, tension integral, last drum angle,
     outer integral, last tension reference and its filtered slope, torques under way."""
 
-    def __init__(self, config: Config, tension: TensionLoop, outer: Outer, axis: int) -> None:
+    def __init__(
+        self, config: Config, tension: TensionLoop, outer: LinearLaw, axis: int, *, follows: bool
+    ) -> None:
         robot, response = config.robot, config.response
         kinematics = Kinematics(robot.geometry)
         kinematics.evaluate(np.array(robot.home), _LEVEL)
         self._gather = gather = float((kinematics.matrix[axis] ** 2).sum())
         self._radius = radius = robot.drum.radius
+        self._follows = follows
         self._tension, self._outer, self._period = tension, outer, config.control.rates.period
         k = robot.cable.axial_stiffness / float(kinematics.lengths.mean())
         self._turn = tension.lead / (k * radius * self._period)
@@ -144,11 +89,12 @@ class _Loop:
         returned, grown = self._feedback(s)
         reference = (returned if force is None else force) / self._gather
         error = reference - s[_CELL]
-        integral = s[_INTEGRAL] + t.integral * h * error
+        # Else an integral of nothing would count as a pole at one.
+        integral = s[_INTEGRAL] + t.integral * h * error if t.integral else 0.0
         asked = r * (t.feed_forward * reference + t.proportional * error + integral)
         rate = (s[_ANGLE] - s[_LAST]) / h
         slope = s[_SLOPE] + self._follow * (reference - s[_ASKED] - s[_SLOPE])
-        wanted = self._outer.follows * s[_SPEED] / r + self._turn * slope
+        wanted = self._follows * s[_SPEED] / r + self._turn * slope
         asked += t.rate_damping * (wanted - rate)
         new = np.empty(self.size)
         new[:_PLANT] = self._step @ s[:_PLANT] + self._effect * s[-1]
@@ -170,11 +116,11 @@ class _Loop:
 
     @property
     def stable(self) -> bool:
-        return bool(np.abs(np.linalg.eigvals(self._columns(None)[0])).max() < 1.0)
+        return stable(self._columns(None)[0])
 
     def margins(self, cut: str) -> Margins:
         matrix, entry, out, direct = self._columns(cut)
-        frequency = np.geomspace(0.05, 0.499 / self._period, 3000)
+        frequency = frequencies(self._period, 3000)
         z = np.exp(2j * np.pi * frequency * self._period)
         shifted = z[:, None, None] * np.eye(self.size) - matrix
         driven = np.linalg.solve(shifted, entry[:, None].astype(complex))[:, :, 0]
@@ -184,21 +130,23 @@ class _Loop:
 def margins(config: Config, controller: str, *, cut: str = "torque") -> Margins:
     """The least margins of a controller by name, with its configured gains, over three axes and the
     ends of its stiffness. Cut at the ``torque``, the plant's input, every loop counts; at the
-    ``force``, the outer one round all others. An unstable loop has none: minus infinity.
+    ``force``, the outer one round all others. Raises `NoLinearLawError` for a controller that does
+    not say what its feedback comes to.
 
     Bandwidths of drives and cells are the lab's, or the robot's where there is none.
     """
+    law = CONTROLLERS[controller](config.robot, config.control)
     found = Margins(np.inf, np.inf, 0.0)
-    tension = CONTROLLERS[controller](config.robot, config.control).tension_loop
-    for outer in _outer_loops(config, controller):
+    for outer in law.stated_laws():
         for axis in range(3):
-            loop = _Loop(config, tension, outer, axis)
+            loop = _Loop(config, law.tension_loop, outer, axis, follows=law.follows_platform)
             if not loop.stable:
-                return Margins(-np.inf, -np.inf, 0.0)
+                return UNSTABLE
             here = loop.margins(cut)
             found = Margins(
-                min(found.gain_db, abs(here.gain_db)),
+                min(found.gain_db, here.gain_db),
                 min(found.phase_deg, here.phase_deg),
                 max(found.crossover_hz, here.crossover_hz),
+                min(found.reduction_db, here.reduction_db),
             )
     return found

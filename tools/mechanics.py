@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from config import Config, Scenario
 from config.schema.lab import Load
 from config.schema.robot import Robot, Workspace
+from runtime.controllers.linear import NoLinearLawError
 from runtime.margin import tension_loop_margins
 from runtime.reference import trajectory
 from runtime.task_margin import margins
@@ -190,14 +191,16 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
         )
         for length in lengths
     ]
-    gain = min(margin.gain_db for margin in found)
-    phase = min(margin.phase_deg for margin in found)
+    floors = f"floors {loop.gain_margin_db:g} dB and {loop.phase_margin_deg:g} deg"
+    text = "unstable: a pole of the closed loop lies outside the unit circle"
+    if all(margin.stable for margin in found):
+        gain = min(margin.least_gain_db for margin in found)
+        text = f"margins {gain:.1f} dB and {min(margin.phase_deg for margin in found):.1f} deg"
     yield Finding(
         "tension loop",
-        gain >= loop.gain_margin_db and phase >= loop.phase_margin_deg,
+        all(margin.meet(loop) for margin in found),
         where,
-        f"margins {gain:.1f} dB and {phase:.1f} deg over cables of {lengths[0]:.2f} to "
-        f"{lengths[2]:.2f} m, floors {loop.gain_margin_db:g} dB and {loop.phase_margin_deg:g} deg",
+        f"{text} over cables of {lengths[0]:.2f} to {lengths[2]:.2f} m, {floors}",
         "lower proportional, or change rate_damping",
     )
 
@@ -206,27 +209,27 @@ def _whole_loop(config: Config) -> Iterator[Finding]:
     """The configured controller round the tension loop, cut where the torque acts and where the
     force is asked for."""
     name, loop = config.control.controller, config.control.tension_loop
+    where, remedy = f"control.{name}", "lower its gains, or run tonus tune"
     for cut in ("torque", "force"):
-        found = margins(config, name, cut=cut)
         text = f"{name}, cut at the {cut}: "
-        ok = found.gain_db >= loop.gain_margin_db and found.phase_deg >= loop.phase_margin_deg
+        try:
+            found = margins(config, name, cut=cut)
+        except NoLinearLawError as error:
+            text += f"cannot be computed: {error}"
+            yield Finding("margins", False, where, text, "state them in the controller's class")
+            continue
+        ok = found.meet(loop)
         if name == "eq9_literal":  # is kept because it is
             ok = True
             text += "unstable, as the paper prints it"
-        elif math.isinf(found.gain_db):
-            text += "unstable"
+        elif not found.stable:
+            text += "unstable: a pole of the closed loop lies outside the unit circle"
         else:
             text += (
-                f"{found.gain_db:.1f} dB and {found.phase_deg:.1f} deg, floors "
+                f"{found.least_gain_db:.1f} dB and {found.phase_deg:.1f} deg, floors "
                 f"{loop.gain_margin_db:g} dB and {loop.phase_margin_deg:g} deg"
             )
-        yield Finding(
-            "margins",
-            ok,
-            f"control.{name}",
-            text,
-            "lower its gains, or run tonus tune",
-        )
+        yield Finding("margins", ok, where, text, remedy)
 
 
 def _place(position: Array) -> str:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from config.schema.control import Control, TensionLoop
 from config.schema.robot import Robot
 from runtime.compiled import platform_wrench, spring
+from runtime.controllers.linear import LinearLaw, NoLinearLawError
 from runtime.passivity import damping
 from runtime.stiffness import LawTerms
 
@@ -19,6 +20,8 @@ Array = NDArray[np.float64]
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 """The desired orientation, w x y z."""
 NOTHING = np.zeros(3)
+_FEEDBACK = ("stiffness", "force", "wrench", "tensions")
+"""methods that make a controller's feedback"""
 
 
 @dataclass
@@ -83,6 +86,29 @@ class Controller(ABC):
 
     def applied(self, tensions: Array, active: float) -> None:  # noqa: B027
         """The tension references (8,) of a tick, ``active`` s into ACTIVE, negative outside it."""
+
+    def linear_laws(self) -> tuple[LinearLaw, ...]:
+        """The feedback at the ends of the controller's range, for its margins: every class that
+        changes the feedback says it anew. Empty: it cannot be said."""
+        return ()
+
+    def stated_laws(self) -> tuple[LinearLaw, ...]:
+        """`linear_laws`, if they are this class' own. Raises `NoLinearLawError`: a class that
+        changes the feedback of the one it comes from has not the margins of that one."""
+        for kind in type(self).__mro__:
+            if "linear_laws" in vars(kind):
+                break
+            if any(name in vars(kind) for name in _FEEDBACK):
+                raise NoLinearLawError(f"{kind.__name__} does not state its linear_laws")
+        laws = self.linear_laws()
+        if not laws:
+            raise NoLinearLawError(f"{type(self).__name__} does not state its linear_laws")
+        return laws
+
+    def _spring(self, stiffness: float, integral: float = 0.0) -> LinearLaw:
+        """Of a spring with the damper that goes with it."""
+        resistance = damping(self.damping_ratio, stiffness, self._robot.platform.mass)
+        return LinearLaw(stiffness, resistance, integral)
 
     @abstractmethod
     def stiffness(self, motion: Motion) -> float:

@@ -3,12 +3,15 @@ add what the law lacks: something that takes up a constant load."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from config.schema.control import Control
 from config.schema.robot import Robot
 from runtime.controllers.base import Array, Controller, Motion, norm, share
 from runtime.controllers.integral import Integral
+from runtime.controllers.linear import LinearLaw
 from runtime.stiffness import Law
 
 
@@ -24,6 +27,10 @@ class Bio(Controller):
 
     def reset(self) -> None:
         self._error = self._speed = self._force = 0.0
+
+    def linear_laws(self) -> tuple[LinearLaw, ...]:
+        law = self._control.stiffness
+        return (self._spring(law.base), self._spring(law.maximum))
 
     def stiffness(self, motion: Motion) -> float:
         source = self._control.stiffness.velocity_source
@@ -44,6 +51,10 @@ class BioIntegral(Bio):
     def reset(self) -> None:
         super().reset()
         self._integral.reset()
+
+    def linear_laws(self) -> tuple[LinearLaw, ...]:
+        gain = self._control.bio_integral.gain
+        return tuple(replace(spring, integral=gain) for spring in super().linear_laws())
 
     def force(self, motion: Motion, stiffness: float) -> Array:
         base = self._control.stiffness.base
@@ -74,6 +85,12 @@ class BioObserver(Bio):
         super().reset()
         self._load[:] = 0.0
         self._reflex = 0.0
+
+    def linear_laws(self) -> tuple[LinearLaw, ...]:
+        """Free, and touching a body; an exact observer sees what comes from outside alone."""
+        free, body = super().linear_laws(), self._control.force.body_stiffness
+        reflex = (0.0, self._settings.reflex)
+        return (*free, *(replace(spring, contact=reflex, body=body) for spring in free))
 
     def force(self, motion: Motion, stiffness: float) -> Array:
         base = self._control.stiffness.base

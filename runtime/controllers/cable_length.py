@@ -7,6 +7,7 @@ import numpy as np
 from config.schema.control import Control, TensionLoop
 from config.schema.robot import CABLES, Robot
 from runtime.controllers.base import LEVEL, Array, Controller, Motion
+from runtime.controllers.linear import LinearLaw
 from runtime.distribution import closed_form
 from runtime.kinematics import Kinematics
 
@@ -43,6 +44,10 @@ class PidLength(Controller):
 
     def reset(self) -> None:
         self._integral[:] = 0.0
+
+    def linear_laws(self) -> tuple[LinearLaw, ...]:
+        gains = self._gains
+        return (LinearLaw(cable=(gains.proportional, gains.derivative, gains.integral)),)
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
         return self.resting_stiffness

@@ -7,6 +7,7 @@ import numpy as np
 from config.schema.control import Control, TensionLoop
 from config.schema.robot import Robot
 from runtime.controllers.base import NOTHING, Array, Controller, Motion
+from runtime.controllers.linear import LinearLaw
 from runtime.kinematics import Kinematics
 
 
@@ -32,6 +33,10 @@ class ConstantTension(Controller):
     def tension_loop(self) -> TensionLoop:
         integral = self._control.constant_tension.integral
         return self._control.tension_loop.model_copy(update={"integral": integral})
+
+    def linear_laws(self) -> tuple[LinearLaw, ...]:
+        """The spring; the tensions that it holds afterwards feed nothing back."""
+        return (self._spring(self.resting_stiffness),)
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
         return self.resting_stiffness

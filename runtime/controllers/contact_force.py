@@ -10,6 +10,7 @@ from config.schema.control import Control
 from config.schema.robot import Robot
 from runtime.controllers.base import Array, Motion, norm
 from runtime.controllers.impedance import Pd
+from runtime.controllers.linear import LinearLaw
 
 
 class ContactForce(Pd):
@@ -34,6 +35,13 @@ class ContactForce(Pd):
     def reset(self) -> None:
         self._off[:] = 0.0
         self._integral = 0.0
+
+    def linear_laws(self) -> tuple[LinearLaw, ...]:
+        """Free, and touching a body."""
+        gains = self._gains
+        contact = (gains.proportional, gains.integral)
+        touching = LinearLaw(damping=gains.damping, contact=contact, body=gains.body_stiffness)
+        return (*super().linear_laws(), touching)
 
     def force(self, motion: Motion, stiffness: float) -> Array:
         gains, impedance = self._gains, super().force(motion, stiffness)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from config.schema.control import Control
 from config.schema.robot import Robot
 from runtime.controllers.base import Controller, Motion
+from runtime.controllers.linear import LinearLaw
 
 
 class Pd(Controller):
@@ -13,6 +14,9 @@ class Pd(Controller):
     def __init__(self, robot: Robot, control: Control) -> None:
         super().__init__(robot, control, control.pd.damping_ratio)
         self.resting_stiffness = control.pd.stiffness or control.stiffness.base
+
+    def linear_laws(self) -> tuple[LinearLaw, ...]:
+        return (self._spring(self.resting_stiffness),)
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
         return self.resting_stiffness
@@ -24,6 +28,9 @@ class PdMatched(Controller):
     def __init__(self, robot: Robot, control: Control) -> None:
         super().__init__(robot, control, control.pd_matched.damping_ratio)
         self.resting_stiffness = control.pd_matched.stiffness
+
+    def linear_laws(self) -> tuple[LinearLaw, ...]:
+        return (self._spring(self.resting_stiffness),)
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
         return self.resting_stiffness

@@ -8,6 +8,7 @@ from config.schema.control import Control
 from config.schema.robot import Robot
 from runtime.controllers.base import Array, Controller, Motion
 from runtime.controllers.integral import Integral
+from runtime.controllers.linear import LinearLaw
 
 
 class Pid(Controller):
@@ -21,6 +22,9 @@ class Pid(Controller):
 
     def reset(self) -> None:
         self._integral.reset()
+
+    def linear_laws(self) -> tuple[LinearLaw, ...]:
+        return (self._spring(self.resting_stiffness, self._control.pid.integral.gain),)
 
     def stiffness(self, motion: Motion) -> float:  # noqa: ARG002
         return self.resting_stiffness

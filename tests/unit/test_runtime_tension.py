@@ -14,7 +14,7 @@ from scipy import signal
 from config import load
 from config.schema.control import TensionLoop as Settings
 from runtime.kinematics import Kinematics
-from runtime.margin import DELAY_TICKS, Margins, tension_loop_margins
+from runtime.margin import DELAY_TICKS, Margins, margins_of, tension_loop_margins
 from runtime.tension import TensionLoop
 
 CONFIG, _ = load("config/can.yaml")
@@ -223,6 +223,50 @@ def test_more_delay_than_the_phase_margin_covers_is_unstable() -> None:
     spare = found.phase_deg / 360.0 / found.crossover_hz / PERIOD
     assert spectral_radius(closed_loop(1.0, extra_delay=int(spare))) < 1.0
     assert spectral_radius(closed_loop(1.0, extra_delay=int(spare) + 2)) > 1.0
+
+
+@pytest.mark.parametrize("length", [0.05, 0.1, 0.2])
+def test_a_loop_is_judged_by_its_poles_and_not_by_where_it_falls_below_one(length: float) -> None:
+    """Upward crossings were not looked at: this was 19 to 26 dB and 37 to 110 degrees."""
+    settings = SETTINGS.model_copy(
+        update={"proportional": 19.115, "rate_damping": 0.377, "integral": 166.7}
+    )
+    found = tension_loop_margins(
+        ROBOT,
+        settings,
+        0.002,
+        cable_length=length,
+        current_loop_hz=CURRENT_HZ,
+        cell_bandwidth_hz=CELL_HZ,
+    )
+    assert not found.stable
+    assert not found.meet(settings)
+    assert found.gain_db == found.reduction_db == found.phase_deg == -math.inf
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.0, 5.0])
+def test_a_gain_that_must_not_fall_has_a_margin_downwards(gain: float) -> None:
+    """K (s + 1)^2 / s^3 is stable for K over one half, and for every larger one."""
+    frequency = np.geomspace(1e-4, 1e3, 20_000)
+    s = 2j * np.pi * frequency
+    found = margins_of(np.asarray(gain * (s + 1.0) ** 2 / s**3), frequency)
+    assert found.reduction_db == pytest.approx(20.0 * math.log10(gain / 0.5), abs=0.02)
+    assert found.gain_db > 60.0
+    assert found.least_gain_db == found.reduction_db
+
+
+def test_upward_crossings_count_for_the_phase() -> None:
+    """A resonance at 10 Hz that rises over one at 9.5 Hz, 20 degrees from the edge."""
+    frequency = np.linspace(1.0, 20.0, 4000)
+    size = np.where((frequency > 9.5) & (frequency < 10.5), 2.0, 0.5)
+    angle = np.where(frequency < 10.0, -160.0, -90.0)
+    found = margins_of(size * np.exp(1j * np.radians(angle)), frequency)
+    assert found.phase_deg == pytest.approx(20.0)
+
+
+def test_a_loop_without_an_integral_may_be_stable() -> None:
+    settings = SETTINGS.model_copy(update={"integral": 0.0})
+    assert margins(settings).meet(settings)
 
 
 def test_delay_costs_margin() -> None:

@@ -127,7 +127,11 @@ def _tell(found: list[Found]) -> None:
         gains = "\n".join(f"{key} {value:g}" for key, value in one.gains.items())
         cuts = []
         for margin in one.margins.values():
-            decibels = f"{margin.gain_db:.1f} dB" if math.isfinite(margin.gain_db) else "no limit"
+            decibels = (
+                f"{margin.least_gain_db:.1f} dB"
+                if math.isfinite(margin.least_gain_db)
+                else "no limit"
+            )
             cuts.append(f"{decibels}, {margin.phase_deg:.1f}°")
         before = "below the floors" if one.before is None else f"{one.before:.3f}"
         table.add_row(one.controller, gains, f"{one.cost:.3f}", before, *cuts, str(one.refused))

@@ -40,9 +40,9 @@ def lack(config: Config, controller: str) -> float:
     loop, worst = config.control.tension_loop, 0.0
     for cut in CUTS:
         found = margins(config, controller, cut=cut)
-        if not np.isfinite(found.phase_deg) and found.gain_db < 0.0:
+        if not found.stable:
             return 2.0
-        worst = max(worst, 1.0 - found.gain_db / loop.gain_margin_db)
+        worst = max(worst, 1.0 - found.least_gain_db / loop.gain_margin_db)
         worst = max(worst, 1.0 - found.phase_deg / loop.phase_margin_deg)
     return min(worst, 1.9)
 

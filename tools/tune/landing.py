@@ -42,7 +42,7 @@ def _row(one: Found) -> dict[str, Any]:
         "refused_for_margins": one.refused,
         "margins": {
             cut: {
-                "gain_db": round(m.gain_db, 1) if math.isfinite(m.gain_db) else None,
+                "gain_db": round(m.least_gain_db, 1) if math.isfinite(m.least_gain_db) else None,
                 "phase_deg": round(m.phase_deg, 1) if math.isfinite(m.phase_deg) else None,
             }
             for cut, m in one.margins.items()

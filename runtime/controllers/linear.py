@@ -1,0 +1,29 @@
+"""What a controller's feedback comes to for small motion along one axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from runtime.errors import DaemonError
+
+
+class NoLinearLawError(DaemonError):
+    """A controller does not say what its feedback comes to, so its margins cannot be computed."""
+
+
+@dataclass(frozen=True)
+class LinearLaw:
+    """Force on error, or tension on drums, at one end of a controller's range."""
+
+    stiffness: float = 0.0
+    """N/m"""
+    damping: float = 0.0
+    """N s/m"""
+    integral: float = 0.0
+    """N/(m s)"""
+    cable: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """per cable: N/m, N s/m, N/(m s)"""
+    contact: tuple[float, float] = (0.0, 0.0)
+    """on the contact force: -, 1/s"""
+    body: float = 0.0
+    """N/m touched"""
