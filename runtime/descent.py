@@ -81,4 +81,4 @@ class Descent:
         """The tension loop's torques (n,) made safe in place, at drum rates (n,) rad/s."""
         self.guard.take_up(torque, rate, usable & ~self._taut)
         self._reflex(torque, usable)
-        self.guard.bound(torque, rate)
+        self.guard.bound(torque, rate, usable)

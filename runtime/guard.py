@@ -122,4 +122,3 @@ class Guard:
             self.tank,
             torque,
         )
-        return torque
