@@ -11,7 +11,7 @@ from loop import not_finite
 from statue import CABLES, CELLS, CONFIG, CONTROL, Statue
 
 from drivers.process_image import AxisCommand, AxisState
-from runtime.states import ARMED, TRANSITIONS, Fault, Operator, State
+from runtime.states import ARMED, TRANSITIONS, Fault, Operator, State, StopMode
 
 FRESH, STALE = CONTROL.freshness.measurement_ticks, CONTROL.freshness.stale_stop_ticks
 TENSION, LAW, PERIOD = CONTROL.tension, CONTROL.stiffness, CONTROL.rates.period
@@ -101,7 +101,9 @@ def check(
 ) -> None:
     image, record, state = statue.image, statue.record, statue.state
     torque, command = image.commands["torque"], image.commands["command"]
-    fresh = (image.axes["age"] <= FRESH) & (image.cells["age"][:CABLES] <= FRESH)
+    # A passive stop needs no cell: each drum damps its own rate.
+    passive = statue.cycle.sequence.stop_mode is StopMode.PASSIVE
+    fresh = (image.axes["age"] <= FRESH) & ((image.cells["age"][:CABLES] <= FRESH) | passive)
     assert np.isfinite(torque).all()
     assert np.abs(torque).max() <= TORQUE_LIMIT
     assert (torque[~fresh] == 0.0).all()

@@ -259,7 +259,7 @@ def test_control_that_raises_falls_back_until_rest_and_disables_only_then(robot:
     assert after[0].state is State.SAFE_STOP
     assert after[-1].state is State.FAULT
     (text,) = told(robot.events, "control_failed")
-    assert "passive fallback to rest" in text
+    assert "passive stop, then drives disabled" in text
     assert [event.where for event in robot.events if event.name == "part_failed"] == ["control"]
 
 
