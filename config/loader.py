@@ -13,6 +13,7 @@ from pydantic_core import ErrorDetails
 from config.document import Document, Key, dotted, is_file, read
 from config.errors import ConfigError
 from config.relaxed import unnamed_risks
+from config.schema.bounds import Bounds
 from config.schema.budget import Budget
 from config.schema.protocol import Protocol
 from config.schema.root import Config
@@ -91,6 +92,11 @@ def _named(kind: str, name: str, file: str, line: int, key: str) -> Document:
         problem = f"there is no {kind} {reprlib.repr(name)}"
         raise ConfigError(file, line, key, problem, _choose(path.stem, known))
     return read(path, shown)
+
+
+def load_bounds() -> Bounds:
+    """What a run in the lab has to keep, config/bounds.yaml."""
+    return _validate(read(HERE / "bounds.yaml", "config/bounds.yaml"), Bounds)
 
 
 def load_protocol() -> Protocol:

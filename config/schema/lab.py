@@ -15,11 +15,11 @@ from config.schema.base import (
     Number,
     Positive,
     Section,
+    Share,
     Vector3,
 )
 from config.schema.faults import Fault
 
-Share = Annotated[Number, Field(gt=0, lt=1)]
 Spread = Annotated[Number, Field(ge=0, lt=1)]
 """A true value is drawn once per seed, evenly within this share of the nominal one either way."""
 

@@ -1,0 +1,1 @@
+"""Studies of many episodes: drawn, played, judged, recorded, and reduced where a bound broke."""

@@ -1,0 +1,99 @@
+"""When a fault struck, what it concerns, and what an event has to say to name it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from config.schema.bus import CanopenBus, EthercatBus, parts
+from config.schema.faults import Fault
+from config.schema.robot import CABLES
+from config.schema.root import Config
+
+NS = 1_000_000_000
+_ENDING = ("clear", "replug")
+"""Kinds that end what another fault began."""
+_TRACKER = ("tracker", "estimator")
+
+
+@dataclass(frozen=True)
+class Strike:
+    """One fault at work."""
+
+    kind: str
+    at_ns: int
+    """on the clock of the records"""
+    axes: frozenset[int] = frozenset()
+    """whose cable, drum, motor or drive it concerns"""
+    cells: frozenset[int] = frozenset()
+    places: tuple[str, ...] = ()
+    """further words that name it in an event's place"""
+    unpowers: bool = False
+    """the power of its axes is cut on purpose: STO, or no supply"""
+    named: bool = False
+    """an event has to name its place"""
+
+    def is_named_by(self, where: str) -> bool:
+        """Whether an event's place points at this fault."""
+        told = {int(number) for number in re.findall(r"\b(?:axis|cell) (\d+)\b", where)}
+        return bool(told & (self.axes | self.cells)) or any(word in where for word in self.places)
+
+
+def strikes(
+    config: Config, faults: Iterable[Fault], start_ns: int, named: frozenset[str]
+) -> list[Strike]:
+    """Of a lab's script that began at ``start_ns``, in the order of time. ``named``: the kinds that
+    an event has to name."""
+    found = [
+        _strike(config, fault, start_ns + round(fault.at * NS), named)
+        for fault in faults
+        if fault.kind not in _ENDING
+    ]
+    return sorted(found, key=lambda strike: strike.at_ns)
+
+
+def _strike(config: Config, fault: Any, at_ns: int, named: frozenset[str]) -> Strike:
+    kind: str = fault.kind
+    axis, cell = getattr(fault, "axis", None), getattr(fault, "cell", None)
+    axes = {axis} if axis is not None else set()
+    cells = {cell} if cell is not None else set()
+    channel, node = getattr(fault, "channel", None), getattr(fault, "node", None)
+    places: tuple[str, ...] = ()
+    if channel is not None:
+        axes, cells = devices(config, channel, node)
+        places = (channel,) if node is None else (f"{channel}/{node} ",)
+    elif kind.startswith("tracker"):
+        places = _TRACKER
+    sto = kind == "drive_input" and fault.active and fault.input in ("sto", "drive_enable")
+    return Strike(
+        kind,
+        at_ns,
+        frozenset(axes),
+        frozenset(cells | {each for each in axes if each < CABLES}),
+        places,
+        unpowers=sto or kind == "power_loss",
+        named=kind in named,
+    )
+
+
+def devices(config: Config, channel: str, node: int | None) -> tuple[set[int], set[int]]:
+    """Axes and cells on a channel or segment, or of one of its nodes."""
+    axes: set[int] = set()
+    cells: set[int] = set()
+    for bus in parts(config.fieldbus):
+        if isinstance(bus, CanopenBus):
+            for each in bus.channels:
+                if each.name != channel:
+                    continue
+                axes |= {drive.axis for drive in each.drives if node in (None, drive.node_id)}
+                for amplifier in each.force_cells:
+                    if node in (None, amplifier.node_id):
+                        cells |= set(amplifier.cells)
+        elif isinstance(bus, EthercatBus) and bus.interface == channel:
+            for number, slave in enumerate(bus.slaves, start=1):
+                if node in (None, number):
+                    cells |= set(slave.cells)
+                    axes |= {slave.axis} if slave.axis is not None else set()
+    return axes, cells
