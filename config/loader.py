@@ -15,6 +15,7 @@ from config.errors import ConfigError
 from config.relaxed import unnamed_risks
 from config.schema.bounds import Bounds
 from config.schema.budget import Budget
+from config.schema.campaign import Study
 from config.schema.protocol import Protocol
 from config.schema.root import Config
 from config.schema.scenario import Scenario
@@ -97,6 +98,11 @@ def _named(kind: str, name: str, file: str, line: int, key: str) -> Document:
 def load_bounds() -> Bounds:
     """What a run in the lab has to keep, config/bounds.yaml."""
     return _validate(read(HERE / "bounds.yaml", "config/bounds.yaml"), Bounds)
+
+
+def load_study(name: str) -> Study:
+    """A study by the name of a file in config/campaigns, or by a path to one."""
+    return _validate(_named("campaign", name, f"study {name}", 0, ""), Study)
 
 
 def load_protocol() -> Protocol:

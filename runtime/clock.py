@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import heapq
+import os
 import resource
 import selectors
 import time
@@ -96,6 +97,18 @@ def run(main: Coroutine[Any, Any, Result], *, virtual: bool) -> Result:
     """Run a coroutine to its end on a loop of the chosen kind."""
     with asyncio.Runner(loop_factory=VirtualTimeLoop if virtual else RealTimeLoop) as runner:
         return runner.run(main)
+
+
+def fork() -> int:
+    """`os.fork` under a running virtual loop, which goes on in both processes, each with a time of
+    its own."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualTimeLoop), "a real loop shares its descriptors with a child"
+    process = os.fork()
+    if process == 0:
+        # asyncio takes a loop for that of the process it was started in.
+        asyncio._set_running_loop(loop)
+    return process
 
 
 class Usage(Protocol):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterable
 from typing import Protocol
 
+from config.schema.scenario import Command
 from runtime.sequence import Sequence
 from runtime.states import ARMED, Operator, State
 
@@ -86,13 +89,24 @@ class _Stoppable:
 class Script(_Stoppable):
     """Arms, starts, lets the scenario run for its duration, stops. Ends in STANDBY or FAULT.
 
-    `stop` and `estop` may be asked for from outside; the rest is the script's.
+    `stop` and `estop` may be asked for from outside; the rest is the script's. Commands of the
+    scenario come first: until the last of them is given the script only arms.
     """
 
-    def __init__(self, duration: float, patience_s: float = 0.0) -> None:
-        """``patience_s``: how long it waits in STANDBY for a self-test that is good."""
+    def __init__(
+        self,
+        duration: float,
+        patience_s: float = 0.0,
+        commands: Iterable[Command] = (),
+        period: float = 1e-3,
+    ) -> None:
+        """``patience_s``: how long it waits in STANDBY for a self-test that is good. ``period``: s
+        between two calls of `next`."""
         super().__init__()
         self._duration, self._patience_s = duration, patience_s
+        self._period, self._ticks = period, 0
+        self._commands: deque[Command] = deque()
+        self.follow(commands)
         self._armed = False
         self._waited = 0.0
 
@@ -105,13 +119,34 @@ class Script(_Stoppable):
         if self._asked:
             return self._obey(state)
         if state is State.STANDBY:
-            self._armed, self._waited = True, sequence.elapsed
+            self._armed, self._waited, self._ticks = True, sequence.elapsed, 0
             return Operator.ARM
+        self._ticks += 1
+        if self._commands:
+            return self._commanded()
         if state is State.HOLD and sequence.elapsed > 0.0:
             return Operator.START
         if state is State.ACTIVE and sequence.elapsed >= self._duration:
             return Operator.STOP
         return Operator.NONE
+
+    def follow(self, commands: Iterable[Command]) -> None:
+        """Give these commands in place of those left; what was due before now is left out."""
+        self._commands = deque(each for each in commands if self._due(each) > self._ticks)
+
+    @property
+    def armed_for(self) -> int:
+        """Ticks since arming."""
+        return self._ticks
+
+    def _due(self, command: Command) -> int:
+        """Ticks after arming."""
+        return max(round(command.at / self._period), 1)
+
+    def _commanded(self) -> Operator:
+        if self._due(self._commands[0]) > self._ticks:
+            return Operator.NONE
+        return Operator[self._commands.popleft().command.upper()]
 
     def refused(self, reason: str) -> None:
         self._armed = False

@@ -6,7 +6,7 @@ time; then everything that was to happen by then happens, in the order of time.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from heapq import heappop, heappush
 from typing import Any
 
@@ -122,7 +122,8 @@ class Lab:
         self._record = np.zeros(1, TRUTH)
         self._grid_ns = start_ns
         self._script = script
-        self._started = False
+        self.script_start_ns: int | None = None
+        """when the script began; None: it has not"""
         self._tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
         self.tracker = TrackerFeed(self, self._tracker)
         self._order: list[FaultyChannel] = []
@@ -345,7 +346,7 @@ class Lab:
         if self._grid_ns == now_ns:
             self._grid_ns = now_ns + TRUTH_PERIOD_NS
             self.plant.advance(now_ns)
-            if not self._started:
+            if self.script_start_ns is None:
                 self._start_script(now_ns)
             if self._truth is not None:
                 fill(self._record, self.plant)
@@ -357,23 +358,36 @@ class Lab:
         for drive in self._awaited:
             if not drive.enabled:
                 return
-        self._started = True
+        self.script_start_ns = now_ns
         self.plant.start_schedule(now_ns)
         script = self._script
         self._tracker.start_script(now_ns, script.occlusions, script.tracker_shifts)
         for fault in self._script.faults:
-            self._inject_later(fault)
+            self._inject_later(fault, now_ns)
+
+    def extend_script(self, faults: Collection[Fault]) -> None:
+        """Let these faults happen as if the script had held them from the start. It must have
+        begun, and none of them be due yet. Raises `LabError`."""
+        begun = self.script_start_ns
+        if begun is None:
+            raise LabError("the script has not begun: not every drive has been enabled")
+        for fault in faults:
+            self._faults.check(fault)
+            if begun + round(fault.at * _SECOND_NS) <= self.now_ns:
+                raise LabError(f"fault {fault.kind}: {fault.at:g} s of the script are over")
+        for fault in faults:
+            self._inject_later(fault, begun)
 
     def inject(self, fault: Fault) -> None:
         """Make a fault happen now, or ``fault.at`` s from now. Raises `LabError`."""
         self._faults.check(fault)
         if fault.at:
-            self._inject_later(fault)
+            self._inject_later(fault, self.now_ns)
         else:
             self._faults.inject(fault)
 
-    def _inject_later(self, fault: Fault) -> None:
-        at_ns = self.now_ns + round(fault.at * _SECOND_NS)
+    def _inject_later(self, fault: Fault, from_ns: int) -> None:
+        at_ns = from_ns + round(fault.at * _SECOND_NS)
         self.call_at(at_ns, lambda _: self._faults.inject(fault))
 
     def robot_places(self, kind: str, *, axis: bool, cell: bool) -> list[str]:

@@ -159,7 +159,10 @@ class _Stage:
         self._order, self._rings, self._log, self._cleanup = order, rings, log, cleanup
         self._realtime = settled(config.realtime)
         patience = config.operation.self_test.patience_s
-        script = None if order.serve else Script(order.scenario.duration, patience)
+        script = None
+        if not order.serve:
+            played, period = order.scenario, config.control.rates.period
+            script = Script(played.duration, patience, played.operator, period)
         self._console = Console(script)
         self._image = ProcessImage()
         ticks = int(config.recording.ring_s / config.control.rates.period)

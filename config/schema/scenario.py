@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from config.schema.base import Direction, NonNegative, Positive, Section, Vector3
+from config.schema.faults import LONGEST_S
 from config.schema.lab import LabScript
 
 
@@ -86,6 +87,14 @@ class Press(Section):
 Reference = Annotated[Hold | Sine | Multisine | Path | Press, Field(discriminator="kind")]
 
 
+class Command(Section):
+    """What an operator does."""
+
+    at: Annotated[NonNegative, Field(le=LONGEST_S)]
+    """s after arming"""
+    command: Literal["start", "hold", "stop", "estop"]
+
+
 class Scenario(Section):
     name: str
     description: str
@@ -93,3 +102,13 @@ class Scenario(Section):
     """s in ACTIVE"""
     reference: Reference
     lab: LabScript = LabScript()
+    operator: tuple[Command, ...] = ()
+    """commands of an operator, in the order of time; the run starts and stops by itself only after
+    the last of them"""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Scenario:
+        times = [command.at for command in self.operator]
+        if times != sorted(times):
+            raise ValueError("operator: the commands must run forward in time")
+        return self

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from config import load
+from config.schema.scenario import Command
 from runtime.operator import Script
 from runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State
 from runtime.words import describe, place, reaction
@@ -128,3 +129,22 @@ def test_asked_to_stop_before_arming_it_never_arms() -> None:
     script.stop()
     assert script.next(at(State.STANDBY)) is Operator.NONE
     assert script.finished
+
+
+def test_commands_of_a_scenario_come_before_the_scripts_own() -> None:
+    commands = [Command(at=0.002, command="start"), Command(at=0.004, command="hold")]
+    script = Script(2.0, commands=commands, period=1e-3)
+    none = Operator.NONE
+    assert script.next(at(State.STANDBY)) is Operator.ARM
+    told = [script.next(at(State.HOLD, 1.0)) for _ in range(5)]
+    assert told == [none, Operator.START, none, Operator.HOLD, Operator.START]
+
+
+def test_commands_may_be_given_anew_under_way() -> None:
+    script = Script(2.0, commands=[Command(at=1.0, command="start")], period=1e-3)
+    script.next(at(State.STANDBY))
+    script.next(at(State.REFERENCING))
+    script.next(at(State.REFERENCING))
+    passed = Command(at=0.002, command="estop")
+    script.follow([passed, Command(at=0.003, command="stop")])
+    assert script.next(at(State.REFERENCING)) is Operator.STOP

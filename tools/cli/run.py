@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
@@ -16,6 +15,7 @@ from config.loader import load_scenario, scenario_names
 from drivers.fieldbus import Progress
 from runtime.states import Fault, State
 from tools.check import check
+from tools.cli.settings import overrides_of
 from tools.errors import ToolError
 from tools.latencies import buckets
 from tools.latencies import rows as latency_rows
@@ -33,6 +33,9 @@ from tools.summary import Summary, missed_in, summarise, truth_at_cycles
 @click.option("--scenario", help="Name of a scenario in config/scenarios, or a YAML file.")
 @click.option("--duration", type=click.FloatRange(min=0.1), help="Seconds in ACTIVE.")
 @click.option("--controller", help="Controller by name, instead of the configuration's.")
+@click.option(
+    "--set", "settings_", multiple=True, metavar="KEY=VALUE", help="One value of the configuration."
+)
 @click.option("--virtual", is_flag=True, help="As fast as the processor allows, deterministic.")
 @click.option(
     "--or-virtual",
@@ -51,6 +54,7 @@ def run(
     duration: float | None,
     controller: str | None,
     *,
+    settings_: tuple[str, ...],
     virtual: bool,
     or_virtual: bool,
     seed: int | None,
@@ -67,7 +71,7 @@ def run(
     """
     if or_virtual and (serve or as_json):
         raise click.UsageError("--or-virtual plays a scenario twice: leave --serve or --json out")
-    overrides: dict[str, Any] = {}
+    overrides = overrides_of(settings_)
     if controller is not None:
         overrides["control.controller"] = controller
     settings, played = load(config, scenario, overrides)

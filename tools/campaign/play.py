@@ -1,0 +1,205 @@
+"""One run in virtual time, kept in memory: from OFF, or forked from one that is under way."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.schema.root import Config
+from config.schema.scenario import Scenario
+from drivers.process_image import ProcessImage
+from drivers.tracker import TrackerInput
+from runtime import clock
+from runtime.daemon import Daemon, Outcome
+from runtime.operator import Script
+from runtime.scheduler import VirtualPacing
+from runtime.sequence import Sequence
+from runtime.signals import CYCLE
+from runtime.states import Fault, Operator, State
+from runtime.taps import Level
+from sim.lab import Lab
+from sim.truth import TRUTH
+from tools import fieldbuses
+from tools.campaign.episode import Episode
+from tools.campaign.observed import FAULTED, GOOD, End, Observed
+from tools.campaign.strikes import strikes
+from tools.log.log import Event
+
+
+class Rows:
+    """Records of one type with their times, in arrays that grow."""
+
+    def __init__(self, dtype: np.dtype[Any]) -> None:
+        self._rows = np.zeros(1024, dtype)
+        self._stamps = np.zeros(1024, np.int64)
+        self._count = 0
+
+    def publish(self, payload: NDArray[Any], stamp_ns: int) -> None:
+        if self._count == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+            self._stamps = np.concatenate([self._stamps, np.zeros_like(self._stamps)])
+        self._rows[self._count] = payload[0]
+        self._stamps[self._count] = stamp_ns
+        self._count += 1
+
+    @property
+    def rows(self) -> NDArray[Any]:
+        return self._rows[: self._count]
+
+    @property
+    def stamps(self) -> NDArray[np.int64]:
+        return self._stamps[: self._count]
+
+
+class Operated(Script):
+    """A scenario's script that goes on for a while after its end, so that it can be seen what
+    becomes of a robot that is switched off, and that does not wait for an end for ever."""
+
+    def __init__(self, scenario: Scenario, period: float, tail: float, longest: float) -> None:
+        super().__init__(scenario.duration, 0.0, scenario.operator, period)
+        self._left, self._longest = round(tail / period), round(longest / period)
+
+    @property
+    def finished(self) -> bool:
+        return (super().finished and self._left <= 0) or self.armed_for > self._longest
+
+    def next(self, sequence: Sequence) -> Operator:
+        if super().finished:
+            self._left -= 1
+            return Operator.NONE
+        return super().next(sequence)
+
+
+class Turn(Protocol):
+    """Asked before each tick of a run that others may be forked from."""
+
+    def __call__(self, playing: Playing) -> None: ...
+
+
+class _Turning(VirtualPacing):
+    def __init__(self, turn: Callable[[], None]) -> None:
+        self._turn = turn
+
+    async def until(self, due_ns: int) -> None:
+        self._turn()
+        await super().until(due_ns)
+
+
+class Playing:
+    """A run: its parts, and what they have recorded so far."""
+
+    def __init__(
+        self,
+        config: Config,
+        scenario: Scenario,
+        seed: int,
+        *,
+        tail: float,
+        longest: float,
+        turn: Turn | None = None,
+    ) -> None:
+        """``tail`` and ``longest``: s, as in `config.schema.campaign.Times`. ``turn`` may fork the
+        process and `take_up` an episode in the child."""
+        self.config, self.scenario, self._seed = config, scenario, seed
+        self.script = Operated(scenario, config.control.rates.period, tail, longest)
+        self._turn = turn
+        self._cycles, self._truths = Rows(CYCLE), Rows(TRUTH)
+        self._events: list[Event] = []
+        self.lab: Lab | None = None
+
+    def take_up(self, scenario: Scenario) -> None:
+        """Go on with the faults and commands of a scenario that has been the same until now."""
+        assert self.lab is not None
+        self.scenario = scenario
+        self.lab.extend_script(scenario.lab.faults)
+        self.script.follow(scenario.operator)
+
+    def run(self, named: frozenset[str] = frozenset()) -> Observed:
+        """To the end. An exception of the program is part of what was seen. ``named``: kinds of
+        faults that an event has to name."""
+        outcome: Outcome | None = None
+        error = ""
+        try:
+            outcome = clock.run(self._main(), virtual=True)
+        except Exception as caught:  # noqa: BLE001 - whatever it is, it is a finding
+            error = describe(caught)
+        begun = self.lab.script_start_ns if self.lab is not None else None
+        faults = self.scenario.lab.faults if begun is not None else ()
+        last = int(self._truths.stamps[-1]) if len(self._truths.stamps) else 0
+        found = strikes(self.config, faults, begun or 0, named)
+        return Observed(
+            self.config,
+            self.scenario,
+            self._cycles.rows,
+            self._cycles.stamps,
+            self._truths.rows,
+            self._truths.stamps,
+            self._events,
+            [strike for strike in found if strike.at_ns <= last],
+            _end(outcome) if outcome is not None else None,
+            error,
+        )
+
+    async def _main(self) -> Outcome:
+        config, image = self.config, ProcessImage()
+        lab = self.lab = Lab(
+            config,
+            self.scenario.lab,
+            seed=self._seed,
+            clock=clock.loop_clock(),
+            truth=self._truths.publish,
+        )
+        lab.open()
+        try:
+            fieldbus = fieldbuses.build(config, image, lab)
+            daemon = Daemon(
+                config,
+                self.scenario,
+                fieldbus,
+                TrackerInput(image, lab.tracker),
+                self.script,
+                ring=self._cycles,
+                events=self._event,
+                stopwatch=clock.Stopwatch(running=False),
+            )
+            pacing = fieldbuses.steering(fieldbus, lambda: _Turning(self._before_tick))
+            return await daemon.run(pacing, lambda _: None, lambda: None)
+        finally:
+            lab.close()
+
+    def _before_tick(self) -> None:
+        if self._turn is not None:
+            self._turn(self)
+
+    def _event(
+        self, stamp_ns: int, tick: int, level: Level, name: str, where: str, text: str
+    ) -> None:
+        self._events.append(Event(stamp_ns, tick, int(level), name, where, text))
+
+
+def play(
+    episode: Episode, *, tail: float, longest: float, named: frozenset[str] = frozenset()
+) -> Observed:
+    """An episode from OFF, in this process. Raises `ConfigError` and `LabError` for one that does
+    not fit its configuration."""
+    setup = episode.setup
+    playing = Playing(setup.settle(), episode.scenario, setup.seed, tail=tail, longest=longest)
+    return playing.run(named)
+
+
+def _end(outcome: Outcome) -> End:
+    good = outcome.fault is Fault.NONE and not outcome.obstacle and not outcome.overrun
+    state = State(outcome.state)
+    return End(state, outcome.fault, outcome.reason, GOOD if good else FAULTED)
+
+
+def describe(error: BaseException) -> str:
+    """Type, words and place of an exception, in one line."""
+    frames = traceback.extract_tb(error.__traceback__)
+    at = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {error}{at}"
