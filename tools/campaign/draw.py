@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
@@ -63,12 +62,14 @@ def setups(study: Study, seed: int, buses: Sequence[BusName]) -> Iterator[tuple[
         number += 1
 
 
-def undisturbed(study: Study, setup: Setup, name: str) -> Scenario:
-    """A setup's scenario without any fault: brought up, held for a while, and then active."""
+def undisturbed(study: Study, setup: Setup, scenario: Scenario) -> Scenario:
+    """A scenario without any fault: brought up, held for a while, and then active."""
     timeline = Timeline.of(setup.settle().control.sequence, study.times.hold)
     start = Command(at=timeline.started, command="start")
-    update = {"operator": (start,), "duration": study.times.longest}
-    return load_scenario(name).model_copy(update=update)
+    lab = scenario.lab.model_copy(update={"faults": ()})
+    update = {"operator": (start,), "duration": study.times.longest, "lab": lab}
+    named = {"name": study.name, "description": "undisturbed"}
+    return scenario.model_copy(update=update | named)
 
 
 def episodes(study: Study, seed: int, buses: Sequence[BusName], count: int) -> list[Episode]:
@@ -78,7 +79,7 @@ def episodes(study: Study, seed: int, buses: Sequence[BusName], count: int) -> l
     for setup, name in setups(study, seed, buses):
         if len(found) >= count:
             return found
-        base, config = undisturbed(study, setup, name), setup.settle()
+        base, config = undisturbed(study, setup, load_scenario(name)), setup.settle()
         for index in range(len(found), min(len(found) + study.group, count)):
             random = np.random.default_rng([seed, _EPISODES, index])
             episode = _Draw(study, config, base, random, pairs).episode(setup, index)
@@ -88,20 +89,25 @@ def episodes(study: Study, seed: int, buses: Sequence[BusName], count: int) -> l
     return found
 
 
-def grouped(
-    study: Study, seed: int, buses: Sequence[BusName], chosen: Iterable[Episode]
-) -> list[Group]:
-    """Episodes of a campaign with the undisturbed runs they start from."""
-    found: dict[int, list[Episode]] = {}
+def grouped(study: Study, chosen: Iterable[Episode]) -> list[Group]:
+    """Episodes with the undisturbed runs they start from, those of equal ones together."""
+    found: dict[str, tuple[Scenario, list[Episode]]] = {}
     for episode in chosen:
-        found.setdefault(episode.index // study.group, []).append(episode)
-    groups = []
-    for number, (setup, name) in enumerate(
-        islice(setups(study, seed, buses), max(found, default=-1) + 1)
-    ):
-        if number in found:
-            groups.append(Group(undisturbed(study, setup, name), found[number]))
-    return groups
+        trunk = undisturbed(study, episode.setup, episode.scenario)
+        key = episode.setup.model_dump_json() + trunk.model_dump_json()
+        found.setdefault(key, (trunk, []))[1].append(episode)
+    return [
+        Group(trunk, some[first : first + study.group])
+        for trunk, some in found.values()
+        for first in range(0, len(some), study.group)
+    ]
+
+
+def begins(trunk: Scenario, scenario: Scenario) -> float:
+    """s after arming up to which a scenario is its undisturbed one."""
+    own = [each.at for each in scenario.operator if each not in trunk.operator]
+    left = [each.at for each in trunk.operator if each not in scenario.operator]
+    return min([*(fault.at for fault in scenario.lab.faults), *own, *left], default=0.0)
 
 
 class _Draw:
@@ -133,14 +139,11 @@ class _Draw:
         data["lab"]["faults"] = faults
         data["operator"] = [command.model_dump() for command in commands]
         data["name"], data["description"] = f"faults_{index}", f"{', '.join(kinds)} in {state}"
-        trunk = self._base.operator
-        own = [each.at for each in commands if each not in trunk]
-        left = [each.at for each in trunk if each not in commands]
-        begins = min([faults[0]["at"], *own, *left])
+        scenario = Scenario.model_validate(data)
         return Episode(
             setup=setup,
-            scenario=Scenario.model_validate(data),
-            begins=begins,
+            scenario=scenario,
+            begins=begins(self._base, scenario),
             state=state,
             index=index,
         )

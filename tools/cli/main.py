@@ -27,6 +27,7 @@ COMMANDS = (
     "tune",
     "log",
     "paper",
+    "campaign",
     "export",
 )
 """Each is the object of its name in the module of its name."""

@@ -1,0 +1,129 @@
+"""Episodes played in forks: the same bits as without, and no child's end is the campaign's."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from config.loader import load_scenario, load_study
+from config.schema.scenario import Scenario
+from tools.campaign.draw import begins, grouped, undisturbed
+from tools.campaign.episode import Episode, Setup
+from tools.campaign.invariants import within_bounds
+from tools.campaign.judge import digest
+from tools.campaign.observed import Observed
+from tools.campaign.play import play
+from tools.campaign.players import Players
+
+STUDY = load_study("faults")
+FAULTS: dict[str, dict[str, Any]] = {
+    "direct": {},
+    "can": {"kind": "unplug", "channel": "can1", "node": 3},
+    "ethercat": {"kind": "drive_error", "channel": "tonus0", "node": 4, "code": 0x2310},
+}
+
+
+def episode(bus: str, index: int, *, at: float, stop: float, name: str = "hold") -> Episode:
+    """A fault and an operator's stop, where the bus has one."""
+    setup = Setup(config=f"config/{bus}.yaml", seed=5, overrides=dict(STUDY.overrides))
+    data = undisturbed(STUDY, setup, load_scenario(name)).model_dump()
+    trunk = Scenario.model_validate(data)
+    fault = FAULTS[bus]
+    data["lab"]["faults"] = [fault | {"at": at}] if fault else []
+    started = data["operator"][0]["at"]
+    kept = data["operator"] if started < stop else ()
+    data["operator"] = [*kept, {"at": stop, "command": "stop"}]
+    scenario = Scenario.model_validate(data)
+    return Episode(
+        setup=setup, scenario=scenario, begins=begins(trunk, scenario), index=index, state="ACTIVE"
+    )
+
+
+def rows(todo: list[Episode], **options: Any) -> dict[int, dict[str, Any]]:
+    players = Players(STUDY, 2, **options)
+    return {row["index"]: row for row in players.play(grouped(STUDY, todo))}
+
+
+@pytest.mark.parametrize("bus", list(FAULTS))
+def test_a_forked_episode_is_bit_equal_to_one_from_off(bus: str) -> None:
+    todo = [
+        episode(bus, 1, at=3.0, stop=3.3, name="sine_x"),
+        episode(bus, 2, at=1.5, stop=1.6, name="sine_x"),
+    ]
+    found = rows(todo)
+    for each in todo:
+        seen = play(each, tail=STUDY.times.tail, longest=STUDY.times.longest)
+        assert seen.error == ""
+        assert found[each.index]["digest"] == digest(seen), each.index
+        assert found[each.index]["ticks"] == len(seen.cycle_ns)
+
+
+def dying(run: Observed) -> None:
+    """Takes the place of an allowance, in the child."""
+    number = {3.0: signal.SIGSEGV, 3.1: signal.SIGALRM}.get(run.scenario.operator[-1].at)
+    if number is not None:
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
+    if run.scenario.operator[-1].at == 3.2:
+        raise ZeroDivisionError
+
+
+def test_a_child_that_dies_is_a_row() -> None:
+    stops = (3.0, 3.1, 3.2, 3.3)
+    found = rows(
+        [episode("direct", n, at=9.0, stop=stop) for n, stop in enumerate(stops, 1)],
+        allowance=dying,
+    )
+    assert [found[n]["reason"] for n in (1, 2)] == [
+        "crashed: SIGSEGV",
+        f"hung: no end in {STUDY.times.hang} s of wall time",
+    ]
+    assert found[3]["reason"].startswith("crashed")
+    assert (found[4]["state"], found[4]["violations"]) == ("STANDBY", [])
+    assert all(found[n]["violations"][0]["invariant"] == "exception" for n in (1, 2, 3))
+
+
+def test_a_setup_that_cannot_be_played_is_a_row_for_each_episode() -> None:
+    todo = [episode("direct", n, at=9.0, stop=3.0 + 0.1 * n) for n in (1, 2)]
+    wrong = {"control.sequence.referencing_spread": 1e-9}
+    setup = todo[0].setup.model_copy(update={"overrides": dict(STUDY.overrides) | wrong})
+    found = rows([each.model_copy(update={"setup": setup}) for each in todo])
+    assert sorted(found) == [1, 2]
+    assert all(found[n]["violations"] for n in (1, 2))
+
+
+@pytest.mark.parametrize("name", STUDY.scenarios)
+@pytest.mark.parametrize("controller", STUDY.controllers)
+def test_without_a_fault_no_bound_is_broken(name: str, controller: str) -> None:
+    each = episode("direct", 1, at=9.0, stop=4.0, name=name)
+    overrides = dict(each.setup.overrides) | {"control.controller": controller}
+    each = each.model_copy(update={"setup": each.setup.model_copy(update={"overrides": overrides})})
+    seen = play(each, tail=STUDY.times.tail, longest=STUDY.times.longest)
+    assert within_bounds(seen) == []
+
+
+def test_the_command_goes_on_where_it_was_left(tmp_path: Path) -> None:
+    def command(*options: str) -> subprocess.CompletedProcess[str]:
+        line = [sys.executable, "-m", "tools.cli", "campaign", "faults", "--bus", "can"]
+        line += ["--out", str(tmp_path), "--minimise", "0", *options]
+        return subprocess.run(line, capture_output=True, text=True, check=False)
+
+    first = command("--episodes", "1", "--json")
+    assert first.returncode in (0, 1), first.stderr
+    assert json.loads(first.stdout)["episodes"] == 1
+    second = command("--episodes", "2", "--resume", "--json")
+    assert json.loads(second.stdout)["episodes"] == 2, second.stderr
+    journal = (tmp_path / "episodes.jsonl").read_text().splitlines()
+    assert [json.loads(line).get("index") for line in journal] == [None, 0, 1]
+    other = command("--episodes", "2", "--resume", "--seed", "2")
+    assert other.returncode == 2
+    assert "another seed" in other.stderr
+    assert len(other.stderr.splitlines()) == 1
+    assert command("--episodes", "0").returncode == 2

@@ -1,0 +1,101 @@
+"""A campaign: episodes drawn, played where they have not been, judged and recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from config.schema.campaign import BusName, Study
+from runtime import clock
+from runtime.rehearsal import rehearse
+from tools.campaign.draw import episodes, grouped
+from tools.campaign.episode import Episode
+from tools.campaign.invariants import Allowance
+from tools.campaign.journal import Journal, fingerprint
+from tools.campaign.judge import Row
+from tools.campaign.players import Players
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How far a campaign has come."""
+
+    done: int
+    total: int
+    kept: int
+    """of these, from an earlier run"""
+    broken: int
+    """episodes that broke a bound"""
+    seconds: float
+    """s of wall time"""
+
+    @property
+    def left(self) -> float:
+        """s of wall time, at the pace so far."""
+        fresh = self.done - self.kept
+        return self.seconds * (self.total - self.done) / fresh if fresh else 0.0
+
+
+Tell = Callable[[Standing], None]
+
+
+@dataclass
+class Campaign:
+    """What a campaign has come to."""
+
+    episodes: list[Episode]
+    rows: list[Row]
+    """by index, as far as they have been played"""
+    seconds: float
+    kept: int
+    interrupted: bool
+
+
+def carry_out(
+    study: Study,
+    seed: int,
+    buses: Sequence[BusName],
+    count: int,
+    out: Path,
+    *,
+    workers: int = 2,
+    resume: bool = False,
+    only: int | None = None,
+    tell: Tell = lambda _: None,
+    allowance: Allowance | None = None,
+) -> Campaign:
+    """Play ``count`` episodes, or the one number ``only``. On Ctrl-C what has been recorded stays,
+    and the same call with ``resume`` goes on from there. Raises `ConfigError` and `ToolError`."""
+    drawn = episodes(study, seed, buses, count if only is None else only + 1)
+    if only is not None:
+        drawn = drawn[only:]
+    with Journal(out, fingerprint(study, seed, buses), resume=resume) as journal:
+        wanted = {episode.index for episode in drawn}
+        rows = {index: row for index, row in journal.rows.items() if index in wanted}
+        kept = len(rows)
+        todo = [episode for episode in drawn if episode.index not in rows]
+        broken = sum(bool(row["violations"]) for row in rows.values())
+        began, interrupted = clock.wall_seconds(), False
+        try:
+            for row in played(study, todo, workers, allowance):
+                rows[row["index"]] = row
+                journal.add(row)
+                broken += bool(row["violations"])
+                passed = clock.wall_seconds() - began
+                tell(Standing(len(rows), len(drawn), kept, broken, passed))
+        except KeyboardInterrupt:
+            interrupted = True
+    passed = clock.wall_seconds() - began
+    return Campaign(drawn, [rows[index] for index in sorted(rows)], passed, kept, interrupted)
+
+
+def played(
+    study: Study, todo: Sequence[Episode], workers: int, allowance: Allowance | None = None
+) -> Iterator[Row]:
+    """Rows of episodes, as they come."""
+    groups = grouped(study, todo)
+    if groups:
+        # What is compiled before the processes part is compiled once.
+        rehearse(groups[0].episodes[0].setup.settle(), groups[0].undisturbed)
+    return Players(study, workers, allowance).play(groups)
