@@ -8,7 +8,7 @@ MINUTES ?= 20
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test test-long bench bench-realtime load paper fuzz robust replay kill soak
+.PHONY: setup run test test-long bench bench-realtime load paper campaign fuzz robust replay kill soak
 .PHONY: lint check-types lock clean
 
 setup: $(STAMP)
@@ -46,6 +46,12 @@ bench: setup
 # The paper's whole protocol: five hours of robot time. Goes on where it was interrupted.
 paper: setup
 	$(BIN)/tonus paper --out out/paper
+
+# Faults at random in every state, each episode judged against the truth; EPISODES on all buses.
+EPISODES ?= 300
+CAMPAIGN_SEED ?= 1
+campaign: setup
+	$(BIN)/tonus campaign faults --episodes $(EPISODES) --seed $(CAMPAIGN_SEED) --out out/campaign
 
 # MINUTES of cyclictest and the daemon in alternation, half of it each; the result goes into docs/timing.md.
 bench-realtime: setup

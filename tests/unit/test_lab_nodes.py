@@ -242,6 +242,28 @@ def test_the_script_begins_when_all_drives_are_enabled() -> None:
         assert struct.unpack("<i", forces[-1]) == (50000,), "the end of its range"
 
 
+def test_a_script_may_be_extended_while_it_plays() -> None:
+    late = DriveError(at=0.10, kind="drive_error", channel="can0", node=2, code=0x4210)
+    with Bench() as bench:
+        with pytest.raises(LabError, match="has not begun"):
+            bench.lab.extend_script([late])
+        bench.configure_all()
+        bench.wait(500)
+        bench.enable()
+        begun = bench.lab.script_start_ns
+        assert begun is not None
+        bench.lab.extend_script([late])
+        while bench.lab.now_ns < begun + 99_000_000:
+            bench.tick(0x0F)
+        assert bench.lab.drives[1].state is State.OPERATION_ENABLED
+        bench.wait(2)
+        assert bench.lab.drives[1].state is State.FAULT
+        with pytest.raises(LabError, match="are over"):
+            bench.lab.extend_script([late])
+        with pytest.raises(LabError, match="no node 99"):
+            bench.lab.extend_script([Unplug(at=9.0, kind="unplug", channel="can0", node=99)])
+
+
 def test_a_script_that_does_not_fit_is_refused() -> None:
     script = LabScript(faults=(Unplug(at=0.0, kind="unplug", channel="can0", node=99),))
     with pytest.raises(LabError, match="no node 99"):

@@ -5,21 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-import click
 import yaml
+
+from tools.errors import ToolError
 
 
 def overrides_of(settings: Iterable[str]) -> dict[str, Any]:
-    """Dotted keys with their values, read as YAML. Raises `click.UsageError`."""
+    """Dotted keys with their values, read as YAML. Raises `ToolError`."""
     found: dict[str, Any] = {}
     for each in settings:
         key, sign, text = each.partition("=")
         if not sign or not key.strip():
-            raise click.UsageError(f"--set {each}: write KEY=VALUE, as control.stiffness.base=3000")
+            raise ToolError(f"--set {each}: write KEY=VALUE, as control.stiffness.base=3000")
         try:
             found[key.strip()] = yaml.safe_load(text)
         except yaml.YAMLError as error:
-            raise click.UsageError(f"--set {each}: the value is not YAML") from error
+            raise ToolError(f"--set {each}: the value is not YAML") from error
     return found
 
 
