@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
+from config import load
 from config.schema.campaign import BusName, Study
 from runtime import clock
 from runtime.rehearsal import rehearse
+from sim.lab import Lab
 from tools.campaign.draw import episodes, grouped
 from tools.campaign.episode import Episode
 from tools.campaign.invariants import Allowance
 from tools.campaign.journal import Journal, fingerprint
 from tools.campaign.judge import Row
 from tools.campaign.players import Players
+
+_WARM_NS = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -95,7 +100,16 @@ def played(
 ) -> Iterator[Row]:
     """Rows of episodes, as they come."""
     groups = grouped(study, todo)
-    if groups:
-        # What is compiled before the processes part is compiled once.
-        rehearse(groups[0].episodes[0].setup.settle(), groups[0].undisturbed)
+    for group in groups:
+        _warm_up(group.episodes[0].setup.config)
     return Players(study, workers, allowance).play(groups)
+
+
+@cache
+def _warm_up(name: str) -> None:
+    """What is compiled or loaded before the processes part need not be in each."""
+    config, scenario = load(name)
+    rehearse(config, scenario)
+    lab = Lab(config, scenario.lab, seed=0, clock=lambda: 0)
+    lab.advance(_WARM_NS)
+    lab.close()

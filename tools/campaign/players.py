@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import selectors
@@ -65,6 +66,8 @@ class Players:
                 signal.signal(signal.SIGINT, signal.SIG_IGN)
                 die_with_parent()
                 os.close(ours)
+                # A group is over before what it leaves behind is worth looking for.
+                gc.disable()
                 play_group(group, self._study, lambda row: _write(theirs, row), self._allowance)
                 code = 0
             finally:
