@@ -24,7 +24,7 @@ from tools.campaign.players import Players
 
 STUDY = load_study("faults")
 FAULTS: dict[str, dict[str, Any]] = {
-    "direct": {},
+    "direct": {"kind": "cable_cut", "axis": 2},
     "can": {"kind": "unplug", "channel": "can1", "node": 3},
     "ethercat": {"kind": "drive_error", "channel": "tonus0", "node": 4, "code": 0x2310},
 }
