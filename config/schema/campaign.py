@@ -86,7 +86,7 @@ class Times(Section):
     longest: Positive
     """after arming; a run that has not ended by then never will"""
     hang: Count
-    """of wall time without an episode's end"""
+    """of processor time without an episode's end"""
 
 
 class Study(Section):

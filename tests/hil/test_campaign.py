@@ -67,7 +67,7 @@ def test_a_forked_episode_is_bit_equal_to_one_from_off(bus: str) -> None:
 
 def dying(run: Observed) -> None:
     """Takes the place of an allowance, in the child."""
-    number = {3.0: signal.SIGSEGV, 3.1: signal.SIGALRM}.get(run.scenario.operator[-1].at)
+    number = {3.0: signal.SIGSEGV, 3.1: signal.SIGPROF}.get(run.scenario.operator[-1].at)
     if number is not None:
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
@@ -83,7 +83,7 @@ def test_a_child_that_dies_is_a_row() -> None:
     )
     assert [found[n]["reason"] for n in (1, 2)] == [
         "crashed: SIGSEGV",
-        f"hung: no end in {STUDY.times.hang} s of wall time",
+        f"hung: no end in {STUDY.times.hang} s of processor time",
     ]
     assert found[3]["reason"].startswith("crashed")
     assert (found[4]["state"], found[4]["violations"]) == ("STANDBY", [])

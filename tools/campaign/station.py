@@ -24,6 +24,8 @@ _AHEAD_S = 0.003
 """so long before an episode's first event it is forked; buses and devices work ahead of a tick"""
 _DIE_WITH_PARENT = 1
 """PR_SET_PDEATHSIG"""
+_PATIENCE = 60
+"""s of wall time to one of processor time"""
 Tell = Callable[[Row], None]
 
 
@@ -50,14 +52,17 @@ def play_group(group: Group, study: Study, tell: Tell, allowance: Allowance | No
         replayed = station.child.index % study.replayed == 0
         tell(row_of(station.child, seen, replayed=replayed, allowance=allowance))
         os._exit(0)
-    signal.alarm(0)
+    watch(0)
     station.give_up(error)
 
 
 def watch(seconds: int) -> None:
-    """From now on a signal ends this process when so much wall time has passed."""
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(seconds)
+    """From now on a signal ends this process when it has used so much processor time, on a busy
+    host as on an idle one; or, if it waits for something that never comes, after much longer."""
+    for number in (signal.SIGPROF, signal.SIGALRM):
+        signal.signal(number, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    signal.alarm(seconds * _PATIENCE if seconds else 0)
 
 
 def die_with_parent() -> None:
@@ -82,7 +87,7 @@ class _Station:
             return
         while self._left and self._is_due(self._left[-1], playing):
             episode = self._left.pop()
-            signal.alarm(0)
+            watch(0)
             if self._fork(episode):
                 playing.take_up(episode.scenario)
                 return
@@ -122,8 +127,8 @@ class _Station:
 
 def cause(exit_code: int, hang: int) -> str:
     """Why a process ended without a row."""
-    if exit_code == -signal.SIGALRM:
-        return f"hung: no end in {hang} s of wall time"
+    if exit_code in (-signal.SIGPROF, -signal.SIGALRM):
+        return f"hung: no end in {hang} s of processor time"
     if exit_code < 0:
         return f"crashed: {signal.Signals(-exit_code).name}"
     return f"crashed: exit code {exit_code}"
