@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from config.schema.base import Direction, NonNegative, Positive, Section, Vector3
-from config.schema.faults import LONGEST_S
+from config.schema.fault_section import LONGEST_S
 from config.schema.lab import LabScript
 
 
