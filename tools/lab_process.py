@@ -29,6 +29,7 @@ from runtime.realtime import freeze_collector, prepare
 from sim.errors import LabError
 from sim.lab import Lab, TruthSink
 from sim.server import serve
+from tools import output
 from tools.errors import ToolError
 from tools.truth import TruthRing
 
@@ -151,6 +152,7 @@ def _say(text: bytes) -> None:
 
 def main() -> None:
     """The process that `start_lab` starts."""
+    output.install()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     job = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     try:

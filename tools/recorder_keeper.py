@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 from runtime.ring import RingReader
+from tools import output
 
 INCOMPLETE = 3
 """exit code of a recorder that ended while the disk had no room"""
@@ -54,6 +55,7 @@ def _recorded(ring_dir: Path) -> int:
 
 
 if __name__ == "__main__":
+    output.install()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if int(sys.argv[1]):
         _hasten(int(sys.argv[1]))

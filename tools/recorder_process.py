@@ -31,6 +31,7 @@ from runtime.recorder import Recorder, Watch
 from runtime.ring import RingReader
 from runtime.taps import Level
 from runtime.viewer import Scene
+from tools import output
 from tools.cli.live import Live
 from tools.errors import ToolError
 from tools.event_lines import EventLines, for_journal
@@ -211,9 +212,10 @@ def _tell(ring_dir: Path, stopped: str, before: str) -> str:
 def main() -> None:
     """The process that a keeper starts."""
     ring_dir, out, job = (Path(argument) for argument in sys.argv[1:4])
+    output.install()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # One that lost its keeper may still be at work.
-    with _hold(ring_dir, wait=True):
+    with _hold(ring_dir, wait=True), output.hurried():
         if not run(ring_dir, out, json.loads(job.read_text(encoding="utf-8"))):
             sys.exit(INCOMPLETE)
 

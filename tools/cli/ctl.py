@@ -16,6 +16,7 @@ from rich.table import Table
 from runtime import clock
 from runtime.control_door import VERBS
 from runtime.states import State
+from tools import output
 from tools.control_client import ControlClient
 
 _LOOK_S = 0.1
@@ -83,7 +84,7 @@ def watch(path: Path | None, as_json: bool, rate: float, count: int | None) -> N
 
 def _looks(daemon: ControlClient, rate: float, count: int | None) -> Iterator[Reply]:
     seen = 0
-    while count is None or seen < count:
+    while (count is None or seen < count) and not output.reader_left():
         reply = daemon.ask("status")
         if not reply["ok"]:
             _end(reply, as_json=False)

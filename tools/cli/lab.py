@@ -14,6 +14,7 @@ from config.schema.bus import CanopenBus
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 from runtime import clock
+from tools import output
 from tools.errors import ToolError
 from tools.lab_process import work
 
@@ -29,6 +30,7 @@ from tools.lab_process import work
 )
 def lab(config: Path, scenario: str | None, seed: int | None, nodes: str | None) -> None:
     """Start the lab of CONFIG: drives, force cells and tracker, with the plant behind them."""
+    output.make_optional()
     settings, played = load(config, scenario)
     if settings.lab is None:
         raise ToolError(f"{config}: has no lab: section; add one, see config/can.yaml")

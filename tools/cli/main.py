@@ -5,16 +5,17 @@ Exit codes: 0 done; 1 the run ended in a fault or a check failed; 2 bad usage or
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 
 import click
 
-from config.errors import ConfigError
-from drivers.errors import DriverError
-from runtime.errors import DaemonError
-from sim.errors import LabError
-from tools.errors import ToolError
+from tools import output
 
 COMMANDS = (
     "run",
@@ -33,14 +34,6 @@ COMMANDS = (
 """Each is the object of its name in the module of its name."""
 
 
-_NO_CACHE = "no locator available"
-"""numba's words where it finds no folder for what it compiles"""
-_CACHE_ADVICE = (
-    "compiled code can be kept neither beside the sources nor in the user's cache folder; "
-    "set NUMBA_CACHE_DIR to a folder that may be written"
-)
-
-
 class _Commands(click.Group):
     """Imports a command when it is asked for, so that a light one is not kept waiting by others."""
 
@@ -52,7 +45,8 @@ class _Commands(click.Group):
         del ctx
         if cmd_name not in COMMANDS:
             return None
-        command = getattr(import_module(f"tools.cli.{cmd_name}"), cmd_name)
+        with _loading():
+            command = getattr(import_module(f"tools.cli.{cmd_name}"), cmd_name)
         assert isinstance(command, click.Command)
         return command
 
@@ -65,22 +59,42 @@ def tonus() -> None:
 
 def main() -> None:
     """Entry point of the console script."""
+    output.install()
+    with _loading():
+        from tools.cli.failures import explained
+    code: object = 1
     try:
         # Outside its standalone mode click returns the code of an Exit instead of leaving with it.
-        sys.exit(tonus(standalone_mode=False))
-    except click.exceptions.Abort:
-        sys.exit(1)
-    except click.ClickException as error:
-        error.show()
-        sys.exit(2)
-    except (ConfigError, LabError, ToolError) as error:
-        click.echo(f"tonus: {error}", err=True)
-        sys.exit(2)
-    except (DriverError, DaemonError) as error:
-        click.echo(f"tonus: {error}", err=True)
-        sys.exit(1)
-    except RuntimeError as error:
-        if _NO_CACHE not in str(error):
-            raise
-        click.echo(f"tonus: {_CACHE_ADVICE}", err=True)
-        sys.exit(2)
+        code = tonus(standalone_mode=False)
+    except SystemExit as ending:
+        code = ending.code
+    except KeyboardInterrupt:
+        pass
+    except Exception as error:  # noqa: BLE001  # what has no explanation is raised again
+        text, code = explained(error)
+        if text:
+            click.echo(text, err=True)
+    sys.exit(_heard(code if isinstance(code, int) else 0))
+
+
+def _heard(code: int) -> int:
+    """The exit code, or 2 where the command did its work and its answer could not be written."""
+    lost = output.lost()
+    if lost is None:
+        return code
+    click.echo(f"tonus: {lost}; print to somewhere else", err=True)
+    return code or (0 if output.is_optional() else 2)
+
+
+@contextmanager
+def _loading() -> Iterator[None]:
+    """Imports take a second, and an interrupt within one could surface anywhere: it ends the
+    process at once, since nothing has begun."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, lambda *_: os._exit(1))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

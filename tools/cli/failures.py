@@ -1,0 +1,48 @@
+"""What a command's error means to a person: one line, and the exit code."""
+
+from __future__ import annotations
+
+import click
+
+from config.errors import ConfigError
+from drivers.errors import DriverError
+from runtime.errors import DaemonError
+from sim.errors import LabError
+from tools.errors import ToolError
+
+_NO_CACHE = "no locator available"
+"""numba's words where it finds no folder for what it compiles"""
+_CACHE_ADVICE = (
+    "compiled code can be kept neither beside the sources nor in the user's cache folder; "
+    "set NUMBA_CACHE_DIR to a folder that may be written"
+)
+
+
+def explained(error: Exception) -> tuple[str, int]:
+    """The line, empty for a command that was interrupted, and the exit code. An error of the
+    program itself is raised again."""
+    if isinstance(error, click.exceptions.Abort):
+        return "", 1
+    if isinstance(error, click.UsageError):
+        hint = f"; see {error.ctx.command_path} --help" if error.ctx is not None else ""
+        return _line(f"{error.format_message().rstrip('.')}{hint}"), 2
+    if isinstance(error, click.ClickException):
+        return _line(error.format_message()), 2
+    if isinstance(error, ConfigError | LabError | ToolError):
+        return _line(str(error)), 2
+    if isinstance(error, DriverError | DaemonError):
+        return _line(str(error)), 1
+    if isinstance(error, OSError):
+        where = error.filename if error.filename is not None else "input or output"
+        reason = (error.strerror or "cannot be used").lower()
+        return _line(f"{where}: {reason}; check the path, its permissions and the disk"), 2
+    if isinstance(error, MemoryError):
+        return _line("this needs more memory than there is; give it less at a time"), 2
+    if isinstance(error, RuntimeError) and _NO_CACHE in str(error):
+        return _line(_CACHE_ADVICE), 2
+    raise error
+
+
+def _line(text: str) -> str:
+    """A file name may hold a line break; the message is one line whatever happens."""
+    return f"tonus: {' '.join(text.split())}"
