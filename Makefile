@@ -21,7 +21,7 @@ $(STAMP): requirements.lock pyproject.toml
 	@touch $(STAMP)
 
 run: setup
-	$(BIN)/tonus run config/can.yaml --or-virtual --out out
+	$(BIN)/tonus run config/can.yaml --or-virtual
 
 lint: setup
 	$(BIN)/ruff check .

@@ -167,6 +167,11 @@ def wall_seconds() -> float:
     return time.monotonic()
 
 
+def wall_stamp() -> str:
+    """Local date and time for the name of a folder; sorts by time."""
+    return time.strftime("%Y%m%d-%H%M%S")
+
+
 def pause(seconds: float) -> None:
     """For a command that looks again in a moment; nothing that ticks may call it."""
     time.sleep(seconds)

@@ -16,6 +16,7 @@ import errno
 import os
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -114,9 +115,16 @@ class Recorder:
         """why nothing is being recorded, in words; empty while something is"""
         self.files: list[Path] = []
         """every file that this recorder began, in order"""
+        self._segment: Segment | None = None
         readers = self._discover()
         again = any(reader.cursor for _, reader in readers)
-        self._segment = self._next_segment(next_name(out) if again else out)
+        try:
+            self._segment = self._next_segment(next_name(out) if again else out)
+        except OSError as error:
+            for _, reader in readers:
+                reader.close()
+            self._stop(error)
+            return
         self._add(readers)
         if again:
             self._look()
@@ -125,8 +133,8 @@ class Recorder:
 
     @property
     def path(self) -> Path:
-        """The file being written, or the last one."""
-        return self.files[-1]
+        """The file being written, or the last one; before the first, where it will be."""
+        return self.files[-1] if self.files else self._out
 
     @property
     def lost(self) -> dict[str, int]:
@@ -191,14 +199,26 @@ class Recorder:
                 self._show(source, self._watch)
         return new
 
+    @property
+    def _open_segment(self) -> Segment:
+        assert self._segment is not None, "nothing is written while recording is stopped"
+        return self._segment
+
     def _next_segment(self, path: Path) -> Segment:
-        self.files.append(path)
+        """Raises OSError, and leaves no file then."""
         metadata = {**self._metadata, "file": path.name}
-        return Segment(path, self._recording, metadata, self._attachments, self._scene)
+        try:
+            segment = Segment(path, self._recording, metadata, self._attachments, self._scene)
+        except OSError:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+            raise
+        self.files.append(path)
+        return segment
 
     def _close_segment(self) -> None:
         """Raises OSError."""
-        segment = self._segment
+        segment = self._open_segment
         segment.file.chunk(self._noted())
         lost = self.lost
         here = {name: str(count - self._told.get(name, 0)) for name, count in lost.items()}
@@ -209,10 +229,11 @@ class Recorder:
     def _rotate(self) -> None:
         """Go on in another file. Raises OSError."""
         self._close_segment()
-        self._segment = self._next_segment(next_name(self._out, self.files))
+        self._segment = None
+        self._segment = segment = self._next_segment(next_name(self._out, self.files))
         self._began = None
         for name, source in self._sources.items():
-            source.encode = self._segment.encoder(name, source.reader.meta)
+            source.encode = segment.encoder(name, source.reader.meta)
         keep = self._recording.keep_files
         for old in self.files[:-keep] if keep else ():
             if old.exists():
@@ -225,7 +246,7 @@ class Recorder:
         size, length = self._recording.rotate_mb * _MEGABYTE, self._recording.rotate_s * 1e9
         chunks = 0 if self._began is None else self._next_chunk - self._began
         return bool(
-            (size and self._segment.file.size >= size)
+            (size and self._open_segment.file.size >= size)
             or (length and chunks * self._chunk_ns >= length)
         )
 
@@ -234,7 +255,9 @@ class Recorder:
         self.stopped = f"{self.path.parent}: {(error.strerror or 'cannot be written').lower()}"
         text = f"{self.stopped}; control goes on, make room and recording goes on too"
         self.event(Level.ERROR, "recording_stopped", "recorder", text)
-        self._segment.file.abandon()
+        if self._segment is not None:
+            self._segment.file.abandon()
+            self._segment = None
         self._lost = self.lost
         for source in self._sources.values():
             source.reader.close()
@@ -248,7 +271,6 @@ class Recorder:
         try:
             self._segment = self._next_segment(next_name(self._out, self.files))
         except OSError:
-            self.files.pop()
             return False
         readers = self._discover()
         missing = sum(
@@ -281,7 +303,7 @@ class Recorder:
                 reader.close()
                 self._left_out.add(name)
             else:
-                encode = self._segment.encoder(name, reader.meta)
+                encode = self._open_segment.encoder(name, reader.meta)
                 self._sources[name] = _Source(reader, encode)
 
     def _show(self, source: _Source, watch: Watch) -> None:
@@ -322,7 +344,7 @@ class Recorder:
         for name in sorted(self._sources):
             blocks += self._sources[name].take(before_ns, self._utc_offset_ns)
         blocks += self._noted()
-        self._segment.file.chunk(blocks)
+        self._open_segment.file.chunk(blocks)
         for source in self._sources.values():
             source.reader.commit()
 
@@ -331,6 +353,6 @@ class Recorder:
         for index, (stamp, record) in enumerate(self._notes):
             body = record.view(np.uint8).reshape(1, EVENT.itemsize)
             time = np.array([stamp + self._utc_offset_ns])
-            blocks += self._segment.events(time, np.array([index]), body)
+            blocks += self._open_segment.events(time, np.array([index]), body)
         self._notes = []
         return blocks

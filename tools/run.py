@@ -6,7 +6,6 @@ real time each is a process of its own.
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import signal
@@ -42,7 +41,7 @@ from runtime.taps import EventRing, FrameRing, KeyframeRing, Level
 from runtime.topics import to_json
 from runtime.viewer import Scene
 from sim.lab import Lab
-from tools import fieldbuses, provenance
+from tools import fieldbuses, output, provenance
 from tools.cli.live import Live
 from tools.doctor import doctor
 from tools.errors import ToolError
@@ -50,7 +49,9 @@ from tools.event_lines import EventLines, for_journal
 from tools.folders import make_folder
 from tools.lab_process import LabProcess, start_lab
 from tools.recorder_process import RecorderProcess, start
+from tools.repeat import every
 from tools.ring_directory import ring_directory
+from tools.run_folder import LOG, RunFolder
 from tools.truth import TruthRing
 
 DRAIN_S = 0.2
@@ -79,6 +80,8 @@ class Order:
     """what an operator may choose instead of `scenario`"""
     socket: Path | None = None
     """of control, instead of the configuration's"""
+    link: bool = False
+    """let ``latest`` beside the folder ``out`` point to it once the run has started"""
 
 
 @dataclass
@@ -126,16 +129,14 @@ def _control_socket(order: Order) -> ControlSocket | None:
 
 
 def _run(order: Order, control: ControlSocket | None) -> Result:
-    log = order.out / "run.mcap"
     if not order.virtual:
         demand(order.config.realtime)
     make_folder(order.out)
-    for old in (log, *order.out.glob("run.[0-9]*.mcap")):
-        old.unlink(missing_ok=True)
     if not rehearse(order.config, order.scenario):
         raise ToolError("the control cycle does not reach ACTIVE even with an obedient robot")
-    with ring_directory(order.say) as rings, ExitStack() as cleanup:
-        stage = _Stage(order, rings, log, cleanup, control)
+    folder = RunFolder(order.out, link=order.link)
+    with ring_directory(order.say) as rings, folder.occupied(), ExitStack() as cleanup:
+        stage = _Stage(order, rings, folder, cleanup, control)
         return stage.virtual() if order.virtual else stage.real()
 
 
@@ -146,7 +147,7 @@ class _Stage:
         self,
         order: Order,
         rings: Path,
-        log: Path,
+        folder: RunFolder,
         cleanup: ExitStack,
         control: ControlSocket | None,
     ) -> None:
@@ -156,7 +157,8 @@ class _Stage:
         step_ns = rates.status_divisor * rates.period_ns
         shown = order.live and not order.serve
         self._shown = (order.scenario.duration, step_ns) if shown else None
-        self._order, self._rings, self._log, self._cleanup = order, rings, log, cleanup
+        self._order, self._rings, self._cleanup = order, rings, cleanup
+        self._folder, self._log = folder, folder.path / LOG
         self._realtime = settled(config.realtime)
         patience = config.operation.self_test.patience_s
         script = None
@@ -198,26 +200,23 @@ class _Stage:
         )
 
         async def main() -> Outcome:
-            lab = self._lab()
-            fieldbus = fieldbuses.build(order.config, self._image, lab, self._tap)
-            daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False))
-            pacing = fieldbuses.steering(fieldbus, order.pacing or VirtualPacing)
-
             def drain() -> None:
                 recorder.drain()
                 if lines is not None:
                     lines.tell()
 
-            # In this process and this loop in virtual time only: a process of its own otherwise.
-            part = self._firewall.part("recorder")
-            draining = _every(DRAIN_S, lambda: part(drain))
-            try:
-                return await daemon.run(pacing, order.say, self._begin, start_ns=order.start_ns)
-            finally:
-                draining()
-                drain()
-                if lab is not None:
-                    lab.close()
+            with self._lab() as lab:
+                fieldbus = fieldbuses.build(order.config, self._image, lab, self._tap)
+                daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False))
+                pacing = fieldbuses.steering(fieldbus, order.pacing or VirtualPacing)
+                # In this loop in virtual time only: a process of its own otherwise.
+                part = self._firewall.part("recorder")
+                draining = every(DRAIN_S, lambda: part(drain))
+                try:
+                    return await daemon.run(pacing, order.say, self._begin, start_ns=order.start_ns)
+                finally:
+                    draining()
+                    drain()
 
         try:
             with self._signals():
@@ -255,7 +254,7 @@ class _Stage:
 
         before = stolen_jiffies()
         try:
-            with self._signals():
+            with self._signals(), output.hurried():
                 outcome = clock.run(main(), virtual=False)
             seconds = self._seconds()
         finally:
@@ -274,6 +273,7 @@ class _Stage:
         return Result(outcome, self._log, seconds, steal, grants, unrecorded, self._latencies)
 
     def _begin(self) -> None:
+        self._folder.started()
         self._notifier.ready()
         self._began = clock.wall_seconds()
 
@@ -281,7 +281,9 @@ class _Stage:
         """s of wall time since the first tick; 0: there was none."""
         return clock.wall_seconds() - self._began if self._began else 0.0
 
-    def _lab(self) -> Lab | None:
+    @contextmanager
+    def _lab(self) -> Iterator[Lab]:
+        """A lab in this process, gone again whatever happens."""
         order = self._order
         if order.config.lab is None:
             raise ToolError("virtual time needs a lab: section in the configuration")
@@ -293,8 +295,11 @@ class _Stage:
             clock=clock.loop_clock(),
             truth=truth.publish,
         )
-        lab.open()
-        return lab
+        try:
+            lab.open()
+            yield lab
+        finally:
+            lab.close()
 
     def _lab_process(self) -> LabProcess | None:
         order = self._order
@@ -392,19 +397,3 @@ class _Stage:
         elif self._daemon_made is not None:
             text = "SIGHUP: nothing to do; the configuration is read at the start only"
             self._daemon_made.note(Level.INFO, "signal", text)
-
-
-def _every(seconds: float, action: Callable[[], object]) -> Callable[[], None]:
-    """Do it again and again on the running loop; returns what ends that."""
-
-    async def repeat() -> None:
-        while True:
-            await asyncio.sleep(seconds)
-            action()
-
-    task = asyncio.get_running_loop().create_task(repeat())
-
-    def end() -> None:
-        task.cancel()
-
-    return end

@@ -14,6 +14,7 @@ from config import Config, Scenario, load
 from config.loader import load_scenario, scenario_names
 from drivers.fieldbus import Progress
 from runtime.states import Fault, State
+from tools import output
 from tools.check import check
 from tools.cli.settings import overrides_of
 from tools.errors import ToolError
@@ -25,6 +26,7 @@ from tools.log.several import segments
 from tools.report.overview import overview
 from tools.run import Order, Result
 from tools.run import run as carry_out
+from tools.run_folder import new_folder, next_folder
 from tools.summary import Summary, missed_in, summarise, truth_at_cycles
 
 
@@ -45,7 +47,11 @@ from tools.summary import Summary, missed_in, summarise, truth_at_cycles
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the lab's noise.")
 @click.option("--serve", is_flag=True, help="Wait for `tonus ctl` instead of playing a scenario.")
 @click.option("--socket", type=click.Path(path_type=Path), help="Control socket.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder; an earlier run in it moves to OUT/previous. Without it a new folder in out.",
+)
 @click.option("--force", is_flag=True, help="Run even what `tonus check` refuses.")
 @click.option("--json", "as_json", is_flag=True, help="Print summary.json and nothing else.")
 def run(
@@ -60,17 +66,20 @@ def run(
     seed: int | None,
     serve: bool,
     socket: Path | None,
-    out: Path,
+    out: Path | None,
     force: bool,
     as_json: bool,
 ) -> None:
     """Run CONFIG: bring the robot up, play a scenario, record everything, sum it up.
 
-    With --serve it waits for commands (`tonus ctl`) until it is interrupted, in a new numbered
-    folder in OUT each time.
+    Without --out each run has a folder of its own in out, and out/latest points to the newest.
+    With --serve it waits for commands (`tonus ctl`) until it is interrupted; --out then names a
+    folder in which each start has a numbered one.
     """
     if or_virtual and (serve or as_json):
         raise click.UsageError("--or-virtual plays a scenario twice: leave --serve or --json out")
+    if not as_json:
+        output.make_optional()
     overrides = overrides_of(settings_)
     if controller is not None:
         overrides["control.controller"] = controller
@@ -86,11 +95,14 @@ def run(
     others: tuple[Scenario, ...] = ()
     if serve:
         others = tuple(_others(config, settings, played, say=say, force=force))
-        out = _next_folder(out)
+    if out is None:
+        folder = new_folder(config, "serve" if serve else played.name)
+    else:
+        folder = next_folder(out) if serve else out
     order = Order(
         settings,
         played,
-        out,
+        folder,
         seed,
         virtual,
         say,
@@ -98,11 +110,12 @@ def run(
         serve=serve,
         others=others,
         socket=socket,
+        link=out is None,
     )
     good, disturbed = _play(order, as_json=as_json)
     if or_virtual and disturbed:
         click.echo("\nonce more in virtual time, which no host disturbs:")
-        again = replace(order, virtual=True, out=out / "virtual")
+        again = replace(order, virtual=True, out=folder / "virtual", link=False)
         good, _ = _play(again, as_json=as_json)
     raise click.exceptions.Exit(0 if good else 1)
 
@@ -111,14 +124,19 @@ def _play(order: Order, *, as_json: bool) -> tuple[bool, bool]:
     """Whether it came to a good end, and whether the host may be why it did not."""
     result = carry_out(order)
     outcome = result.outcome
-    good = outcome.fault is Fault.NONE and not outcome.obstacle and not outcome.overrun
+    ended_well = outcome.fault is Fault.NONE and not outcome.obstacle and not outcome.overrun
+    good = ended_well and not result.unrecorded
     if order.serve or not outcome.ticks:  # ended while the bus was brought up: nothing to sum up
         _tell_served(result, as_json=as_json)
         return good, False
-    summary = _summary(order, result)
+    try:
+        summary = _summary(order, result)
+        picture = order.out / "overview.png"
+        overview(open_log(result.log), order.config, picture)
+    except (OSError, ToolError) as error:
+        _tell_unsummed(result, error, as_json=as_json)
+        return False, False
     disturbed = outcome.fault is not Fault.NONE and _disturbed(order.config, summary)
-    picture = order.out / "overview.png"
-    overview(open_log(result.log), order.config, picture)
     if as_json:
         click.echo(json.dumps(summary, indent=2))
     else:
@@ -134,14 +152,29 @@ def _disturbed(config: Config, summary: Summary) -> bool:
     return summary["missed_by_host"] > 0 or stolen >= config.realtime.host.steal_bad_percent
 
 
+def _tell_unsummed(result: Result, error: Exception, *, as_json: bool) -> None:
+    """A run whose log holds too little for a summary, or whose disk has no room for one."""
+    problem = result.unrecorded or str(error)
+    if as_json:
+        ended = {"state": result.outcome.state.name, "reason": result.outcome.reason}
+        click.echo(json.dumps(ended | {"unrecorded": problem, "log": str(result.log)}, indent=2))
+        return
+    click.echo(f"  {'NOT RECORDED':<15} {problem}")
+    click.echo(f"  {'folder':<15} {result.log.parent}")
+    click.echo(f"{result.outcome.state.name}: {result.outcome.reason}")
+
+
 def _tell_served(result: Result, *, as_json: bool) -> None:
     """Days of operation are not summed up: what is wanted of them `tonus log` finds."""
     outcome = result.outcome
     if as_json:
         ended = {"state": outcome.state.name, "reason": outcome.reason, "ticks": outcome.ticks}
+        ended["unrecorded"] = result.unrecorded
         click.echo(json.dumps(ended | {"log": str(result.log)}, indent=2))
         return
     click.echo(f"  {'log':<15} {result.log}, {outcome.ticks} ticks")
+    if result.unrecorded:
+        click.echo(f"  {'NOT RECORDED':<15} {result.unrecorded}")
     click.echo(f"{outcome.state.name}: {outcome.reason}")
 
 
@@ -161,12 +194,6 @@ def _others(
             say(f"scenario {scenario.name} cannot be chosen: {error}")
             continue
         yield scenario
-
-
-def _next_folder(out: Path) -> Path:
-    """OUT/0001, OUT/0002 and so on: what a daemon recorded before it was restarted stays."""
-    taken = [int(each.name) for each in out.glob("[0-9]*") if each.name.isdecimal()]
-    return out / f"{max(taken, default=0) + 1:04d}"
 
 
 def _refuse(path: Path, config: Config, scenario: Scenario) -> None:
@@ -241,7 +268,7 @@ def _tell(summary: Summary, result: Result, files: list[Path], *, disturbed: boo
     if summary["contact_peak_n"] is not None:
         rows.append(("contact peak", f"{summary['contact_peak_n']:.1f} N"))
     if result.unrecorded:
-        rows.append(("not recorded", f"the end of the run: {result.unrecorded}"))
+        rows.append(("NOT RECORDED", f"a part of the run, at least its end: {result.unrecorded}"))
     if disturbed:
         taken = f"{summary['missed_by_host']} ticks and {result.steal_percent or 0.0:.1f} %"
         rows.append(("the host", f"took {taken} of all time, and may be why it stopped;"))
@@ -249,5 +276,6 @@ def _tell(summary: Summary, result: Result, files: list[Path], *, disturbed: boo
     click.echo()
     for name, value in rows:
         click.echo(f"  {name:<15} {value}")
-    click.echo(f"  {'files':<15} {'  '.join(str(file) for file in files)}")
+    click.echo(f"  {'folder':<15} {result.log.parent}")
+    click.echo(f"  {'files':<15} {'  '.join(file.name for file in files)}")
     click.echo(f"{result.outcome.state.name}: {result.outcome.reason}")
