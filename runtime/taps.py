@@ -181,16 +181,17 @@ class KeyframeRing(RingWriter):
         ring._record = np.zeros(1, KEYFRAME)
         return ring
 
-    def write(self, stamp_ns: int, tick: int, state: bytes) -> None:
-        """Record the state after ``tick``; one that is too large is left out, and a replay begins
-        at an earlier one."""
+    def write(self, stamp_ns: int, tick: int, state: bytes) -> bool:
+        """Record the state after ``tick``; gives False for one that is too large and left out: a
+        replay then begins at an earlier one."""
         if len(state) > KEYFRAME_BYTES:
-            return
+            return False
         record = self._record
         record["tick"], record["size"] = tick, len(state)
         record["state"][0, : len(state)] = np.frombuffer(state, np.uint8)
         record["state"][0, len(state) :] = 0
         self.publish(record, stamp_ns)
+        return True
 
 
 def _cut(text: str, size: int) -> bytes:

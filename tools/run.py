@@ -9,17 +9,14 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 from config.places import runtime_dir
 from config.schema.bus import DirectBus, parts
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from drivers.fieldbus import Fieldbus, FrameTap, Progress
+from drivers.fieldbus import Fieldbus, FrameTap
 from drivers.process_image import ProcessImage
 from drivers.tracker import TrackerInput, TrackerSource, UdpTracker
 from runtime import clock
@@ -31,13 +28,14 @@ from runtime.guarded_tap import GuardedTap
 from runtime.latencies import Latencies
 from runtime.notify import Notifier
 from runtime.operator import Console, Script
-from runtime.realtime import Grant, Hygiene, compared, demand, settled, stolen_jiffies
+from runtime.realtime import Hygiene, compared, demand, settled, stolen_jiffies
 from runtime.recorder import Recorder
 from runtime.rehearsal import rehearse
 from runtime.ring import RingWriter
 from runtime.scheduler import Pacing, TimerPacing, VirtualPacing
 from runtime.signals import CYCLE, TOPICS
-from runtime.taps import EventRing, FrameRing, KeyframeRing, Level
+from runtime.states import State
+from runtime.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
 from runtime.topics import to_json
 from runtime.viewer import Scene
 from sim.lab import Lab
@@ -47,60 +45,21 @@ from tools.doctor import doctor
 from tools.errors import ToolError
 from tools.event_lines import EventLines, for_journal
 from tools.folders import make_folder
+from tools.idle_pacing import IdlePacing
 from tools.lab_process import LabProcess, start_lab
+from tools.order import Order, Result
 from tools.recorder_process import RecorderProcess, start
 from tools.repeat import every
 from tools.ring_directory import ring_directory
 from tools.run_folder import LOG, RunFolder
 from tools.truth import TruthRing
 
+__all__ = ["Order", "Result", "run"]
+
 DRAIN_S = 0.2
 """s of virtual time between two looks of the in-process recorder"""
 FRAMES_PER_TICK = 64
-
-
-@dataclass(frozen=True)
-class Order:
-    """What is to be run, and how."""
-
-    config: Config
-    scenario: Scenario
-    out: Path
-    seed: int
-    virtual: bool
-    say: Progress
-    live: bool = True
-    start_ns: int = 0
-    """on the loop's clock, no tick before; so that runs of unlike bring-up can be compared"""
-    pacing: Callable[[], Pacing] | None = None
-    """instead of the usual one: what a test lets the ticks wait for"""
-    serve: bool = False
-    """wait for commands at the control socket, instead of playing the scenario by a script"""
-    others: tuple[Scenario, ...] = ()
-    """what an operator may choose instead of `scenario`"""
-    socket: Path | None = None
-    """of control, instead of the configuration's"""
-    link: bool = False
-    """let ``latest`` beside the folder ``out`` point to it once the run has started"""
-
-
-@dataclass
-class Result:
-    """What a run came to, beside its log."""
-
-    outcome: Outcome
-    log: Path
-    seconds: float
-    """s of wall time from the first tick to the last"""
-    steal_percent: float | None = None
-    grants: list[Grant] = field(default_factory=list)
-    unrecorded: str = ""
-    """why the recording ended before the run, in words"""
-    latencies: Latencies | None = None
-
-    def realtime_factor(self, period: float) -> float:
-        """Run time over wall time."""
-        return self.outcome.ticks * period / self.seconds if self.seconds else 0.0
+_DISARMED = frozenset({State.OFF, State.STANDBY, State.FAULT})
 
 
 def run(order: Order) -> Result:
@@ -180,6 +139,7 @@ class _Stage:
             self._tap = GuardedTap(frames, self._firewall.part("frame tap"))
         self._ticks = ticks
         self._began = 0.0
+        self._too_large = False
         self._hygiene: Hygiene | None = None
         self._latencies: Latencies | None = None
         self._daemon_made: Daemon | None = None
@@ -208,7 +168,7 @@ class _Stage:
             with self._lab() as lab:
                 fieldbus = fieldbuses.build(order.config, self._image, lab, self._tap)
                 daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False))
-                pacing = fieldbuses.steering(fieldbus, order.pacing or VirtualPacing)
+                pacing = fieldbuses.steering(fieldbus, order.pacing or self._pacing)
                 # In this loop in virtual time only: a process of its own otherwise.
                 part = self._firewall.part("recorder")
                 draining = every(DRAIN_S, lambda: part(drain))
@@ -358,7 +318,7 @@ class _Stage:
             ring=self._cycles,
             events=self._events.write,
             stopwatch=stopwatch,
-            keyframes=self._keyframes.write,
+            keyframes=self._keep_state,
             others=order.others,
             firewall=self._firewall,
         )
@@ -373,6 +333,26 @@ class _Stage:
                 "service notification", lambda due_ns: beat(due_ns, sequence.state), lasting=True
             )
         return daemon
+
+    def _keep_state(self, stamp_ns: int, tick: int, state: bytes) -> None:
+        """A keyframe; the first one that no ring has room for is told, and no other."""
+        if not self._keyframes.write(stamp_ns, tick, state) and not self._too_large:
+            self._too_large = True
+            text = (
+                f"the controller's state has {len(state)} bytes, and {KEYFRAME_BYTES} is the "
+                "limit; a replay has to begin at an earlier keyframe or at the first tick"
+            )
+            self._events.write(stamp_ns, tick, Level.WARNING, "keyframe_left_out", "", text)
+
+    def _pacing(self) -> Pacing:
+        """Of virtual time."""
+        order, daemon = self._order, self._daemon_made
+        if not order.serve or daemon is None:
+            return VirtualPacing()
+        sequence = daemon.cycle.sequence
+        return IdlePacing(
+            lambda: sequence.state in _DISARMED, order.config.operation.virtual_idle_speed
+        )
 
     @contextmanager
     def _signals(self) -> Iterator[None]:

@@ -71,6 +71,9 @@ class Fallback(Section):
 
 
 class Operation(Section):
+    virtual_idle_speed: Positive = 1.0
+    """times real time, at most, of a served run in virtual time while the robot is disarmed: it
+    would record hours of standstill in minutes otherwise"""
     socket: ControlSocket = ControlSocket()
     self_test: SelfTest = SelfTest()
     firewall: Firewall = Firewall()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import errno
+import os
 import sys
 from pathlib import Path
 
@@ -140,3 +142,22 @@ def test_a_topic_that_is_not_there_is_named(log: Log) -> None:
     )
     assert isinstance(told.exception, ToolError)
     assert "there is no topic /tonus/tensions" in str(told.exception)
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "asc", "blf"])
+def test_an_export_that_fails_leaves_nothing(
+    log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """It may be tried again, and no table is taken for a whole one."""
+    batches = log.batches
+
+    def broken(topics):
+        yield next(iter(batches(topics)))
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(log, "batches", broken)
+        with pytest.raises(ToolError, match="No space left"):
+            export(log, tmp_path / "new", kind)
+        assert not (tmp_path / "new").exists()
+    assert any(export(log, tmp_path / "new", kind).values())

@@ -12,7 +12,7 @@ from config.schema.control import Recording
 from runtime.recorder import Recorder
 from runtime.ring import RingError, RingReader, RingWriter
 from runtime.signals import CYCLE, TOPICS, CycleRecord
-from runtime.taps import EventRing, FrameRing, Level
+from runtime.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
 from runtime.topics import to_json
 from tools.errors import ToolError
 from tools.log import open as open_log
@@ -125,3 +125,9 @@ def test_what_is_no_ring_says_so(tmp_path: Path) -> None:
     path.write_bytes(bytes(4096))
     with pytest.raises(RingError, match="not a ring file"):
         RingReader.open(path)
+
+
+def test_a_state_too_large_for_a_keyframe_is_refused_aloud(tmp_path: Path) -> None:
+    ring = KeyframeRing.open(tmp_path / "keyframes.ring")
+    assert ring.write(0, 1, b"x" * KEYFRAME_BYTES)
+    assert not ring.write(0, 2, b"x" * (KEYFRAME_BYTES + 1))

@@ -123,3 +123,14 @@ def test_a_next_file_that_cannot_be_begun_stops_the_recording_and_no_more(
     recorder.drain()
     assert "permission denied" in recorder.stopped
     assert open_log(tmp_path / "run.mcap").damage is None
+
+
+def test_a_state_too_large_to_be_kept_is_an_event(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A controller with much memory: once is enough to say so."""
+    monkeypatch.setattr("runtime.taps.KEYFRAME_BYTES", 64)
+    assert play(tmp_path / "out").exit_code == 0
+    events = open_log(tmp_path / "out/run.mcap").events()
+    (event,) = (each for each in events if each.name == "keyframe_left_out")
+    assert "a replay has to begin" in event.text

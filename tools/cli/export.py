@@ -10,6 +10,7 @@ from config import Config, load
 from config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
 from sim.data_sheets import sheets
 from sim.ethercat import esi as esi_file
+from tools.draft import write_whole
 from tools.errors import ToolError
 from tools.export import dbc as dbc_file
 from tools.export import messages
@@ -105,6 +106,6 @@ def _canopen(config: Config, path: Path) -> CanopenBus:
 
 def _write(path: Path, text: str) -> None:
     try:
-        path.write_text(text, encoding="ascii")
+        write_whole(path, text, "ascii")
     except OSError as error:
         raise ToolError(f"{path}: {error.strerror}; choose another with --out") from error

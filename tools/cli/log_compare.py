@@ -9,6 +9,7 @@ import click
 from rich.console import Console
 from rich.markup import escape
 
+from tools.draft import write_whole
 from tools.errors import ToolError
 from tools.log import open as open_log
 from tools.paper.table import Spread, Table
@@ -49,7 +50,7 @@ def _write(table: Table, out: Path) -> None:
     if made is None:
         raise ToolError(f"{out}: a table is written as .csv or .html; mend the name")
     try:
-        out.write_text(made(), encoding="utf-8")
+        write_whole(out, made())
     except OSError as error:
         raise ToolError(f"{out}: {error.strerror}; choose another with --out") from error
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from tools.draft import write_whole
 from tools.errors import ToolError
 from tools.log.layout import VIEWERS
 
@@ -29,7 +30,7 @@ def layout(viewer: str, out: Path | None) -> None:
         return
     file = Path(name) if out is None else out
     try:
-        file.write_text(make(), encoding="utf-8")
+        write_whole(file, make())
     except OSError as error:
         raise ToolError(f"{file}: {error.strerror}; choose another with --out") from error
     click.echo(str(file))

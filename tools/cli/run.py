@@ -17,6 +17,7 @@ from runtime.states import Fault, State
 from tools import output
 from tools.check import check
 from tools.cli.settings import overrides_of
+from tools.draft import drafted, write_whole
 from tools.errors import ToolError
 from tools.latencies import buckets
 from tools.latencies import rows as latency_rows
@@ -132,7 +133,8 @@ def _play(order: Order, *, as_json: bool) -> tuple[bool, bool]:
     try:
         summary = _summary(order, result)
         picture = order.out / "overview.png"
-        overview(open_log(result.log), order.config, picture)
+        with drafted(picture) as beside:
+            overview(open_log(result.log), order.config, beside)
     except (OSError, ToolError) as error:
         _tell_unsummed(result, error, as_json=as_json)
         return False, False
@@ -223,7 +225,7 @@ def _summary(order: Order, result: Result) -> Summary:
     if result.latencies is not None:
         summary["histograms"] = buckets(result.latencies)
     path = order.out / "summary.json"
-    path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(summary, indent=2) + "\n")
     return summary
 
 

@@ -12,6 +12,7 @@ import can
 import numpy as np
 from can.io import ASCWriter, BLFWriter
 
+from tools.draft import drafted
 from tools.errors import ToolError
 from tools.log.decode import Column
 from tools.log.log import Log
@@ -31,13 +32,19 @@ def export(log: Log, out: Path, kind: str, topics: Sequence[str] = ()) -> dict[s
         chosen = [topic for topic in chosen if topic.startswith(BUS)]
         if not chosen:
             raise ToolError(f"{log.path}: no bus frames in it, so there is nothing for .{kind}")
+    made = not out.exists()
     try:
         out.mkdir(parents=True, exist_ok=True)
-        if kind in ("asc", "blf"):
-            path = _new(out / f"{log.path.stem}.{kind}")
-            _frames(log, chosen, path, kind)
-            return dict.fromkeys(chosen, path)
-        return _tables(log, chosen, out, kind)
+        try:
+            if kind in ("asc", "blf"):
+                path = _new(out / f"{log.path.stem}.{kind}")
+                with drafted(path) as beside:
+                    _frames(log, chosen, beside, kind)
+                return dict.fromkeys(chosen, path)
+            return _tables(log, chosen, out, kind)
+        finally:
+            if made and not any(out.iterdir()):
+                out.rmdir()
     except OSError as error:
         raise ToolError(f"{out}: {error.strerror}; choose another folder with --out") from error
 
@@ -45,7 +52,8 @@ def export(log: Log, out: Path, kind: str, topics: Sequence[str] = ()) -> dict[s
 def _tables(log: Log, topics: Sequence[str], out: Path, kind: str) -> dict[str, Path | None]:
     make: type[_Csv | _Parquet] = _Csv if kind == "csv" else _Parquet
     written: dict[str, Path | None] = dict.fromkeys(topics)
-    with ExitStack() as files:
+    # All tables appear together, once each of them is whole.
+    with ExitStack() as drafts, ExitStack() as files:
         writers: dict[str, _Csv | _Parquet] = {}
         for batch in log.batches(topics):
             for topic, column in batch.items():
@@ -55,7 +63,8 @@ def _tables(log: Log, topics: Sequence[str], out: Path, kind: str) -> dict[str, 
                 if topic not in writers:
                     name = topic.strip("/").replace("/", "_")
                     path = written[topic] = _new(out / f"{name}.{kind}")
-                    writers[topic] = files.enter_context(closing(make(path, columns)))
+                    beside = drafts.enter_context(drafted(path))
+                    writers[topic] = files.enter_context(closing(make(beside, columns)))
                 writers[topic].write(columns)
     return written
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from tools.draft import write_whole
 from tools.errors import ToolError
 from tools.log import open as open_log
 from tools.report import figures, panels
@@ -58,7 +59,7 @@ def report(file: Path, out: Path, progress: Progress) -> Verdict:
     verdict = judge(story, content.indicators)
     text = "".join(_parts(story, content, verdict, progress))
     try:
-        out.write_text(text, encoding="utf-8")
+        write_whole(out, text)
     except OSError as error:
         raise ToolError(f"{out}: {error.strerror}; choose another with --out") from error
     return verdict
