@@ -15,7 +15,7 @@ import json
 from collections.abc import Iterator
 from enum import Enum
 from itertools import islice
-from types import FunctionType, SimpleNamespace
+from types import CodeType, FunctionType, ModuleType, SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
 import clarabel
@@ -29,6 +29,8 @@ VERSION = 1
 _CONSTANT = (BaseModel, FunctionType, clarabel.DefaultSolver)
 """Settings, functions, and a solver that starts from nothing each time."""
 _NUMBER = (int, float, np.generic)
+_HEAP_TYPE = 1 << 9
+"""Py_TPFLAGS_HEAPTYPE: a class made by a class statement, without memory in C"""
 _LEAVES = (float, int, str, type(None), np.generic, Enum)
 
 Owner = TypeVar("Owner")
@@ -65,7 +67,12 @@ class Keyframe:
     def steps(self) -> Iterator[bytes]:
         """The same in many steps, each short, of which the last gives the keyframe and the others
         nothing. The first one sees the owner's state; the others do not look at it."""
-        still = _Still(self._owner, self._kinds)
+        try:
+            still = _Still(self._owner, self._kinds)
+        except KeyframeError:
+            # Something new in mid-run: control goes on, and a replay begins at an earlier one.
+            while True:
+                yield b""
         initial, rows, blobs, at = self._initial, {}, [], 0
         entries = _walk("", self._owner, still, {})
         yield b""
@@ -126,7 +133,7 @@ _UNCHANGING, _ARRAY, _RECORD, _CONTAINER, _OBJECT = range(5)
 
 
 def _kind(value: Any) -> int:
-    """Raises `TypeError` for what a keyframe cannot hold."""
+    """Raises `KeyframeError` for what a keyframe cannot hold."""
     if isinstance(value, (*_LEAVES, *_CONSTANT)):
         return _UNCHANGING
     if isinstance(value, np.ndarray):
@@ -135,10 +142,22 @@ def _kind(value: Any) -> int:
         return _RECORD
     if isinstance(value, (tuple, list, dict)):
         return _CONTAINER
-    ours = type(value).__module__.partition(".")[0] == "runtime"
-    if not (ours or isinstance(value, SimpleNamespace)) or not hasattr(value, "__dict__"):
-        raise TypeError(f"a keyframe cannot hold a {type(value).__qualname__}")
+    if not isinstance(value, SimpleNamespace) and not _is_plain(type(value)):
+        raise KeyframeError(
+            f"a keyframe cannot hold a {type(value).__qualname__}; keep a controller's memory in "
+            "numbers, texts, arrays, tuples, lists, dictionaries and objects of those"
+        )
     return _OBJECT
+
+
+def _is_plain(kind: type) -> bool:
+    """Whether all that an object of this class remembers stands in its ``__dict__``: a controller
+    of somebody else's is as good as ours, a class that is not Python's own words is not."""
+    if issubclass(kind, type | ModuleType | CodeType) or kind.__dictoffset__ == 0:
+        return False
+    return all(each is object or each.__flags__ & _HEAP_TYPE for each in kind.__mro__) and not any(
+        vars(each).get("__slots__") for each in kind.__mro__
+    )
 
 
 def restore(data: bytes, fresh: Owner) -> Owner:

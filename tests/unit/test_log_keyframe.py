@@ -127,5 +127,5 @@ def test_what_cannot_be_kept_is_said_when_the_first_is_asked_for() -> None:
             self.file = np.random.default_rng(1)
 
     Odd.__module__ = "runtime.odd"
-    with pytest.raises(TypeError, match="cannot hold a Generator"):
+    with pytest.raises(KeyframeError, match="cannot hold a Generator"):
         Keyframe(Odd())

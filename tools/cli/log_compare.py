@@ -9,6 +9,7 @@ import click
 from rich.console import Console
 from rich.markup import escape
 
+from tools.cli.damage import tell_damage
 from tools.draft import write_whole
 from tools.errors import ToolError
 from tools.log import open as open_log
@@ -33,7 +34,14 @@ def compare(files: tuple[Path, ...], out: Path | None, *, as_json: bool) -> None
         _write(table, out)
     if as_json:
         click.echo(json.dumps(_plain(table, judged), indent=2))
-        return
+    else:
+        _show(table, judged)
+        if out is not None:
+            click.echo(out)
+    tell_damage(each.log for each in judged)
+
+
+def _show(table: Table, judged: list[Judged]) -> None:
     console = Console(highlight=False)
     for each in judged:
         row = each.row
@@ -41,8 +49,6 @@ def compare(files: tuple[Path, ...], out: Path | None, *, as_json: bool) -> None
         text = f"{each.log.path}: {row.controller}, {row.case} ({row.kind}), {ended}"
         console.print(escape(text), soft_wrap=True)
     console.print(table)
-    if out is not None:
-        console.print(str(out))
 
 
 def _write(table: Table, out: Path) -> None:

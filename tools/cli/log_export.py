@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
 
+from tools.cli.damage import tell_damage
+from tools.errors import ToolError
 from tools.log import open as open_log
 from tools.log.export import FORMATS
 from tools.log.export import export as carry_out
@@ -27,14 +30,26 @@ def export(
     out: Path | None,
 ) -> None:
     """Write FILES, the segments of one run, as a table for each topic, or all bus frames as one
-    .asc or .blf."""
+    .asc or .blf. Exit code 1 where a damaged file was exported in part."""
+    _window(start, end)
     log = open_log(files)
     if start is not None or end is not None:
         log = log.between(0.0 if start is None else start, float("inf") if end is None else end)
+        span = log.span_ns
+        if span is None or span[0] > span[1]:
+            raise ToolError(f"{files[0]}: holds no message there; choose another --from or --to")
     out = files[0].with_name(f"{files[0].stem}.export") if out is None else out
     names = [name.strip() for name in topics.split(",")] if topics else []
     written = carry_out(log, out, kind, names)
     for topic, path in written.items():
         click.echo(f"  {topic:<24} {path or '- no table can be made of it'}")
-    if log.damage:
-        click.echo(f"damaged: {log.damage}; exported up to there", err=True)
+    tell_damage([log])
+
+
+def _window(start: float | None, end: float | None) -> None:
+    """Raises `ToolError` for a stretch of time in which nothing can be."""
+    for name, value in (("--from", start), ("--to", end)):
+        if value is not None and not math.isfinite(value):
+            raise ToolError(f"{name} {value}: is no time; give seconds since the log's beginning")
+    if start is not None and end is not None and start >= end:
+        raise ToolError(f"--from {start:g} --to {end:g}: ends before it begins; exchange them")

@@ -35,14 +35,17 @@ _VIRTUAL_BEFORE_NS = 365 * 24 * 3600 * 1_000_000_000
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list instead of tables.")
 def info(files: tuple[Path, ...], as_json: bool) -> None:
-    """Tell what, when, how long, states, faults, topics with rates and gaps, and damage."""
+    """Tell what, when, how long, states, faults, topics with rates and gaps, and damage. Exit code
+    1 for a damaged file."""
     described = [describe(open_log(file)) for file in files]
     if as_json:
         click.echo(json.dumps(described, indent=2))
-        return
-    console = Console(highlight=False)
-    for description in described:
-        _show(console, description)
+    else:
+        console = Console(highlight=False)
+        for description in described:
+            _show(console, description)
+    if any(description["damage"] for description in described):
+        raise click.exceptions.Exit(1)
 
 
 def describe(log: Log) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from rich.table import Table
 
 from config.loader import load_budget
 from runtime.states import State
+from tools.cli.damage import tell_damage
 from tools.log import Log
 from tools.log import open as open_log
 from tools.log.timing import Judgement, histogram, judge
@@ -40,9 +40,11 @@ def timing(files: tuple[Path, ...], budget: str, *, as_json: bool) -> None:
     asked = load_budget(budget)
     console = Console(highlight=False)
     found: list[dict[str, Any]] = []
+    logs: list[Log] = []
     passed = True
     for file in files:
         log = open_log(file)
+        logs.append(log)
         judgement = judge(log, asked)
         passed &= judgement.passed
         found.append({"file": str(file), "budget": asked.name, **_plain(judgement)})
@@ -50,7 +52,8 @@ def timing(files: tuple[Path, ...], budget: str, *, as_json: bool) -> None:
             _show(console, log, asked.name, judgement)
     if as_json:
         click.echo(json.dumps(found, indent=2))
-    sys.exit(0 if passed else 1)
+    tell_damage(logs)
+    raise click.exceptions.Exit(0 if passed else 1)
 
 
 def _plain(judgement: Judgement) -> dict[str, Any]:

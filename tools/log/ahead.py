@@ -13,6 +13,8 @@ from tools.log.chunks import ChunkPlace, content
 _WORKERS = 2
 _AHEAD = 4
 """chunks: enough that nobody waits, and little memory"""
+_AHEAD_BYTES = 1 << 26
+"""unpacked ahead, besides the one that is due"""
 
 
 def contents(file: Path, places: Sequence[ChunkPlace]) -> Iterator[tuple[ChunkPlace, bytes | None]]:
@@ -24,10 +26,13 @@ def contents(file: Path, places: Sequence[ChunkPlace]) -> Iterator[tuple[ChunkPl
     pool = ThreadPoolExecutor(_WORKERS)
     try:
         coming: deque[tuple[ChunkPlace, Future[bytes | None]]] = deque()
+        ahead = 0
         for place in places:
             coming.append((place, pool.submit(content, file, place)))
-            if len(coming) > _AHEAD:
+            ahead += place.uncompressed_size
+            while len(coming) > _AHEAD or (coming and ahead > _AHEAD_BYTES):
                 due, found = coming.popleft()
+                ahead -= due.uncompressed_size
                 yield due, found.result()
         while coming:
             due, found = coming.popleft()

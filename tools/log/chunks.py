@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 import struct
 import zlib
 from collections.abc import Iterator
@@ -29,6 +30,9 @@ _MESSAGE = struct.Struct("<HIQQ")
 _BROKEN = (struct.error, UnicodeDecodeError, EndOfFile, ValueError, IndexError, KeyError)
 _LARGEST_CHUNK = 1 << 28
 """bytes unpacked; a length beyond it is taken for damage and not for memory to be had"""
+_EXPANSION, _ALWAYS = 200, 1 << 25
+"""times a file's size, and bytes besides, that its chunks may unpack to: far more than any
+controller's records, and little enough that a file made to fill memory cannot"""
 _CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 4 + 8
 """bytes of a chunk's record before its content, its compression's name included"""
 _FOOTER = 9 + 8 + 8 + 4
@@ -113,6 +117,8 @@ def scan(path: Path, *, salvage: bool = False) -> Framing:
     Raises ToolError when there is nothing to read: no file, or no MCAP file.
     """
     try:
+        if stat.S_ISFIFO(path.stat().st_mode):
+            raise ToolError(f"{path}: is a pipe; a log is read in any order, so name a file")
         with path.open("rb") as file:
             start = file.read(len(MCAP0_MAGIC))
             if start != MCAP0_MAGIC:
@@ -125,6 +131,7 @@ def scan(path: Path, *, salvage: bool = False) -> Framing:
                 if at is not None:
                     at = scanner.walk(at)
             scanner.summary()
+            scanner.disbelieve()
             return scanner.framing
     except OSError as error:
         raise ToolError(f"{path}: {(error.strerror or 'unreadable').lower()}") from error
@@ -180,6 +187,20 @@ class _Scanner:
             raise ValueError("there is no such record")
         elif opcode != Opcode.MESSAGE_INDEX:
             _keep(framing, opcode, file.read(length))
+
+    def disbelieve(self) -> None:
+        """Leave out the chunks from that on with which the file would unpack to more than any log
+        does."""
+        framing, limit = self.framing, _ALWAYS + _EXPANSION * self._size
+        for index, place in enumerate(framing.chunks):
+            limit -= place.uncompressed_size
+            if limit < 0:
+                del framing.chunks[index:]
+                text = f"the chunk at byte {place.offset} claims to unpack to more than any log"
+                self._damaged(f"{text} of {self._size} bytes does")
+                break
+        if framing.cut is not None and framing.cut.uncompressed_size > limit:
+            framing.cut = None
 
     def _keep_cut(self, inside: int, length: int) -> None:
         try:

@@ -24,6 +24,7 @@ from tools.log.chunks import (
     scan,
 )
 from tools.log.decode import Collector, Column, column
+from tools.log.memory import memory_for_logs
 
 EVENTS = "/tonus/events"
 _CONFIG_NAMES = ("config.yaml", "config.json")
@@ -149,10 +150,17 @@ class Log:
         if not wanted:
             return
         found = {name: self._collector(name) for name in wanted}
+        room = memory_for_logs()
         for parts in self._runs(wanted):
             for name, some in parts.items():
                 for run in some:
                     found[name].add(run)
+                    room -= run.rows.nbytes + _RUN_BYTES
+            if room < 0:
+                raise ToolError(
+                    f"{self.path}: holds more than half of this machine's free memory takes; "
+                    "export a part of it with --topics, --from and --to, or record shorter files"
+                )
         for name in wanted:
             self._columns[name] = self._trimmed(found.pop(name).column())
 
@@ -277,5 +285,7 @@ def _whole_ns(seconds: float) -> int:
     return int(min(max(seconds, -_LONG), _LONG) * _NS)
 
 
+_RUN_BYTES = 512
+"""what a run of messages costs beside its rows"""
 _LONG = 9e9
 """s, as far as a log_time in int64 ns reaches"""
