@@ -20,6 +20,7 @@ from tools.paper.campaign import Progress as Standing
 from tools.paper.plants import refuse
 from tools.paper.protocol import LITERAL, robot_seconds, runs
 from tools.paper.publish import publish
+from tools.tune.tuned import not_tuned
 
 _STAGES = (1, 2, 3)
 _PLAIN_STEPS = 20
@@ -37,6 +38,11 @@ _PLAIN_STEPS = 20
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("out/paper"), show_default=True
 )
+@click.option(
+    "--tuned",
+    type=click.Path(path_type=Path),
+    help="What tonus tune wrote for CONFIG's robot; without it config/tuned.yaml.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print paper.json and nothing else.")
 def paper(
     config: str,
@@ -48,6 +54,7 @@ def paper(
     plants: int | None,
     jobs: int,
     out: Path,
+    tuned: Path | None,
     as_json: bool,
 ) -> None:
     """Play the paper's three stages on CONFIG's robot in the lab, in virtual time, and write
@@ -60,6 +67,7 @@ def paper(
     refuse(settings, config)
     protocol = load_protocol()
     selection = _selected(protocol, quick, reps, controllers, plants)
+    untuned = not_tuned(settings, selection.controllers, tuned)
     todo = prepare(protocol, settings, runs(protocol, settings, selection, _stages(stages)))
     console = Console(quiet=as_json, highlight=False, soft_wrap=True)
     seconds = sum(robot_seconds(settings, job.run) for job in todo)
@@ -81,6 +89,7 @@ def paper(
             f"{_span(campaign.robot_seconds)} of robot time in {_span(campaign.wall_seconds)}: "
             f"{factor:.1f} x real time on {jobs} processes"
         )
+    campaign.results.untuned = untuned
     summary = publish(campaign.results, out, console.print)
     for row in campaign.failed:
         console.print(f"could not be run: {row.key}: {row.reason}", markup=False)

@@ -19,6 +19,7 @@ from tools.errors import ToolError
 from tools.folders import make_folder
 from tools.tune.landing import land, provenance, write
 from tools.tune.search import Found, Search
+from tools.tune.tuned import robot_key
 from tools.tune.work import Evaluator
 
 ALL = "all"
@@ -55,7 +56,8 @@ def tune(
     """Tune CONTROLLER, or all, on the training scenarios.
 
     Every controller gets the same cost, the same number of simulations, the same optimiser and
-    seed, and the same floor of stability margins. Nothing is changed but OUT, unless --land.
+    seed, and the same floor of stability margins. Nothing is changed but OUT, unless --land. Exit
+    code 1, and nothing lands, where the best gains found still fail in a scenario.
     """
     tuning = _adjusted(load_tuning(rules), evaluations, seed)
     names = _chosen(tuning, controller)
@@ -73,13 +75,23 @@ def tune(
         found = _search(config, tuning, names, evaluator, say)
     finally:
         evaluator.close()
-    result = provenance(tuning, evaluator.fingerprint, found)
+    result = provenance(tuning, evaluator.fingerprint, robot_key(loaded), found)
     write(out, result)
     if as_json:
         click.echo(json.dumps(result, indent=2))
     else:
         _tell(found)
         click.echo(f"  written to {out}")
+    failed = [one for one in found if one.failed_in]
+    for one in failed:
+        faults = ", ".join(f"{scenario} ({fault})" for scenario, fault in one.failed_in.items())
+        text = f"  {one.controller} is NOT tuned: its best gains still fail in {faults}"
+        click.echo(text, err=as_json)
+    if failed:
+        remedy = "make the robot run with tonus run, or give other ranges with --tuning"
+        landed = "; nothing has landed" if landing else ""
+        click.echo(f"  {remedy}{landed}", err=as_json)
+        raise click.exceptions.Exit(1)
     if landing:
         gains = {key: value for one in found for key, value in one.gains.items()}
         for file in land(config, gains):

@@ -162,7 +162,7 @@ def table3_bars(results: Results) -> Figure | None:
         for indicator, *_ in rows
     ]
     axis.set_xticks(range(len(rows)), ticks)
-    axis.set_ylabel("relative to the tuned PID")
+    axis.set_ylabel(f"relative to {'an untuned' if results.untuned else 'the tuned'} PID")
     axis.set_ylim(0.0, highest * 1.06)
     legend(figure, axis)
     return figure

@@ -24,7 +24,7 @@ class Picture:
 PICTURES: tuple[Picture, ...] = (
     Picture(
         "table3_bars",
-        "Table 3 relative to the tuned PID",
+        "Table 3 relative to PID",
         "Bars: means in the lab, with the standard deviation over seeds; PID is 1.",
         charts.table3_bars,
     ),

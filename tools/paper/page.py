@@ -103,6 +103,7 @@ def _subtitle(results: Results) -> str:
     ]
     parts += [f"{drawn} drawn plants"] if drawn else []
     parts += [f"{can} trials on CAN frames"] if can else []
+    parts += [f"controllers NOT tuned alike: {results.untuned}"] if results.untuned else []
     return ", ".join(parts)
 
 

@@ -73,12 +73,15 @@ def publish(results: Results, out: Path, say: Say = _silent) -> dict[str, Any]:
         "targets": aims_json,
         "plants": drawn_json,
         "can": framed_json,
+        "not_tuned_alike": results.untuned or None,
     }
     whole = {key: _finite(entry) for key, entry in whole.items()}
     for table in ordered:
         if len(table.rows) <= _TERMINAL_ROWS:
             say(table)
     say(printed_claims(judged))
+    if results.untuned:
+        say(Text(f"NOT tuned alike: {results.untuned}; run tonus tune all --land first"))
     try:
         _write(results, out, judged, ordered, whole)
     except OSError as error:

@@ -93,6 +93,8 @@ class Results:
 
     rows: list[Row]
     traces: Loader = _no_traces
+    untuned: str = ""
+    """why the controllers are not tuned alike for this robot, in words; empty where they are"""
 
     def __iter__(self) -> Iterator[Row]:
         return iter(self.rows)
@@ -121,7 +123,7 @@ class Results:
             and (bus is None or row.bus == bus)
             and (seed is None or row.seed == seed)
         ]
-        return Results(chosen, self.traces)
+        return Results(chosen, self.traces, self.untuned)
 
     def names(self, of: str) -> list[str]:
         """The values of a column (``case``, ``controller``), in the order they first appear."""

@@ -238,7 +238,7 @@ def table2(results: Results, match: list[Match], controller: str = BIO) -> tuple
 def _phase_cases(results: Results) -> Results:
     """The sines at 0.5 Hz, or all where there is none."""
     chosen = [row for row in results if row.indicators.get("frequency_hz") == 0.5]
-    return Results(chosen, results.traces) if chosen else results
+    return Results(chosen, results.traces, results.untuned) if chosen else results
 
 
 def _summary(values: list[float]) -> Json | None:
@@ -259,7 +259,8 @@ def table3(results: Results) -> tuple[Table, Json]:
     names = controllers_of(results)
     table = Table(
         "table3",
-        "Table 3: the paper's PID and bio-inspired control; ours, tuned alike, lab",
+        "Table 3: the paper's PID and bio-inspired control; ours, "
+        f"{'NOT tuned alike' if results.untuned else 'tuned alike'}, lab",
         (
             Column("indicator"),
             Column("unit"),
@@ -345,11 +346,12 @@ def _json_row(found: Compared, names: list[str], printed: Json | None) -> Json:
 
 
 def improvements(results: Results) -> Table:
-    """Table 3's last column: how much better than the tuned PID, in %."""
+    """Table 3's last column: how much better than PID, in %."""
     names = [name for name in controllers_of(results) if name != REFERENCE]
     table = Table(
         "improvement",
-        "Improvement on the tuned PID, %: positive is better (paired by seed)",
+        f"Improvement on {'an untuned' if results.untuned else 'the tuned'} PID, %: "
+        "positive is better (paired by seed)",
         (
             Column("indicator"),
             Column("paper, bio", digits=0),

@@ -15,6 +15,7 @@ from config import load
 from config.document import read
 from config.loader import locate
 from config.schema.tuning import Tuning
+from tools.draft import write_whole
 from tools.errors import ToolError
 from tools.tune.search import Found
 from tools.tune.work import Gains
@@ -22,9 +23,10 @@ from tools.tune.work import Gains
 HEAD = "# Written by tonus tune. Gains, what they cost, and by what they were found.\n"
 
 
-def provenance(tuning: Tuning, fingerprint: str, found: list[Found]) -> dict[str, Any]:
+def provenance(tuning: Tuning, fingerprint: str, robot: str, found: list[Found]) -> dict[str, Any]:
     """The result as plain data: nothing in it depends on when or where it was found."""
     return {
+        "robot": robot,
         "seed": tuning.seed,
         "evaluations": tuning.evaluations,
         "population": tuning.population,
@@ -39,6 +41,7 @@ def _row(one: Found) -> dict[str, Any]:
         "cost": round(one.cost, 4),
         "cost_before": None if one.before is None else round(one.before, 4),
         "evaluations": one.evaluations,
+        **({"failed_in": one.failed_in} if one.failed_in else {}),
         "refused_for_margins": one.refused,
         "margins": {
             cut: {
@@ -62,7 +65,7 @@ def write(path: Path, result: dict[str, Any]) -> None:
     """Raises `ToolError`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(HEAD + yaml.safe_dump(result, sort_keys=False), encoding="utf-8")
+        write_whole(path, HEAD + yaml.safe_dump(result, sort_keys=False))
     except OSError as error:
         raise ToolError(f"{path}: {error.strerror}; choose another with --out") from error
 

@@ -57,6 +57,12 @@ class Found:
     """points below the floors, which cost no simulation"""
     margins: dict[str, Margins] = field(default_factory=dict)
 
+    @property
+    def failed_in(self) -> dict[str, str]:
+        """Scenarios that even the best gains could not end, and the fault: then nothing was tuned,
+        and the cost is that of failures."""
+        return {part.scenario: part.fault for part in self.parts if part.fault is not None}
+
 
 def present(config: Config, keys: Iterable[str]) -> Gains:
     """The configured values of dotted keys below ``control``. Raises `ToolError`."""

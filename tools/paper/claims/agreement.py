@@ -117,7 +117,8 @@ def _against_pid(
     said = ""
     if bio is not None and pid is not None:
         said = (
-            f"{indicator.symbol}: {BIO} {number(bio.mean)}, tuned {REFERENCE} {number(pid.mean)} "
+            f"{indicator.symbol}: {BIO} {number(bio.mean)}, "
+            f"{'untuned' if results.untuned else 'tuned'} {REFERENCE} {number(pid.mean)} "
             f"{indicator.unit}."
         )
         if max(bio.mean, pid.mean) < indicator.floor:
@@ -145,12 +146,24 @@ def _against_pid(
         margin,
         "%",
         ours,
-        gain(ours, margin),
-        Text(
-            said,
-            f"{why}The paper does not disclose how its PID was tuned; here all were, with one "
-            "budget.",
-        ),
+        _as_tuned(results, gain(ours, margin)),
+        Text(said, f"{why}The paper does not disclose how its PID was tuned; {_tuning(results)}"),
+    )
+
+
+def _as_tuned(results: Results, judgement: Judgement) -> Judgement:
+    """Gains that were never tuned for a robot reproduce nothing about its controllers."""
+    if not results.untuned:
+        return judgement
+    return judgement.at_most(Verdict.CONSISTENT, "the controllers are not tuned alike")
+
+
+def _tuning(results: Results) -> str:
+    if not results.untuned:
+        return "here all were, with one budget."
+    return (
+        f"here they are NOT tuned alike ({results.untuned}), so that gains are compared as much as "
+        "controllers; run tonus tune all --land first."
     )
 
 
