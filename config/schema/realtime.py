@@ -29,7 +29,7 @@ class HostLimits(Section):
     """What a host's figures are held against."""
 
     wakeup_good_us: Positive = 100.0
-    """p99.9 of a bare wake-up"""
+    """p99.9 of a bare wake-up for a period of 1 ms, in proportion for others"""
     wakeup_bad_us: Positive = 500.0
     steal_good_percent: NonNegative = 0.1
     steal_bad_percent: Positive = 1.0

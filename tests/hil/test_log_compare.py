@@ -17,8 +17,11 @@ from tools.cli.log_compare import compare
 from tools.log import Log
 from tools.log import open as open_log
 from tools.paper.case import Kind
+from tools.paper.printed import OURS
+from tools.paper.table import number
+from tools.report.compare import _as_played, kind_of, load_of
 from tools.report.compare import compare as put_side_by_side
-from tools.report.compare import kind_of
+from tools.report.differences import differences
 
 RUNS = (("bio", 1), ("bio", 2), ("pid", 1))
 FADE, PERIOD = 0.5, 0.5
@@ -94,6 +97,54 @@ def test_unlike_gains_of_one_controller_are_two_columns(
     other = play("pid", 1, tmp_path, **{"control.pid.integral.gain": 100.0})
     table, _ = put_side_by_side([logs["pid", 1], other])
     assert [column.name for column in table.columns[2:]] == ["pid 1", "pid 2"]
+
+
+def test_what_differs_between_two_runs_is_named(logs: dict[tuple[str, int], Log]) -> None:
+    files = [str(logs[key].path) for key in (("bio", 1), ("pid", 1))]
+    done = CliRunner().invoke(compare, files)
+    assert done.exit_code == 0, done.output
+    (line,) = (line for line in done.output.splitlines() if line.startswith("differs:"))
+    assert "control.controller: bio in " in line
+    assert "pid in " in line
+    assert differences([logs["bio", 1], logs["bio", 2]])[0].startswith("seed: 1 in ")
+    assert differences([logs["bio", 1]]) == []
+
+
+def test_a_narrow_terminal_shows_values(
+    logs: dict[tuple[str, int], Log], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    files = [str(log.path) for log in logs.values()]
+    told = json.loads(CliRunner().invoke(compare, [*files, "--json"]).output)
+    tracking = next(row for row in told["rows"] if "RMSE_x" in row["indicator"])
+    done = CliRunner().invoke(compare, files)
+    assert number(tracking["controllers"]["pid"]["mean"]) in done.output
+
+
+def test_the_two_tracking_figures_are_told_apart(logs: dict[tuple[str, int], Log]) -> None:
+    table, _ = put_side_by_side([logs["bio", 1]])
+    assert any("tracking_rmse_m" in note and "whole periods" in note for note in table.notes)
+
+
+@pytest.mark.parametrize(("rise", "kind"), [(0.0, "step"), (0.001, "step"), (5.0, "ramp")])
+def test_a_load_is_named_by_what_it_is(rise: float, kind: str) -> None:
+    """25 N within a millisecond is no ramp, and never one of 100 N."""
+    _, scenario = load("config/direct.yaml", "load_test")
+    data = scenario.model_dump()
+    data["lab"]["load"]["profile"] = [
+        {"at": 1.0, "force": 0.0},
+        {"at": 1.0 + rise, "force": 25.0},
+        {"at": 9.0, "force": 25.0},
+    ]
+    played = Scenario.model_validate(data)
+    assert kind_of(played).value == kind
+    assert load_of(played).startswith("load of 25 N within")
+
+
+def test_no_label_claims_a_size(tmp_path: Path) -> None:
+    labels = {_as_played(indicator.label) for indicator in OURS}
+    assert not any("100 N" in label or "25 N" in label for label in labels)
+    assert "Load ramp: deviation, peak" in labels
 
 
 def test_every_shipped_scenario_is_of_a_kind() -> None:

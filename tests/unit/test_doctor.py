@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from config import load
+from runtime.histogram import Histogram
 from runtime.realtime import Grant
 from tools.cli.doctor import doctor as command
 from tools.doctor import doctor, privileges, wakeup
@@ -79,6 +80,33 @@ def test_the_command_measures_and_tells_in_one_json_object(tmp_path: Path) -> No
     assert by_name["disk"]["figures"]["mib_per_s"] > 0.0
     assert {"stolen time", "kernel preemption", "clock source", "EtherCAT", "rings"} <= set(by_name)
     assert not list((tmp_path / "out").iterdir()), "it leaves nothing behind"
+
+
+@pytest.mark.parametrize(("period_us", "verdict"), [(1000, "bad"), (5000, "could be better")])
+def test_the_configured_period_is_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, period_us: int, verdict: str
+) -> None:
+    """600 us late is too much of a millisecond, and little enough of five."""
+    asked: list[int] = []
+
+    def late(seconds: float, *, period_ns: int) -> Histogram:
+        asked.append(period_ns)
+        found = Histogram()
+        found.add(600_000)
+        return found
+
+    monkeypatch.setattr(wakeup, "bare", late)
+    config, _ = load("config/can.yaml", overrides={"control.rates.period_us": period_us})
+    findings = {each.name: each for each in doctor.examine(config, tmp_path, 0.1)}
+    assert asked == [1000 * period_us]
+    assert findings["wake-up"].verdict == verdict
+    assert doctor.report(config, list(findings.values()), 0.1)["period_us"] == period_us
+
+
+def test_a_report_for_another_period_is_not_taken_up(tmp_path: Path) -> None:
+    found = doctor.latest(CONFIG, tmp_path)
+    doctor.keep({**found, "seconds": 5.0, "period_us": 2000})
+    assert doctor.latest(CONFIG, tmp_path)["seconds"] == doctor.QUICK_S
 
 
 def test_on_a_robot_a_missing_can_interface_is_bad_and_the_command_is_there(

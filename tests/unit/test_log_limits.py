@@ -12,10 +12,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from mcap.writer import CompressionType, Writer
-from synthetic_run import record
+from synthetic_run import Rings, cycles, record, recording, truth
 
 from config.loader import HERE
+from runtime.recorder import Recorder
+from runtime.taps import Level
 from tools.cli.log import log as command
+from tools.cli.log_info import describe
 from tools.errors import ToolError
 from tools.log import log as log_module
 from tools.log import open as open_log
@@ -129,3 +132,21 @@ def test_an_export_of_nothing_is_refused(tmp_path: Path, options: list[str], wor
     assert isinstance(result.exception, ToolError)
     assert words in str(result.exception)
     assert not out.exists()
+
+
+def test_states_and_events_are_told_by_one_clock(tmp_path: Path) -> None:
+    """A log whose first message is no cycle: the events' clock and the states' are the same."""
+    rings, rows = Rings(tmp_path / "rings"), cycles(1000)
+    rings.events.write(0, 0, Level.INFO, "early", "", "before the first cycle")
+    true = truth(rows)
+    for tick in range(500, 1000):
+        rings.tick(tick, rows, true)
+    recorder = Recorder(tmp_path / "rings", tmp_path / "run.mcap", recording(), {}, {}, 0)
+    recorder.finish()
+    found = describe(open_log(tmp_path / "run.mcap"))
+    entered = {row["state"]: row["from_s"] for row in found["states"]}
+    told = [each for each in found["events"] if each["name"] == "STATE"]
+    assert told
+    for event in told:
+        state = event["text"].removeprefix("entered ").partition(",")[0]
+        assert event["time_s"] == pytest.approx(entered[state])

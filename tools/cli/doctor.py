@@ -36,11 +36,11 @@ def doctor(config: str, seconds: float, out: Path, *, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(found, indent=2))
     else:
-        _show(console, findings)
+        _show(console, findings, found["period_us"])
     raise click.exceptions.Exit(1 if worst(findings) is Verdict.BAD else 0)
 
 
-def _show(console: Console, findings: list[Finding]) -> None:
+def _show(console: Console, findings: list[Finding], period_us: int) -> None:
     table = Table("what", "measured", "verdict", box=None, pad_edge=False)
     for finding in findings:
         style = _STYLES[finding.verdict]
@@ -52,4 +52,6 @@ def _show(console: Console, findings: list[Finding]) -> None:
     for finding in remedies:
         console.print(f"  {finding.name}:", markup=False)
         console.print(f"    {finding.remedy}", markup=False)
-    console.print(f"\nthis host, for a period of 1 ms: {worst(findings)}", markup=False)
+    console.print(
+        f"\nthis host, for a period of {period_us / 1000:g} ms: {worst(findings)}", markup=False
+    )

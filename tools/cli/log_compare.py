@@ -13,9 +13,11 @@ from tools.cli.damage import tell_damage
 from tools.draft import write_whole
 from tools.errors import ToolError
 from tools.log import open as open_log
+from tools.log.replay import played
 from tools.paper.table import Spread, Table
-from tools.report.compare import Judged
+from tools.report.compare import Judged, load_of
 from tools.report.compare import compare as put_side_by_side
+from tools.report.differences import differences, shown
 
 
 @click.command()
@@ -29,13 +31,17 @@ from tools.report.compare import compare as put_side_by_side
 def compare(files: tuple[Path, ...], out: Path | None, *, as_json: bool) -> None:
     """Compare runs by the indicators of the paper's Table 3. FILES of one controller are its
     repetitions; controllers are compared over the scenarios that all of them have played."""
-    table, judged = put_side_by_side([open_log(file) for file in files])
+    logs = [open_log(file) for file in files]
+    table, judged = put_side_by_side(logs)
+    unlike = differences(logs)
     if out is not None:
         _write(table, out)
     if as_json:
-        click.echo(json.dumps(_plain(table, judged), indent=2))
+        click.echo(json.dumps(_plain(table, judged) | {"differences": unlike}, indent=2))
     else:
         _show(table, judged)
+        for line in shown(unlike):
+            click.echo(f"differs: {line}")
         if out is not None:
             click.echo(out)
     tell_damage(each.log for each in judged)
@@ -46,7 +52,9 @@ def _show(table: Table, judged: list[Judged]) -> None:
     for each in judged:
         row = each.row
         ended = f"ended in {row.fault}" if row.fault else row.reason
-        text = f"{each.log.path}: {row.controller}, {row.case} ({row.kind}), {ended}"
+        load = load_of(played(each.log))
+        kind = f"{row.kind}, {load}" if load else row.kind
+        text = f"{each.log.path}: {row.controller}, {row.case} ({kind}), {ended}"
         console.print(escape(text), soft_wrap=True)
     console.print(table)
 

@@ -65,7 +65,7 @@ def describe(log: Log) -> dict[str, Any]:
         "duration_s": (span[1] - span[0]) * _S if span else 0.0,
         "metadata": log.metadata,
         "attachments": {name: len(data) for name, data in log.attachments.items()},
-        "states": _states(log) if known else [],
+        "states": _states(log, start) if known else [],
         "faults": find_faults(log) if known else [],
         "events": [
             {
@@ -84,8 +84,9 @@ def describe(log: Log) -> dict[str, Any]:
     }
 
 
-def _states(log: Log) -> list[dict[str, Any]]:
-    """The states in the order in which they were entered."""
+def _states(log: Log, start: int) -> list[dict[str, Any]]:
+    """The states in the order in which they were entered, by the clock of the events: s since
+    ``start`` (ns), the log's first message."""
     state, times = log["/tonus/state"]["state"], log.times("/tonus/state")
     entered = np.flatnonzero(np.diff(state, prepend=-1) != 0) if len(state) else np.empty(0, int)
     ends = [*times[entered[1:]].tolist(), int(times[-1])]
@@ -94,7 +95,7 @@ def _states(log: Log) -> list[dict[str, Any]]:
             "state": State(number).name
             if (number := int(state[index])) in _STATES
             else str(number),
-            "from_s": float((times[index] - times[0]) * _S),
+            "from_s": float((times[index] - start) * _S),
             "duration_s": float((end - times[index]) * _S),
         }
         for index, end in zip(entered, ends, strict=True)

@@ -258,7 +258,7 @@ def _tell(summary: Summary, result: Result, files: list[Path], *, disturbed: boo
     if result.latencies is not None:
         rows += latency_rows(summary)
     if summary["tracking_rmse_m"] is not None:
-        rows.append(("position error", f"{summary['tracking_rmse_m'] * 1e3:.2f} mm RMS"))
+        rows.append(("position error", f"{summary['tracking_rmse_m'] * 1e3:.2f} mm RMS in ACTIVE"))
     load = _largest_load(open_log(result.log))
     if load is not None:
         rows.append(("under load", f"{load[1] * 1e3:.1f} mm away at {load[0]:.0f} N"))

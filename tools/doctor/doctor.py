@@ -17,8 +17,8 @@ from tools.doctor.files import read
 from tools.doctor.finding import Finding, worst
 
 Report = dict[str, Any]
-"""JSON object: ``verdict``, ``config``, ``host``, ``seconds`` measured, ``boot`` and s since
-then as ``at_s``, ``findings`` as a list of `Finding`."""
+"""JSON object: ``verdict``, ``config``, ``period_us``, ``host``, ``seconds`` measured, ``boot`` and
+s since then as ``at_s``, ``findings`` as a list of `Finding`."""
 
 QUICK_S = 0.3
 _DISK_S = 1.0
@@ -33,8 +33,9 @@ def examine(
     Raises `ToolError` when ``out`` cannot be written to.
     """
     settings, limits = config.realtime, config.realtime.host
-    say(f"waking up every millisecond for {seconds:g} s")
-    awake, grants = wakeup.examine(settings, limits, seconds)
+    rates = config.control.rates
+    say(f"waking up every {rates.period_us} us for {seconds:g} s")
+    awake, grants = wakeup.examine(settings, limits, seconds, rates.period_ns)
     say("writing to the disk")
     written = disk.examine(out, limits, min(seconds, _DISK_S))
     return [
@@ -51,6 +52,7 @@ def report(config: Config, findings: list[Finding], seconds: float) -> Report:
     return {
         "verdict": worst(findings),
         "config": config.name,
+        "period_us": config.control.rates.period_us,
         "host": f"{platform.node()}, {platform.machine()}, {platform.version()}",
         "seconds": seconds,
         "boot": _boot(),
@@ -77,6 +79,7 @@ def latest(config: Config, out: Path) -> Report:
         age = wall_seconds() - float(found["at_s"])
         fresh = _FRESH_S if found["seconds"] > QUICK_S else _QUICK_FRESH_S
         same = found["boot"] == _boot() and found["config"] == config.name
+        same = same and found["period_us"] == config.control.rates.period_us
         if same and 0.0 <= age <= fresh:
             return {**found, "age_s": round(age, 1)}
     except (OSError, ValueError, KeyError, TypeError):

@@ -17,34 +17,45 @@ from tools.doctor.finding import Finding, Verdict, graded
 _CLOCK_MONOTONIC, _TIMER_ABSTIME = 1, 1
 _SECOND_NS = 1_000_000_000
 _PERIOD_NS = 1_000_000
+_US = 1e-3
+_LIMITS_FOR_NS = 1_000_000
+"""the period that the configured limits are meant for; a longer one bears more"""
 _TIMESPEC = struct.Struct("qq")
 _BINS_US = 20_000
 """cyclictest's histogram has bins of a microsecond"""
 _REMEDY = "see preemption, isolation and privileges; nothing else heavy beside the daemon"
 
 
-def bare(seconds: float, action: Callable[[], object] = lambda: None) -> Histogram:
-    """Wake-up latencies of clock_nanosleep with a period of 1 ms, by this thread as it is, which
-    does ``action`` each time."""
+def bare(
+    seconds: float, action: Callable[[], object] = lambda: None, period_ns: int = _PERIOD_NS
+) -> Histogram:
+    """Wake-up latencies of clock_nanosleep with a period, by this thread as it is, which does
+    ``action`` each time."""
     libc, now_ns = ctypes.CDLL(None), Stopwatch(running=True).wall_ns
     until, found = ctypes.create_string_buffer(_TIMESPEC.size), Histogram()
-    due = now_ns() + 2 * _PERIOD_NS
-    for _ in range(max(round(seconds * _SECOND_NS / _PERIOD_NS), 1)):
+    due = now_ns() + 2 * period_ns
+    for _ in range(max(round(seconds * _SECOND_NS / period_ns), 1)):
         _TIMESPEC.pack_into(until, 0, *divmod(due, _SECOND_NS))
         libc.clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, until, None)
         late = now_ns() - due
         found.add(late)
         action()
-        due += _PERIOD_NS * (1 + max(late, 0) // _PERIOD_NS)
+        due += period_ns * (1 + max(late, 0) // period_ns)
     return found
 
 
-def cyclictest(seconds: float, priority: int = 80) -> Histogram | None:
-    """The same by ``cyclictest -i1000``; None where it is not installed or not permitted."""
+def cyclictest(seconds: float, priority: int = 80, period_ns: int = _PERIOD_NS) -> Histogram | None:
+    """The same by ``cyclictest``; None where it is not installed or not permitted."""
     program = shutil.which("cyclictest")
     if program is None:
         return None
-    command = [program, f"-p{priority}", "-i1000", f"-D{max(round(seconds), 1)}", "-q"]
+    command = [
+        program,
+        f"-p{priority}",
+        f"-i{period_ns // 1000}",
+        f"-D{max(round(seconds), 1)}",
+        "-q",
+    ]
     done = subprocess.run([*command, f"-h{_BINS_US}"], capture_output=True, text=True, check=False)
     return parse(done.stdout) if done.returncode == 0 else None
 
@@ -64,19 +75,21 @@ def parse(text: str) -> Histogram:
 
 
 def examine(
-    settings: RealTime, limits: HostLimits, seconds: float
+    settings: RealTime, limits: HostLimits, seconds: float, period_ns: int = _PERIOD_NS
 ) -> tuple[list[Finding], list[Grant]]:
     """Latency with all that the daemon asks for, stolen time meanwhile, and the grants."""
     before = stolen_jiffies()
     hygiene = Hygiene(settings)
     try:
-        ours = bare(seconds)
+        ours = bare(seconds, period_ns=period_ns)
     finally:
         hygiene.release()
-    peer = cyclictest(min(seconds, 2.0)) if seconds >= 1.0 else None
+    peer = cyclictest(min(seconds, 2.0), period_ns=period_ns) if seconds >= 1.0 else None
     stolen, total = (now - then for now, then in zip(stolen_jiffies(), before, strict=True))
     text, figures = _told(ours)
-    verdict = graded(ours.at(0.999) * 1e-3, limits.wakeup_good_us, limits.wakeup_bad_us)
+    share = period_ns / _LIMITS_FOR_NS
+    good, bad = share * limits.wakeup_good_us, share * limits.wakeup_bad_us
+    verdict = graded(ours.at(0.999) * _US, good, bad)
     findings = [Finding("wake-up", text, verdict, _remedy(verdict), figures)]
     if peer is not None:
         text, figures = _told(peer)

@@ -32,6 +32,7 @@ def usual(results: Results) -> Results:
             if row.indicators.get("envelope_enabled", 1.0) and row.controller != LITERAL
         ],
         results.traces,
+        results.untuned,
     )
 
 

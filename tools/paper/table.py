@@ -134,7 +134,9 @@ class Table:
         for place in places:
             right = self._numeric(place)
             table.add_column(
-                self.columns[place].heading, justify="right" if right else "left", no_wrap=False
+                self.columns[place].heading,
+                justify="right" if right else "left",
+                no_wrap=place >= self.lead,
             )
         for row, cells in enumerate(self.rows):
             table.add_row(
