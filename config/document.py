@@ -23,12 +23,18 @@ class Document:
 
     data: Any
     places: dict[Key, tuple[str, int]] = field(default_factory=dict)
+    folders: dict[str, Path] = field(default_factory=dict)
+    """of the files by their names in ``places``: what a relative name in one of them starts from"""
 
     def place(self, key: Key) -> tuple[str, int]:
         """The nearest known place at or above ``key``."""
         while key and key not in self.places:
             key = key[:-1]
         return self.places.get(key, ("", 0))
+
+    def folder(self, key: Key) -> Path:
+        """Where the file lies in which ``key`` stands."""
+        return self.folders.get(self.place(key)[0], Path())
 
 
 def read(path: Path, shown: str | None = None) -> Document:
@@ -65,6 +71,7 @@ def _file(path: Path, shown: str, key: Key, document: Document, chain: tuple[Pat
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         raise ConfigError(shown, line, "", "is not UTF-8 text", "save it as UTF-8") from error
+    document.folders[shown] = path.parent
     node = _compose(text, shown)
     if node is None:
         raise ConfigError(shown, 1, "", "is empty", "write the configuration, see config/can.yaml")

@@ -16,6 +16,7 @@ from config.relaxed import unnamed_risks
 from config.schema.bounds import Bounds
 from config.schema.budget import Budget
 from config.schema.campaign import Study
+from config.schema.plausible import Plausible
 from config.schema.protocol import Protocol
 from config.schema.root import Config
 from config.schema.scenario import Scenario
@@ -49,8 +50,9 @@ def load(
     """Read a configuration and the scenario it names, or the one named here.
 
     ``path`` may also be the bare name of a configuration that comes with the package, and
-    ``scenario`` a path to a YAML file. ``overrides`` maps dotted keys ("control.controller") to
-    values, for tests and command-line options. Raises `ConfigError`.
+    ``scenario`` a path to a YAML file. One rule for relative paths: those in a file start from that
+    file's folder, those given here from the working directory. ``overrides`` maps dotted keys
+    ("control.controller") to values, for tests and command-line options. Raises `ConfigError`.
     """
     document = read(*locate(path))
     for key, value in (overrides or {}).items():
@@ -60,7 +62,29 @@ def load(
         raise ConfigError(*document.place(path_of), dotted(path_of), problem, remedy)
     if scenario is not None:
         return config, load_scenario(scenario)
-    return config, _scenario(config.scenario, *document.place(("scenario",)), "scenario")
+    at: Key = ("scenario",)
+    # What an override says stands in no file.
+    base = Path() if "scenario" in (overrides or {}) else document.folder(at)
+    return config, _scenario(config.scenario, *document.place(at), "scenario", base=base)
+
+
+def load_catalogue(path: str | Path) -> list[Scenario]:
+    """Every scenario that a configuration lets an operator choose from. Raises `ConfigError`."""
+    document = read(*locate(path))
+    names = _validate(document, Config).operation.scenarios
+    if names is None:
+        return [load_scenario(name) for name in scenario_names()]
+    found = []
+    for index, name in enumerate(names):
+        key: Key = ("operation", "scenarios", index)
+        place = document.place(key)
+        found.append(_scenario(name, *place, dotted(key), base=document.folder(key)))
+    return found
+
+
+def load_plausible() -> Plausible:
+    """Bounds of values in their units, config/plausible.yaml."""
+    return _validate(read(HERE / "plausible.yaml", "config/plausible.yaml"), Plausible)
 
 
 def load_tuning(path: str | Path | None = None) -> Tuning:
@@ -80,14 +104,18 @@ def load_budget(name: str) -> Budget:
     return _validate(_named("budget", name, f"budget {name}", 0, ""), Budget)
 
 
-def _named(kind: str, name: str, file: str, line: int, key: str) -> Document:
-    """One of the files in config/<kind>s, or any by its path; ``file``, ``line`` and ``key`` are
-    where the name stands."""
-    path, shown = Path(name), name
+def _named(kind: str, name: str, file: str, line: int, key: str, base: Path = Path()) -> Document:
+    """One of the files in config/<kind>s, or any by its path, with or without its suffix; a
+    relative one starts from ``base``. ``file``, ``line`` and ``key`` are where the name stands."""
     folder = HERE / f"{kind}s"
+    path, shown = base / name, str(base / name)
     if path.suffix not in (".yaml", ".yml"):
-        path = folder / f"{name}.yaml"
-        shown = f"config/{folder.name}/{path.name}"
+        ours = folder / f"{name}.yaml"
+        written = path.with_name(f"{path.name}.yaml") if path.name else path
+        if Path(name).name == name and is_file(ours):
+            path, shown = ours, f"config/{folder.name}/{ours.name}"
+        elif not is_file(path):
+            path, shown = written, str(written)
     if not is_file(path):
         known = sorted(ours.stem for ours in folder.glob("*.yaml"))
         problem = f"there is no {kind} {reprlib.repr(name)}"
@@ -116,9 +144,14 @@ def scenario_names() -> list[str]:
 
 
 def _scenario(
-    name: str, file: str, line: int, key: str, overrides: Overrides | None = None
+    name: str,
+    file: str,
+    line: int,
+    key: str,
+    overrides: Overrides | None = None,
+    base: Path = Path(),
 ) -> Scenario:
-    document = _named("scenario", name, file, line, key)
+    document = _named("scenario", name, file, line, key, base)
     for dotted_key, value in (overrides or {}).items():
         _override(document, dotted_key, value)
     return _validate(document, Scenario)

@@ -7,7 +7,7 @@ against the buses' arithmetic and against the robot's mechanics.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from config import Config, Scenario
@@ -32,9 +32,10 @@ from drivers.canopen.pdo import Mapping, PdoError
 from drivers.canopen.process_data import drive_encoder
 from tools.check_ethercat import check_ethercat
 from tools.check_losses import check_losses
-from tools.mechanics import Finding, mechanics
+from tools.mechanics import Finding, mechanics, scenario_rules
+from tools.plausibility import plausibility
 
-__all__ = ["Finding", "check"]
+__all__ = ["Finding", "check", "check_catalogue"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,9 @@ class _Node:
 
 def check(config: Config, scenario: Scenario) -> list[Finding]:
     """Every rule's outcome, in a fixed order; nothing is started and nothing raises."""
-    findings: list[Finding] = []
+    findings: list[Finding] = list(plausibility(config))
+    if not all(finding.ok for finding in findings):
+        return findings  # whatever would be computed from them would mislead
     if isinstance(config.fieldbus, DirectBus):
         findings += _mappings(config.fieldbus.drive, config.fieldbus.force_cell)
     for bus in parts(config.fieldbus):
@@ -62,6 +65,22 @@ def check(config: Config, scenario: Scenario) -> list[Finding]:
     findings += check_losses(config)
     findings += _faults(config, scenario)
     return findings + list(mechanics(config, scenario))
+
+
+def check_catalogue(
+    config: Config, played: Scenario, others: Iterable[Scenario]
+) -> Iterator[Finding]:
+    """What else an operator may choose: of each scenario what depends on it."""
+    for scenario in others:
+        if scenario.name == played.name:
+            continue
+        found = [*_faults(config, scenario)] if parts(config.fieldbus) else []
+        found += scenario_rules(config, scenario)
+        failed = [each for each in found if not each.ok]
+        yield from failed
+        if not failed:
+            text = f"{scenario.name} may be chosen"
+            yield Finding("catalogue", True, "operation.scenarios", text, "leave it out")
 
 
 def _mappings(drive: Drive | EthercatDrive, cell: ForceCell | Amplifier) -> Iterator[Finding]:

@@ -24,6 +24,8 @@ GRID = 7
 """Points per edge of the box; with the turns a few thousand poses in a fraction of a second."""
 SAMPLES = 401
 """Of the reference, over the scenario's duration."""
+_AFTER_ACTIVE_S = 0.5
+"""s, so that devices that take their time to be enabled do not matter"""
 DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
 
 
@@ -44,7 +46,7 @@ def mechanics(config: Config, scenario: Scenario) -> Iterator[Finding]:
     at = workspace_poses(config.robot.geometry, config.robot.workspace, GRID)
     yield from _workspace(config, at)
     yield from _places(config.robot)
-    yield from _scenario(config, scenario)
+    yield from scenario_rules(config, scenario)
     yield from _drives(config)
     yield from _tension_loop(config, at)
     yield from _whole_loop(config)
@@ -107,7 +109,8 @@ def _places(robot: Robot) -> Iterator[Finding]:
         )
 
 
-def _scenario(config: Config, scenario: Scenario) -> Iterator[Finding]:
+def scenario_rules(config: Config, scenario: Scenario) -> Iterator[Finding]:
+    """The rules that judge a scenario on a robot."""
     robot = config.robot
     follow = trajectory(scenario.reference)
     times = np.linspace(0.0, scenario.duration, SAMPLES)
@@ -126,6 +129,35 @@ def _scenario(config: Config, scenario: Scenario) -> Iterator[Finding]:
     )
     if scenario.lab.load is not None:
         yield _load(config, scenario, scenario.lab.load, path)
+    if config.lab is not None:
+        yield from _begins(config, scenario)
+
+
+def _begins(config: Config, scenario: Scenario) -> Iterator[Finding]:
+    """The lab counts from the moment the drives are enabled, and a load that comes before ACTIVE
+    tests nothing."""
+    lab, times = scenario.lab, config.control.sequence
+    if lab.load is not None:
+        what, profile = "load", [(point.at, point.force) for point in lab.load.profile]
+    elif lab.displacement is not None:
+        what = "displacement"
+        profile = [(point.at, point.distance) for point in lab.displacement.profile]
+    else:
+        return
+    first = next((index for index, (_, value) in enumerate(profile) if value != 0.0), None)
+    if first is None:
+        return
+    begins = profile[max(first - 1, 0)][0]
+    armed = times.referencing_settle_s + times.referencing_average_s
+    armed += times.pretension_s + times.lift_s + 1.0 / times.reference_slew
+    yield Finding(
+        "load",
+        begins >= armed,
+        f"scenario {scenario.name}: lab.{what}.profile",
+        f"the {what} begins {begins:g} s after the drives are enabled, ACTIVE {armed:g} s after "
+        "it at the earliest (control.sequence)",
+        f"let it begin at {armed + _AFTER_ACTIVE_S:.1f} s or later, or shorten control.sequence",
+    )
 
 
 def _load(config: Config, scenario: Scenario, load: Load, path: Array) -> Finding:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,14 +15,16 @@ from scipy.optimize import linprog
 
 import tools.mechanics
 from config import Config, ConfigError, Scenario, load
-from config.loader import HERE, load_scenario
+from config.loader import HERE, load_catalogue, load_plausible, load_scenario
 from config.schema.bus import CanopenBus
+from config.schema.plausible import Bound
 from config.timeouts import master_timeout_ms
 from runtime.margin import tension_loop_margins
 from tools.check import Finding, check
 from tools.cli.check import check as command
 from tools.feasibility import Poses, against, feasibility, poses, reserves, workspace_poses
 from tools.mechanics import DIRECTIONS
+from tools.plausibility import plausibility
 
 CONFIG, SCENARIO = load("config/can.yaml", scenario="load_test")
 WEIGHT = CONFIG.robot.platform.mass * CONFIG.robot.gravity
@@ -327,3 +331,84 @@ def test_the_command_exits_with_1_when_a_check_failed(tmp_path: Any) -> None:
     assert "FAILED  bus load      channel can0 carries 2750 us" in result.output
     assert "use more channels or a longer period" in result.output
     assert "1 of " in result.output.splitlines()[-1]
+
+
+def test_anchors_in_millimetres_are_named_with_the_remedy_and_nothing_else_is_computed() -> None:
+    frame = [[1000.0 * each for each in point] for point in CONFIG.robot.geometry.frame]
+    finding = only(failed({"robot.geometry.frame": frame}), "units")
+    assert finding.where == "robot.geometry.frame"
+    assert "it looks like mm" in finding.text
+    assert "give it in m" in finding.remedy
+
+
+@pytest.mark.parametrize(
+    "bound",
+    # The schema holds the tensions against each other.
+    [each for each in load_plausible().bounds if each.key != "control.tension.max"],
+    ids=lambda bound: bound.key,
+)
+def test_each_value_in_its_usual_wrong_unit_is_seen(bound: Bound) -> None:
+    def scaled(value: Any) -> Any:
+        return value * bound.factor if isinstance(value, float) else [scaled(v) for v in value]
+
+    value: Any = CONFIG
+    for part in bound.key.split("."):
+        value = getattr(value, part)
+    overrides = {bound.key: scaled(value)}
+    config, _ = load("config/can.yaml", overrides=overrides)
+    (finding,) = (each for each in plausibility(config) if not each.ok)
+    assert finding.where == bound.key
+    assert bound.mistaken in finding.text
+
+
+def test_a_load_that_comes_before_the_robot_is_ready_is_refused() -> None:
+    """With a slow referencing it would be over before the test begins."""
+    found = failed({"control.sequence.referencing_settle_s": 8.0})
+    finding = only(found, "load")
+    assert "begins 6 s after the drives are enabled, ACTIVE 11.1 s" in finding.text
+    assert "let it begin at 11.6 s or later" in finding.remedy
+    assert failed({"control.sequence.referencing_settle_s": 8.0}, load_scenario("hold")) == {}
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A configuration elsewhere, with a scenario beside it and one in a folder of its own."""
+    text = "\n".join(
+        line.replace("!include ", f"!include {HERE}/")
+        for line in (HERE / "direct.yaml").read_text().splitlines()
+        if not line.startswith(("scenario:", "operation:"))
+    )
+    (tmp_path / "operation").mkdir()
+    still = (HERE / "scenarios/hold.yaml").read_text().replace("name: hold", "name: still")
+    (tmp_path / "still.yaml").write_text(still)
+    far = (HERE / "scenarios/sine_x.yaml").read_text().replace("name: sine_x", "name: far")
+    far = re.sub(r"amplitude: [0-9.e-]+", "amplitude: 3.0", far)
+    (tmp_path / "operation/far.yaml").write_text(far)
+    (tmp_path / "operation/scenes.yaml").write_text("scenarios: [far.yaml, ../still, sine_z]\n")
+    extra = "\nscenario: still.yaml\noperation: !include operation/scenes.yaml\n"
+    (tmp_path / "own.yaml").write_text(text + extra)
+    return tmp_path / "own.yaml"
+
+
+def test_names_in_a_file_start_from_that_file_wherever_one_is(
+    own: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert load(own)[1].name == "still"
+    assert [each.name for each in load_catalogue(own)] == ["far", "still", "sine_z"]
+    monkeypatch.chdir(tmp_path)
+    for given in ("still.yaml", "still", "operation/far", "./still"):
+        assert load_scenario(given).name in given
+    assert load_scenario("hold").name == "hold", "what is shipped needs no path"
+
+
+def test_what_an_operator_may_choose_is_checked(own: Path) -> None:
+    result = CliRunner().invoke(command, [str(own)])
+    assert result.exit_code == 1, result.output
+    assert "far leaves the workspace" in result.output
+    assert "sine_z may be chosen" in result.output
+    (own.parent / "operation/far.yaml").unlink()
+    missing = CliRunner().invoke(command, [str(own)]).exception
+    assert isinstance(missing, ConfigError)
+    assert "scenes.yaml:1" in str(missing)

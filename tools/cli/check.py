@@ -9,6 +9,7 @@ from dataclasses import asdict
 import click
 
 from config import load
+from config.loader import load_catalogue
 from tools import check as rules
 
 
@@ -20,6 +21,8 @@ def check(config: str, scenario: str | None, as_json: bool) -> None:
     """Validate CONFIG: schema, bus load, identifiers, workspace, limits. Nothing is started."""
     loaded, played = load(config, scenario=scenario)
     findings = rules.check(loaded, played)
+    if loaded.operation.scenarios is not None:
+        findings += rules.check_catalogue(loaded, played, load_catalogue(config))
     failed = [finding for finding in findings if not finding.ok]
     if as_json:
         click.echo(json.dumps([asdict(finding) for finding in findings], indent=2))

@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from config import Config, Scenario, load
-from config.loader import load_scenario, scenario_names
+from config.loader import load_catalogue
 from drivers.fieldbus import Progress
 from runtime.states import Fault, State
 from tools import output
@@ -184,9 +184,7 @@ def _others(
     path: Path, config: Config, played: Scenario, *, say: Progress, force: bool
 ) -> Iterator[Scenario]:
     """What may be chosen beside the scenario played first, as far as the robot can do it."""
-    names = config.operation.scenarios
-    for name in scenario_names() if names is None else names:
-        scenario = load_scenario(name)
+    for scenario in load_catalogue(path):
         if scenario.name == played.name:
             continue
         try:
