@@ -1,0 +1,88 @@
+"""What README, docs and Makefile tell people to type is there, and the benchmarks begin."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+
+import click
+import pytest
+
+from config.loader import HERE
+from tests.bench import process_data
+from tools.cli.main import tonus
+
+ROOT = HERE.parent
+MAKE = shutil.which("make") or "make"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+_COMMAND = re.compile(r"(?:`|^\s*\$ |^    )(tonus [^`\n|]+)", re.MULTILINE)
+_PLACEHOLDER = re.compile(r"\.\.\.|[A-Z]{3,}|<|\{|\[")
+"""in words that stand for others"""
+
+
+def told() -> list[tuple[str, str]]:
+    found = []
+    for page in PAGES:
+        for line in _COMMAND.findall(page.read_text(encoding="utf-8")):
+            text = re.split(r"\s{2,}|,\s|;| #|&", line)[0].strip(" .,`")
+            if not _PLACEHOLDER.search(text):
+                found.append((page.name, text))
+    return sorted(set(found))
+
+
+@pytest.mark.parametrize(("page", "line"), told(), ids=str)
+def test_a_command_that_is_told_can_be_typed(page: str, line: str) -> None:
+    """Every verb and option is known, and every argument is there."""
+    words = shlex.split(line)[1:]
+    command: click.Command = tonus
+    context = click.Context(command, info_name="tonus")
+    while isinstance(command, click.Group) and words and not words[0].startswith("-"):
+        inner = command.get_command(context, words[0])
+        assert inner is not None, f"{page}: {line}: there is no {words[0]}"
+        command, words = inner, words[1:]
+        context = click.Context(command, info_name=command.name, parent=context)
+    if isinstance(command, click.Group) or "--help" in words:
+        return  # a whole family is named
+    try:
+        command.make_context(command.name, words, parent=context.parent)
+    except click.MissingParameter:
+        assert not words, f"{page}: {line}"  # the command's name alone stands for it
+    except click.UsageError as error:
+        pytest.fail(f"{page}: {line}: {error.format_message()}")
+
+
+def test_there_are_commands_to_be_tried() -> None:
+    assert len(told()) > 40
+
+
+def test_every_target_that_is_told_is_in_the_makefile() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    named = {
+        name
+        for page in PAGES
+        for name in re.findall(r"(?:`|^    )make ([a-z-]+)", page.read_text(), re.MULTILINE)
+    }
+    assert named
+    assert named <= targets
+    for target in sorted(targets - {"setup"}):
+        done = subprocess.run(
+            [MAKE, "--dry-run", "--assume-old=setup", target],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        for module in re.findall(r"python -m (tests\.[a-z_.]+)", done.stdout):
+            path = ROOT / module.replace(".", "/")
+            assert path.with_suffix(".py").exists() or (path / "__main__.py").exists(), module
+
+
+def test_the_process_data_can_be_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ended in a traceback: a benchmark that nobody runs is one that does not run."""
+    monkeypatch.setattr(process_data, "ROUNDS", 3)
+    figures = process_data.process_data()
+    assert len(figures) == 4
+    assert all(figure.value > 0.0 for figure in figures)
