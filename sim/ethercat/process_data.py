@@ -52,7 +52,9 @@ class ProcessData:
         self._unpack = struct.Struct("<").unpack
         self._pack = struct.Struct("<").pack
         device.objects.names |= {
-            index: name for index, name in _NAMES.items() if index % 2 or self._has_outputs
+            index: name
+            for index, name in _NAMES.items()
+            if index != OUTPUT_SYNC or self._has_outputs
         }
         self._add_mappings()
         self._add_managers()
@@ -95,6 +97,10 @@ class ProcessData:
         if self._has_outputs:
             count = len(self._device.receive_pdos)
             ways.insert(0, (RECEIVE_ASSIGNMENT, OUTPUT_SYNC, RECEIVE_MAPPING, count))
+        else:
+            # Masters read it of every slave, and find that nothing is assigned.
+            empty = Entry("Number of assigned PDOs", Kind.U8, "ro", 0)
+            objects.add(RECEIVE_ASSIGNMENT, 0, empty)
         for assignment, sync, mapping, pdos in ways:
             self._add_assignment(assignment, mapping, pdos)
             self._add_sync(sync)

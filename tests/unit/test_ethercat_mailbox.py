@@ -291,3 +291,9 @@ def test_emergencies_of_a_master_that_does_not_listen_do_not_grow_without_end(
         count += 1
     assert 1 < count < 50
     assert bench.upload(DRIVE, 0x1018, 1) == struct.pack("<I", 0xFB)
+
+
+def test_a_slave_without_outputs_has_an_empty_assignment(bench: SegmentBench) -> None:
+    """A master reads 0x1C12 of every slave, and an abort there would look like a fault."""
+    assert bench.upload(AMPLIFIER, 0x1C12, 0) == b"\0"
+    assert bench.download(AMPLIFIER, 0x1C12, 0, b"\1") == 0x06010002
