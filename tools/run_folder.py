@@ -42,6 +42,13 @@ def new_folder(config: Path, scenario: str, base: Path = OUT) -> Path:
             return folder
 
 
+def discard_empty(folder: Path) -> None:
+    """Remove a folder of a run that left nothing, and that of all runs if nothing else is there."""
+    with suppress(OSError):
+        folder.rmdir()
+        folder.parent.rmdir()
+
+
 def next_folder(out: Path) -> Path:
     """OUT/0001, OUT/0002 and so on."""
     taken = [int(each.name) for each in out.glob("[0-9]*") if re.fullmatch(r"\d{4,9}", each.name)]

@@ -86,4 +86,6 @@ def test_nothing_is_missing(tmp_path: Path) -> None:
     restarted = names.count("recorder_restarted")
     # One killed before its first chunk has left nothing to go on from, and its file is begun anew.
     assert 1 <= restarted <= len(KILLS_S)
-    assert len(segments(out / "run.mcap")) == 1 + restarted
+    # One killed after its file was begun and before its first chunk leaves a file that tells of no
+    # restart: there are as many files as restarts told, or one more for each such.
+    assert 1 + restarted <= len(segments(out / "run.mcap")) <= 1 + len(KILLS_S)

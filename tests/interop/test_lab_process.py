@@ -23,12 +23,15 @@ pytestmark = pytest.mark.realtime
 
 
 def test_python_cans_logger_joins(lab: Path) -> None:
+    # In a background job it is ignored, and so would the logger that it ends below.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     logger = subprocess.Popen(
         [sys.executable, "-m", "can.logger", "-i", "tonus", "-c", "can1"],
         env=environment(lab),
         stdout=subprocess.PIPE,
         text=True,
     )
+    signal.signal(signal.SIGINT, before)
     assert logger.stdout is not None
     assert "tonus" in logger.stdout.readline().lower()  # it is connected
     assert "Started" in logger.stdout.readline()

@@ -17,6 +17,7 @@ from runtime import clock
 from runtime.control_door import VERBS
 from runtime.states import State
 from tools import output
+from tools.cli.numbers import FiniteRange
 from tools.control_client import ControlClient
 
 _LOOK_S = 0.1
@@ -63,7 +64,7 @@ def status(path: Path | None, as_json: bool) -> None:
 @ctl.command()
 @_socket
 @_json
-@click.option("--rate", type=click.FloatRange(0.1, 10.0), default=4.0, help="Looks a second.")
+@click.option("--rate", type=FiniteRange(0.1, 10.0), default=4.0, help="Looks a second.")
 @click.option("--count", type=click.IntRange(min=1), help="End after so many looks.")
 def watch(path: Path | None, as_json: bool, rate: float, count: int | None) -> None:
     """Show the status again and again; Ctrl-C ends it."""

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from config import load
+from tools.cli.numbers import FiniteRange
 from tools.doctor import doctor as rules
 from tools.doctor.finding import Finding, Verdict, worst
 
@@ -19,7 +20,7 @@ _STYLES = {Verdict.GOOD: "green", Verdict.BETTER: "yellow", Verdict.BAD: "bold r
 
 @click.command()
 @click.argument("config", default="config/can.yaml")
-@click.option("--seconds", type=click.FloatRange(0.1, 3600.0), default=5.0, show_default=True)
+@click.option("--seconds", type=FiniteRange(0.1, 3600.0), default=5.0, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of a table.")
 def doctor(config: str, seconds: float, out: Path, *, as_json: bool) -> None:

@@ -17,6 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from config.faults import KINDS, FaultField, FaultKind
+from tools.cli.numbers import FiniteRange
 from tools.lab_door import ask
 
 _HEXADECIMAL = ("code", "identifier", "index", "vendor", "product", "revision")
@@ -138,7 +139,7 @@ def _type(field: FaultField) -> Any:
     if field.choices is not None:
         return click.Choice(field.choices)
     if field.type in ("number", "vector"):
-        return click.FloatRange(field.low, field.high, min_open=field.low_excluded)
+        return FiniteRange(field.low, field.high, min_open=field.low_excluded)
     return {"integer": _integer(field), "boolean": bool, "string": str}[field.type]
 
 

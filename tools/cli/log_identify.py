@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from tools.cli.numbers import FiniteRange
 from tools.errors import ToolError
 from tools.identify import identify as find
 from tools.identify.figure import draw
@@ -25,7 +26,7 @@ _M = 1e-3
 @click.option(
     "--anchor-sigma",
     metavar="MM",
-    type=click.FloatRange(min=0.0),
+    type=FiniteRange(min=0.0),
     default=1.0,
     show_default=True,
     help="Standard error of the configured anchors; intervals allow for it.",

@@ -30,6 +30,7 @@ COMMANDS = (
     "paper",
     "campaign",
     "export",
+    "init",
 )
 """Each is the object of its name in the module of its name."""
 

@@ -16,6 +16,7 @@ from drivers.fieldbus import Progress
 from runtime.states import Fault, State
 from tools import output
 from tools.check import check
+from tools.cli.numbers import FiniteRange
 from tools.cli.settings import overrides_of
 from tools.draft import drafted, write_whole
 from tools.errors import ToolError
@@ -27,14 +28,14 @@ from tools.log.several import segments
 from tools.report.overview import overview
 from tools.run import Order, Result
 from tools.run import run as carry_out
-from tools.run_folder import new_folder, next_folder
+from tools.run_folder import discard_empty, new_folder, next_folder
 from tools.summary import Summary, missed_in, summarise, truth_at_cycles
 
 
 @click.command()
 @click.argument("config", type=click.Path(path_type=Path))
 @click.option("--scenario", help="Name of a scenario in config/scenarios, or a YAML file.")
-@click.option("--duration", type=click.FloatRange(min=0.1), help="Seconds in ACTIVE.")
+@click.option("--duration", type=FiniteRange(min=0.1), help="Seconds in ACTIVE.")
 @click.option("--controller", help="Controller by name, instead of the configuration's.")
 @click.option(
     "--set", "settings_", multiple=True, metavar="KEY=VALUE", help="One value of the configuration."
@@ -113,7 +114,11 @@ def run(
         socket=socket,
         link=out is None,
     )
-    good, disturbed = _play(order, as_json=as_json)
+    try:
+        good, disturbed = _play(order, as_json=as_json)
+    finally:
+        if out is None:
+            discard_empty(folder)
     if or_virtual and disturbed:
         click.echo("\nonce more in virtual time, which no host disturbs:")
         again = replace(order, virtual=True, out=folder / "virtual", link=False)

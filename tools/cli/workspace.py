@@ -10,6 +10,7 @@ import numpy as np
 
 from config import Config, load
 from config.schema.robot import CABLES
+from tools.cli.numbers import FiniteRange
 from tools.folders import make_folder
 from tools.workspace import Maps, compute, draw, grid
 
@@ -26,7 +27,7 @@ COARSEST, FINEST = 2, 41
 )
 @click.option(
     "--force",
-    type=click.FloatRange(min=0.0),
+    type=FiniteRange(min=0.0),
     help="N, either way on an axis; without it the envelope's contact limit.",
 )
 @click.option(

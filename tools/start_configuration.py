@@ -1,0 +1,80 @@
+"""A configuration of one's own to start from: the shipped files, comments and all, in a folder of
+their own, so that nothing in it includes anything outside."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from config.document import read
+from config.loader import HERE, load, locate
+from tools.draft import write_whole
+from tools.errors import ToolError
+from tools.folders import make_folder
+
+MAIN, WITHOUT_FRAMES = "robot.yaml", "direct.yaml"
+_SHOWN = "config"
+_HEAD = """\
+# {name}: written by tonus init from {source}. Change what is not as on your robot, then:
+#
+#   tonus check {main}                 what is wrong with it, before anything starts
+#   tonus run {main} --virtual         on the lab in software, faster than real time
+#   tonus run {main} --serve           operated by tonus ctl
+#   tonus tune all --config {direct} --land    gains for your robot
+#
+# A relative name in a file starts from that file. Every number has its unit behind it; P is the
+# paper's, R a choice of ours. Delete the lab: line on the robot itself.
+"""
+_DIRECT_HEAD = """\
+# The same robot without frames, for tonus tune and tonus paper.
+"""
+
+
+def write_configuration(folder: Path, like: str) -> list[Path]:
+    """Write a complete configuration like the shipped one ``like`` to a folder that is new or
+    empty; gives its files, the main one first. Raises `ToolError` and `ConfigError`."""
+    path, shown = locate(like)
+    if path.parent.resolve() != HERE.resolve():
+        raise ToolError(f"{like}: is not one that comes with the package; name one in config")
+    load(path)
+    make_folder(folder, "choose another folder")
+    if any(folder.iterdir()):
+        raise ToolError(f"{folder}: is not empty; name a new folder")
+    _, scenario = load(path)
+    texts = _included(path, shown)
+    main = texts.pop(Path(path.name))
+    direct = _included(HERE / WITHOUT_FRAMES, f"{_SHOWN}/{WITHOUT_FRAMES}")
+    plain = direct.pop(Path(WITHOUT_FRAMES))
+    texts |= direct
+    played = Path("scenarios", f"{scenario.name}.yaml")
+    texts[played] = (HERE / played).read_text(encoding="utf-8")
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", folder.resolve().name) or "robot"
+    head = _HEAD.format(name=name, source=shown, main=folder / MAIN, direct=folder / WITHOUT_FRAMES)
+    texts[Path(MAIN)] = _own(main, head, name, played)
+    texts[Path(WITHOUT_FRAMES)] = _own(plain, _DIRECT_HEAD, name, played)
+    for file, text in texts.items():
+        make_folder((folder / file).parent, "choose another folder")
+        write_whole(folder / file, text)
+    others = sorted(folder / file for file in texts if file != Path(MAIN))
+    return [folder / MAIN, *others]
+
+
+def _included(path: Path, shown: str) -> dict[Path, str]:
+    """The texts of a file and of all that it includes, by their places in the folder."""
+    found = {}
+    for name in read(path, shown).folders:
+        place = Path(os.path.relpath(name, _SHOWN))
+        found[place] = (HERE / place).read_text(encoding="utf-8")
+    return found
+
+
+def _own(text: str, head: str, name: str, scenario: Path) -> str:
+    """A main file under another name, with a head and a scenario beside it."""
+    body = "".join(
+        line for line in text.splitlines(keepends=True) if not line.startswith("#")
+    ).lstrip("\n")
+    body = re.sub(r"^name: .*$", f"name: {name}", body, flags=re.MULTILINE)
+    return head + re.sub(
+        r"^scenario: .*$", f"scenario: {scenario.as_posix()}", body, flags=re.MULTILINE
+    )
