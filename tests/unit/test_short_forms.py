@@ -9,9 +9,11 @@ import subprocess
 
 import click
 import pytest
+from click.testing import CliRunner
 
 from config.loader import HERE
 from tests.bench import process_data
+from tools.cli.check import check
 from tools.cli.main import tonus
 
 ROOT = HERE.parent
@@ -86,3 +88,12 @@ def test_the_process_data_can_be_measured(monkeypatch: pytest.MonkeyPatch) -> No
     figures = process_data.process_data()
     assert len(figures) == 4
     assert all(figure.value > 0.0 for figure in figures)
+
+
+def test_commissioning_shows_what_the_check_prints() -> None:
+    page = (ROOT / "docs/commissioning.md").read_text(encoding="utf-8")
+    block = page.partition("$ tonus check config/can.yaml\n")[2].partition("```")[0]
+    told = [line for line in block.splitlines() if line and line != "..."]
+    printed = CliRunner().invoke(check, ["config/can.yaml"]).output.splitlines()
+    assert len(told) == 5
+    assert set(told) <= set(printed)

@@ -18,15 +18,17 @@ from tools.report.page import report as write
     help="The page; report.html beside FILE if not given.",
 )
 def report(file: Path, out: Path | None) -> None:
-    """Write FILE as one HTML page: verdict, plots, events, settings. It opens offline."""
+    """Write FILE as one HTML page: verdict, plots, events, settings. It opens offline. Exit
+    code 1 for a damaged log."""
     page = file.with_name("report.html") if out is None else out
-    with click.progressbar(length=1000, label=str(file), file=sys.stderr) as bar:
-
-        def show(share: float) -> None:
-            bar.update(round(1000 * share) - bar.pos)
-
-        verdict = write(file, page, show)
+    if sys.stderr.isatty():
+        with click.progressbar(length=1000, label=str(file), file=sys.stderr) as bar:
+            verdict = write(file, page, lambda share: bar.update(round(1000 * share) - bar.pos))
+    else:
+        verdict = write(file, page, lambda _: None)
     click.echo(f"{verdict.headline}")
     for remark in verdict.remarks:
         click.echo(f"  {remark}")
     click.echo(f"{page}: {page.stat().st_size / 1e6:.1f} MB")
+    if verdict.damaged:
+        raise click.exceptions.Exit(1)

@@ -47,7 +47,10 @@ class _Commands(click.Group):
         if cmd_name not in COMMANDS:
             return None
         with _loading():
+            compiling = import_module("tools.cli.compiling")
+            compiling.keep_somewhere()
             command = getattr(import_module(f"tools.cli.{cmd_name}"), cmd_name)
+            compiling.tell()
         assert isinstance(command, click.Command)
         return command
 

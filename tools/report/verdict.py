@@ -33,6 +33,8 @@ class Verdict:
     remarks: tuple[str, ...]
     figures: tuple[Figure, ...]
     summary: Summary
+    damaged: bool = False
+    """the log is"""
 
 
 def judge(story: Story, indicators: Indicators) -> Verdict:
@@ -57,7 +59,9 @@ def judge(story: Story, indicators: Indicators) -> Verdict:
         remarks.append(f"Outside its limit: {', '.join(over)}.")
     ended = State[summary["state"]]
     good = not summary["faults"] and ended in _ENDED_WELL and not log.damage
-    return Verdict(_headline(story, summary, ended), good, tuple(remarks), figures, summary)
+    headline = _headline(story, summary, ended)
+    damaged = log.damage is not None
+    return Verdict(headline, good, tuple(remarks), figures, summary, damaged)
 
 
 def _headline(story: Story, summary: Summary, ended: State) -> str:
