@@ -1,0 +1,63 @@
+"""A run that ends before it began leaves nothing behind: no lab, no traceback."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hil.runs import configured, virtual
+
+from config.loader import HERE
+from sim.can import registry
+from tools import fieldbuses
+from tools.errors import ToolError
+
+
+def test_a_run_that_cannot_be_composed_takes_its_lab_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every later run of the process found the channels taken."""
+    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
+    config, scenario = configured(duration=0.1)
+
+    def refuse(*_: object, **__: object) -> None:
+        assert registry.find("can0") is not None, "the lab is there by now"
+        raise ToolError("no such fieldbus")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(fieldbuses, "build", refuse)
+        with pytest.raises(ToolError, match="no such fieldbus"):
+            virtual(config, scenario, tmp_path / "out")
+    assert all(registry.find(f"can{number}") is None for number in range(4))
+
+
+def test_an_interrupt_while_a_command_is_loaded_ends_it_without_a_traceback() -> None:
+    code = (
+        "import os, signal\n"
+        "from tools.cli import main\n"
+        "with main._loading():\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    for _ in range(10**9): pass\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=HERE.parent, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+def test_a_command_that_is_interrupted_ends_without_a_traceback() -> None:
+    code = (
+        "import sys\n"
+        "from unittest.mock import patch\n"
+        "from tools.cli import check, main\n"
+        "sys.argv = ['tonus', 'check', 'config/direct.yaml']\n"
+        "with patch.object(check, 'load', side_effect=KeyboardInterrupt):\n"
+        "    main.main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=HERE.parent, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
