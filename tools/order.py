@@ -9,7 +9,8 @@ from pathlib import Path
 from config.schema.root import Config
 from config.schema.scenario import Scenario
 from drivers.fieldbus import Progress
-from runtime.daemon import Latencies, Outcome
+from runtime.daemon import Outcome
+from runtime.latencies import Latencies
 from runtime.realtime import Grant
 from runtime.scheduler import Pacing
 
