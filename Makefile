@@ -8,7 +8,8 @@ MINUTES ?= 20
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test test-long bench bench-realtime load paper campaign fuzz robust replay kill soak
+.PHONY: setup run test test-long bench bench-realtime least-stop load paper campaign fuzz robust replay
+.PHONY: kill soak
 .PHONY: lint check-types lock clean
 
 setup: $(STAMP)
@@ -56,6 +57,11 @@ campaign: setup
 # MINUTES of cyclictest and the daemon in alternation, half of it each; the result goes into docs/timing.md.
 bench-realtime: setup
 	$(BIN)/python -m tests.bench.realtime --minutes $(MINUTES) --write
+
+# The least that physics allows after a torn cable: half an hour; goes on where it was interrupted.
+# Writes config/least_stop.yaml and docs/least_stop.png.
+least-stop: setup
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.least_stop --write $(shell date +%F)
 
 # What the tick makes of busy processes, a slow disk, a flooding client and a stopped recorder.
 load: setup

@@ -17,6 +17,7 @@ from config.schema.bounds import Bounds
 from config.schema.budget import Budget
 from config.schema.campaign import Study
 from config.schema.plausible import Plausible
+from config.schema.least_stop import LeastStops
 from config.schema.protocol import Protocol
 from config.schema.root import Config
 from config.schema.scenario import Scenario
@@ -136,6 +137,11 @@ def load_study(name: str) -> Study:
 def load_protocol() -> Protocol:
     """The paper's test programme, config/protocol.yaml."""
     return _validate(read(HERE / "protocol.yaml", "config/protocol.yaml"), Protocol)
+
+
+def load_least_stops() -> LeastStops:
+    """What physics allows after a torn cable, config/least_stop.yaml."""
+    return _validate(read(HERE / "least_stop.yaml", "config/least_stop.yaml"), LeastStops)
 
 
 def scenario_names() -> list[str]:
