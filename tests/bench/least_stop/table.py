@@ -38,7 +38,7 @@ def _solutions(folder: Path, tear: Tear) -> Iterator[Least | None]:
 
 
 def _up(value: float, digits: int) -> float:
-    return float(np.ceil(value * 10**digits) / 10**digits)
+    return float(np.ceil(round(value * 10**digits, 3)) / 10**digits)
 
 
 def missing(folder: Path) -> list[Tear]:
