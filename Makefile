@@ -58,7 +58,7 @@ campaign: setup
 bench-realtime: setup
 	$(BIN)/python -m tests.bench.realtime --minutes $(MINUTES) --write
 
-# The least that physics allows after a torn cable: half an hour; goes on where it was interrupted.
+# The least that physics allows after a torn cable: half an hour; it goes on where it was interrupted.
 # Writes config/least_stop.yaml and docs/least_stop.png.
 least-stop: setup
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.least_stop --write $(shell date +%F)

@@ -19,7 +19,7 @@ FIGURE = Path("docs/least_stop.png")
 
 
 @click.command()
-@click.option("--start", "starts", multiple=True, type=click.Choice(STARTS), default=("still",))
+@click.option("--start", "starts", multiple=True, type=click.Choice(STARTS), default=STARTS[:2])
 @click.option("--motion", "motions", multiple=True, type=click.Choice(list(MOTIONS)))
 @click.option("--solve/--no-solve", default=True, help="Or only write what is solved.")
 @click.option("--write", metavar="DATE", help="Write table and figure, computed on this date.")
