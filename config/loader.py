@@ -16,8 +16,8 @@ from config.relaxed import unnamed_risks
 from config.schema.bounds import Bounds
 from config.schema.budget import Budget
 from config.schema.campaign import Study
-from config.schema.plausible import Plausible
 from config.schema.least_stop import LeastStops
+from config.schema.plausible import Plausible
 from config.schema.protocol import Protocol
 from config.schema.root import Config
 from config.schema.scenario import Scenario
