@@ -215,7 +215,6 @@ class ControlCycle:
             self._guide.start(reference.position)
         elif state is State.SAFE_STOP:
             self.sequence.plan_stop(self._guide.plan_stop())
-            self._descent.stand_by()
 
     def _change_loop(self, loop: TensionLoop) -> None:
         if loop is not self._loop:
@@ -227,9 +226,7 @@ class ControlCycle:
         descent = self._descent
         if sequence.descending and self._loop is not descent.loop:
             self._estimator.loosen()
-            descent.begin(
-                sequence.faults, self._kinematics.matrix, self._reference, sensing.tension
-            )
+            descent.begin(sensing.tension)
             self._change_loop(descent.loop)
         lengths = self._referencing.lengths(sensing.angle, sensing.tension)
         believed = sensing.usable & ~sequence.faults.failed

@@ -15,8 +15,6 @@ from config.schema.robot import CABLES, Robot
 from runtime.distribution import TensionDistribution
 from runtime.faults import Faults
 from runtime.guard import Guard
-from runtime.reflex import Reflex
-from runtime.states import Fault
 from runtime.tension import TensionLoop
 
 Array = NDArray[np.float64]
@@ -32,23 +30,16 @@ class Descent:
         stiff = {"proportional": control.stop.proportional, "integral": 0.0}
         self.loop = TensionLoop(robot, control.tension_loop.model_copy(update=stiff), period)
         self.guard = Guard(robot, control.stop, period)
-        self._reflex = Reflex(robot, control.stop.reflex, period)
         self._taut = np.ones(CABLES, dtype=bool)
         self.centre = np.zeros(CABLES)
         """N (n,), what tensions are drawn towards: from what they were to the passive tension"""
         self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
 
-    def stand_by(self) -> None:
-        """A stop begins, of whichever kind."""
+    def begin(self, tension: Array) -> None:
+        """From tensions (n,) of this tick."""
         self.guard.reset()
-        self._reflex.reset()
-
-    def begin(self, faults: Faults, matrix: Array, before: Array, tension: Array) -> None:
-        """From structure matrix (6, n), tension references and tensions (n,) of this tick."""
         self.centre[:] = tension
         self._taut[:] = True
-        if faults.first is Fault.CABLE_TORN:
-            self._reflex.start(matrix, faults.where, float(before[faults.where]))
 
     def plan(
         self,
@@ -80,5 +71,4 @@ class Descent:
     def bound(self, torque: Array, rate: Array, usable: Mask) -> None:
         """The tension loop's torques (n,) made safe in place, at drum rates (n,) rad/s."""
         self.guard.take_up(torque, rate, usable & ~self._taut)
-        self._reflex(torque, usable)
         self.guard.bound(torque, rate, usable)

@@ -293,19 +293,6 @@ class Sequence(Section):
     """1/s: how fast the scenario's time may slow down or pick up"""
 
 
-class Reflex(Section):
-    """The first answer to a torn cable, `runtime.reflex`."""
-
-    share: Fraction
-    """of the largest torque"""
-    duration: NonNegative
-    """s after the loss of a cable under ``tension``; otherwise by the root of its share of that"""
-    tension: Positive
-    """N"""
-    full_at: Positive
-    """projection on the lost cable's direction from which on a drum gives all"""
-
-
 class Stop(Section):
     """A stop without a path to keep: in descent with the cables that are left, or passive, each
     drum by itself (`runtime.guard`)."""
@@ -350,7 +337,6 @@ class Stop(Section):
     """N s/m by which it damps its own motion"""
     passive_force: Positive
     """N: bound on the sum of both"""
-    reflex: Reflex
     rest_speed: Positive
     """m/s of cable below which a drum counts as standing"""
     rest_s: Positive
