@@ -65,7 +65,7 @@ class ControlCycle:
             control.envelope, control.tension, control.stiffness, robot, period
         )
         self._referencing = Referencing(robot, control.sequence, Kinematics(robot.geometry))
-        self._isolation = Isolation(control.isolation, control.stop, period)
+        self._isolation = Isolation(robot, control.isolation, control.stop, period)
         self.sequence = Sequence(
             control,
             self._sensing,
@@ -92,6 +92,9 @@ class ControlCycle:
         self._reference = np.zeros(CABLES)
         self._centre = np.zeros(CABLES)
         self._agonism, self._gradient = np.zeros(CABLES), np.zeros(CABLES)
+        self._pulling = np.zeros(CABLES)
+        self._torque = np.zeros(CABLES)
+        """N m, of the last tick"""
         self._drum_rate, self._none = np.zeros(CABLES), np.zeros(CABLES)
         self._desired_drums = (np.zeros(CABLES), np.zeros(CABLES))
         self._bearing = np.zeros((6, CABLES))
@@ -153,6 +156,7 @@ class ControlCycle:
             if sequence.descending:
                 usable = sensing.usable & sequence.carrying
                 self._descent.bound(image.commands["torque"], sensing.rate, usable)
+        self._torque[:] = image.commands["torque"]
 
     def fall_back(self, image: ProcessImage, tick: int) -> None:
         """In place of `act`, from the tick in which that raised on: each drive as in the last tick,
@@ -230,12 +234,19 @@ class ControlCycle:
             self._change_loop(descent.loop)
         lengths = self._referencing.lengths(sensing.angle, sensing.tension)
         believed = sensing.usable & ~sequence.faults.failed
-        estimate = self._estimator.step(lengths, sensing.tension, believed)
+        self._pulling = descent.pulling(sensing.tension, sequence.faults)
+        estimate = self._estimator.step(lengths, self._pulling, believed)
+        watched = sensing.usable & sequence.carrying
         self._isolation.step(
-            self._estimator.innovations,
-            self._reference,
-            sensing.filter.value[:CABLES],
-            sensing.usable & sequence.carrying,
+            self._estimator.innovations, self._reference, sensing.filter.value[:CABLES], watched
+        )
+        self._isolation.drums(
+            sensing.angle,
+            sensing.rate,
+            self._torque,
+            sensing.tension,
+            self._robot.drum.radius * self._drum_rate,
+            watched,
         )
         self._isolation.cells(image.cells["force"], image.cells["age"], sensing.tension)
         self._accepted = bool(tracker["fresh"]) and self._estimator.track(
@@ -301,7 +312,7 @@ class ControlCycle:
             self._kinematics.matrix,
             self._wrench,
             self._reference,
-            self._sensing.tension,
+            self._pulling,
             sequence.carrying,
             sequence.faults,
         )

@@ -7,6 +7,8 @@ slowly; what a given-up one still pulls counts as a load.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +35,8 @@ class Descent:
         self._taut = np.ones(CABLES, dtype=bool)
         self.centre = np.zeros(CABLES)
         """N (n,), what tensions are drawn towards: from what they were to the passive tension"""
+        self._most = np.zeros(CABLES)
+        self._release = math.exp(-period / control.stop.release_s)
         self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
 
     def begin(self, tension: Array) -> None:
@@ -40,6 +44,20 @@ class Descent:
         self.guard.reset()
         self.centre[:] = tension
         self._taut[:] = True
+
+    def pulling(self, tension: Array, faults: Faults) -> Array:
+        """Tensions (n,) as far as they are believed: a given-up cable pulls no more than it did
+        when that was found, and soon not at all if its drum turns freely; without a cell to say
+        so, nothing."""
+        if not faults.failed.any():
+            self._most[:] = tension
+            return tension
+        self._most[~faults.failed] = tension[~faults.failed]
+        self._most[faults.let_go] *= self._release
+        pulls = np.minimum(np.maximum(tension, 0.0), np.maximum(self._most, 0.0))
+        pulls[~faults.failed] = tension[~faults.failed]
+        pulls[faults.failed & ~faults.cells_trusted] = 0.0
+        return pulls
 
     def plan(
         self,
@@ -51,11 +69,11 @@ class Descent:
         faults: Faults,
     ) -> Array:
         """Tension references (n,) for a ``wrench`` (6,), less, in place, what given-up cables pull.
-        ``before`` and ``tension`` (n,): the last references, and what is measured."""
+        ``before`` and ``tension`` (n,): the last references, and what `pulling` believes."""
         stop = self._stop
         self._taut &= tension > 0.5 * stop.taut_tension
         self._taut |= tension > stop.taut_tension
-        gone = faults.failed & faults.cells_trusted
+        gone = faults.failed
         if gone.any():
             wrench -= matrix[:, gone] @ tension[gone]
         able = carrying & self._taut

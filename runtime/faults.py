@@ -23,6 +23,8 @@ CABLE_GONE = frozenset(
         Fault.TENSION_ERROR,
         Fault.LENGTH_DRIFT,
         Fault.CELL_FROZEN,
+        Fault.DRUM_TORQUE,
+        Fault.DRUM_STUCK,
     }
 )
 """Faults after which the cable they name is asked for nothing."""
@@ -31,7 +33,8 @@ PASSIVE = frozenset({Fault.NOT_FINITE})
 _CELL_UNKNOWN = frozenset(
     {Fault.CELL_LOST, Fault.CELL_BAD, Fault.IMPLAUSIBLE_CELL, Fault.CELL_FROZEN}
 )
-_ENCODER_UNKNOWN = frozenset({Fault.DRIVE_LOST, Fault.IMPLAUSIBLE_DRIVE})
+_ENCODER_UNKNOWN = frozenset({Fault.DRIVE_LOST, Fault.IMPLAUSIBLE_DRIVE, Fault.DRUM_STUCK})
+_HELD = frozenset({Fault.DRIVE_LOST, Fault.DRIVE_FAULT, Fault.IMPLAUSIBLE_DRIVE, Fault.DRUM_STUCK})
 
 
 class Faults:
@@ -80,6 +83,11 @@ class Faults:
     def drums_trusted(self) -> NDArray[np.bool_]:
         """(n,) whose encoder still says how the drum turns."""
         return self.without(_ENCODER_UNKNOWN)
+
+    @property
+    def let_go(self) -> NDArray[np.bool_]:
+        """(n,) given-up cables whose drum turns freely, so that they soon pull no more."""
+        return self.failed & self.without(_HELD)
 
     @property
     def cells_trusted(self) -> NDArray[np.bool_]:

@@ -1,12 +1,16 @@
 """Which cable contradicts the others: torn, slack, slipped, jammed, or measured wrongly.
 
-Three residuals for each cable, none of which a sound one shows:
+Residuals of each cable, none of which a sound one shows:
 
 - *jump*: its length, elongation included, leaves in one tick what the estimate predicts of it. A
   torn cable's elongation vanishes with its tension; a slip on the drum or of the encoder moves its
   length. The others' innovations stay within their noise, since a platform has mass.
 - *tension error*: its tension does not follow its reference: drum jammed, friction, motor weak or
   reversed, or a cell of wrong gain.
+- *torque*: its drum does not turn as torque and tension would have it; what is left unexplained
+  comes from an observer of the drum's momentum (De Luca and Mattone, ICRA 2005).
+- *travel*: its drum does not turn at all where the platform's motion would turn it. Friction may
+  do that for some millimetres, so it only tells which cable it is when lengths contradict.
 - *drift*: its innovation has a mean: what is wrong grows slowly, and is blamed on the cable whose
   mean stands out. Where none does, the cables contradict each other, and none is blamed.
 
@@ -24,11 +28,14 @@ from numpy.typing import NDArray
 from config.schema.bus import CELLS
 from config.schema.control import Isolation as Settings
 from config.schema.control import Stop
-from config.schema.robot import CABLES
+from config.schema.robot import CABLES, Robot
 from runtime.states import Fault
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
+_BY_LENGTH = (Fault.LENGTH_JUMP, Fault.LENGTH_DRIFT)
+_UNDER_WAY = 2
+"""ticks from a torque to the sample that it has made"""
 
 
 @njit(cache=True)
@@ -58,6 +65,39 @@ def _count(
 
 
 @njit(cache=True)
+def _turn(
+    drums: tuple[Array, Array, Array],
+    tension: Array,
+    following: Array,
+    watched: NDArray[np.bool_],
+    limits: tuple[float, float, float, float, float, float],
+    observed: tuple[Array, Array, Array],
+    misled: Counts,
+    last: Array,
+    travel: Array,
+) -> None:
+    """``drums``: angles (rad), rates (rad/s) and the torques (N m) that made them; ``following``:
+    m/s that the cables shorten by the platform's motion; ``limits``: period, drum radius, its mass
+    at the cable, observer time, force (N) and share of the torque's that may be unexplained;
+    ``observed``: explained momentum, unexplained force, mean force of the torque."""
+    period, radius, mass, time, force, share = limits
+    explained, unexplained, mean = observed
+    for i in range(tension.shape[0]):
+        speed, pull = radius * drums[1][i], drums[2][i] / radius
+        if not (watched[i] and math.isfinite(speed + pull + tension[i] + following[i])):
+            explained[i], unexplained[i], mean[i] = mass * speed, 0.0, abs(pull)
+            misled[i], travel[i], last[i] = 0, 0.0, drums[0][i]
+            continue
+        explained[i] += period * (pull - tension[i] + unexplained[i])
+        unexplained[i] = (mass * speed - explained[i]) / time
+        mean[i] += period / time * (abs(pull) - mean[i])
+        beyond = abs(unexplained[i]) > force + share * mean[i]
+        misled[i] = misled[i] + 1 if beyond else 0
+        travel[i] = travel[i] + period * following[i] if drums[0][i] == last[i] else 0.0
+        last[i] = drums[0][i]
+
+
+@njit(cache=True)
 def _repeat(
     raw: Array, age: NDArray[np.uint16], powered: NDArray[np.bool_], last: Array, same: Counts
 ) -> None:
@@ -70,8 +110,21 @@ def _repeat(
 class Isolation:
     """One tick of residuals; `found` is the first fault they show, and where."""
 
-    def __init__(self, settings: Settings, stop: Stop, period: float) -> None:
+    def __init__(self, robot: Robot, settings: Settings, stop: Stop, period: float) -> None:
         self._settings, self._taut = settings, stop.taut_tension
+        radius = robot.drum.radius
+        self._turning = (
+            period,
+            radius,
+            robot.drum.inertia / radius**2,
+            settings.torque_s,
+            settings.torque_error,
+            settings.torque_share,
+        )
+        self._observed = (np.zeros(CABLES), np.zeros(CABLES), np.zeros(CABLES))
+        self._torques = np.zeros((_UNDER_WAY, CABLES))
+        self._misled = np.zeros(CABLES, dtype=np.int64)
+        self._angle, self._travel = np.zeros(CABLES), np.zeros(CABLES)
         self._limits = (
             settings.length_jump,
             settings.tension_error,
@@ -87,7 +140,8 @@ class Isolation:
         self._loaded = np.zeros(CELLS, dtype=bool)
 
     def reset(self) -> None:
-        self._jumped[:] = self._astray[:] = self._same[:] = 0
+        self._jumped[:] = self._astray[:] = self._same[:] = self._misled[:] = 0
+        self._travel[:] = 0.0
         self.drift[:] = 0.0
 
     def step(
@@ -105,6 +159,32 @@ class Isolation:
             self.drift,
         )
 
+    def drums(
+        self,
+        angle: Array,
+        rate: Array,
+        commanded: Array,
+        tension: Array,
+        following: Array,
+        watched: NDArray[np.bool_],
+    ) -> None:
+        """From drum angles and rates (n,), the last tick's torques (n,) N m, tensions (n,) and what
+        the platform's motion shortens each cable by, (n,) m/s."""
+        acted = self._torques[-1].copy()
+        self._torques[1:] = self._torques[:-1].copy()
+        self._torques[0] = commanded
+        _turn(
+            (angle, rate, acted),
+            tension,
+            following,
+            watched,
+            self._turning,
+            self._observed,
+            self._misled,
+            self._angle,
+            self._travel,
+        )
+
     def cells(self, raw: Array, age: NDArray[np.uint16], tension: Array) -> None:
         """From raw readings and ages of the cells, and tensions (n,): a cell without load may well
         repeat itself."""
@@ -114,6 +194,14 @@ class Isolation:
     def found(self, tension: Array) -> tuple[Fault, int]:
         """The first fault there is, and its cable or cell; ``tension`` (n,) N, unfiltered, tells a
         cable that does not pull any more from one whose length is wrong."""
+        fault, place = self._contradiction(tension)
+        if fault in _BY_LENGTH:
+            stuck = int(np.abs(self._travel).argmax())
+            if abs(self._travel[stuck]) > self._settings.travel:
+                return Fault.DRUM_STUCK, stuck
+        return fault, place
+
+    def _contradiction(self, tension: Array) -> tuple[Fault, int]:
         s = self._settings
         jumped = self._jumped >= s.jump_ticks
         if jumped.any():
@@ -122,6 +210,8 @@ class Isolation:
             return (Fault.CABLE_TORN if torn else Fault.LENGTH_JUMP), cable
         if (self._astray >= self._astray_ticks).any():
             return Fault.TENSION_ERROR, int(self._astray.argmax())
+        if (self._misled >= s.torque_ticks).any():
+            return Fault.DRUM_TORQUE, int(self._misled.argmax())
         drift = np.abs(self.drift)
         largest = drift.max()
         if largest > s.innovation:

@@ -19,6 +19,8 @@ _DELAY_TICKS = 10
 _UNSEEN = {
     "length_jump": 1e9,
     "tension_error": 1e9,
+    "torque_error": 1e9,
+    "travel": 1e9,
     "innovation": 1e9,
     "frozen_ticks": 10**9,
 }

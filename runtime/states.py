@@ -64,6 +64,8 @@ class Fault(IntEnum):
     LENGTH_DRIFT = 19
     CELL_FROZEN = 20
     CONTROL_FAILED = 21
+    DRUM_TORQUE = 22
+    DRUM_STUCK = 23
 
 
 class StopMode(IntEnum):

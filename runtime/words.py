@@ -28,6 +28,8 @@ TEXT = {
     Fault.LENGTH_JUMP: "the cable's length jumped: slipped on its drum, or its encoder or cell did",
     Fault.TENSION_ERROR: "the tension does not follow: drum jammed, motor weak, or cell wrong",
     Fault.LENGTH_DRIFT: "the cable contradicts the others more and more",
+    Fault.DRUM_TORQUE: "the drum does not turn as its torque has it: motor, drum, encoder or cell",
+    Fault.DRUM_STUCK: "the drum does not turn with the platform: jammed, or its encoder frozen",
     Fault.CELL_FROZEN: "the force cell repeats one reading",
     Fault.CONTROL_FAILED: "control raised an exception",
 }
@@ -47,6 +49,8 @@ _OF_A_DRIVE = {
     Fault.LENGTH_JUMP,
     Fault.TENSION_ERROR,
     Fault.LENGTH_DRIFT,
+    Fault.DRUM_TORQUE,
+    Fault.DRUM_STUCK,
 }
 _OF_A_CELL = {Fault.CELL_LOST, Fault.CELL_BAD, Fault.IMPLAUSIBLE_CELL, Fault.CELL_FROZEN}
 

@@ -321,6 +321,8 @@ class Stop(Section):
     """s in which the tensions ease off from what they were when it began"""
     tension_rate: Positive
     """N/s: bound on how fast a tension reference may move in a descent"""
+    release_s: Positive
+    """s, time constant with which a given-up cable on a free drum goes slack"""
     taut_tension: Positive
     """N above which a cable counts as taut, and below half of which it counts as slack"""
     reel_in: Positive
@@ -362,6 +364,16 @@ class Isolation(Section):
     """N between a cable's reference and its filtered tension"""
     tension_error_s: Positive
     """s that it may last"""
+    torque_error: Positive
+    """N at the cable that a drum's torque may leave unexplained: friction"""
+    torque_share: Fraction
+    """and of the torque itself: the gearbox's efficiency"""
+    torque_s: Positive
+    """s, time constant of the observer"""
+    torque_ticks: Count
+    """in a row"""
+    travel: Positive
+    """m that the platform's motion shortens a cable by while its drum does not turn at all"""
     innovation: Positive
     """m, mean innovation of a cable's length that counts as a contradiction"""
     prominence: Positive
