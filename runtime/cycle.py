@@ -128,6 +128,14 @@ class ControlCycle:
         if sequence.step(image, tick, operator, finite=self._finite):
             self._enter(sequence.state)
         image.commands["command"] = sequence.axis_command
+        self._isolation.drums(
+            sensing.angle,
+            sensing.rate,
+            self._torque,
+            sensing.tension,
+            self._robot.drum.radius * self._drum_rate,
+            sensing.usable & ~sequence.faults.failed & sequence.enabled,
+        )
         if sequence.passive_share >= 0.0:
             self._give_way(image)
             return
@@ -175,7 +183,7 @@ class ControlCycle:
             trusted[:], share = False, 0.0
         self._reference[:] = share * stop.passive_tension * trusted
         torque = self._descent.guard.passive(self._sensing.rate, trusted, share)
-        image.commands["torque"] = torque
+        image.commands["torque"] = self._torque[:] = torque
 
     def write(
         self, image: ProcessImage, tick: int, operator: Operator, select: int = 0
@@ -239,14 +247,6 @@ class ControlCycle:
         watched = sensing.usable & sequence.carrying
         self._isolation.step(
             self._estimator.innovations, self._reference, sensing.filter.value[:CABLES], watched
-        )
-        self._isolation.drums(
-            sensing.angle,
-            sensing.rate,
-            self._torque,
-            sensing.tension,
-            self._robot.drum.radius * self._drum_rate,
-            watched,
         )
         self._isolation.cells(image.cells["force"], image.cells["age"], sensing.tension)
         self._accepted = bool(tracker["fresh"]) and self._estimator.track(

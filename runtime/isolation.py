@@ -201,6 +201,14 @@ class Isolation:
                 return Fault.DRUM_STUCK, stuck
         return fault, place
 
+    def disobedient(self, *, descending: bool) -> tuple[Fault, int]:
+        """The first drum that does not turn as its torque has it, whatever the estimate is. While
+        ``descending`` drums work at their limits, where losses are least known."""
+        s = self._settings
+        if (self._misled >= (s.torque_descent_ticks if descending else s.torque_ticks)).any():
+            return Fault.DRUM_TORQUE, int(self._misled.argmax())
+        return Fault.NONE, -1
+
     def _contradiction(self, tension: Array) -> tuple[Fault, int]:
         s = self._settings
         jumped = self._jumped >= s.jump_ticks
@@ -210,8 +218,8 @@ class Isolation:
             return (Fault.CABLE_TORN if torn else Fault.LENGTH_JUMP), cable
         if (self._astray >= self._astray_ticks).any():
             return Fault.TENSION_ERROR, int(self._astray.argmax())
-        if (self._misled >= s.torque_ticks).any():
-            return Fault.DRUM_TORQUE, int(self._misled.argmax())
+        if (self._jumped > 0).any():
+            return Fault.NONE, -1  # a jump moves the mean too, and is named by itself
         drift = np.abs(self.drift)
         largest = drift.max()
         if largest > s.innovation:

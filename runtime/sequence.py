@@ -324,6 +324,8 @@ class Sequence:
         if not finite:
             self.faults.add(Fault.NOT_FINITE, -1)
         self._examine_devices(image)
+        if self.enabled and self.state is not State.STANDBY:
+            self.faults.add(*self._isolation.disobedient(descending=self.descending))
         if self.state in MOVING and self.stop_mode is not StopMode.PASSIVE:
             self._examine_motion()
         if clean and self.faults.first is not Fault.NONE:

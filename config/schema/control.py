@@ -372,6 +372,8 @@ class Isolation(Section):
     """s, time constant of the observer"""
     torque_ticks: Count
     """in a row"""
+    torque_descent_ticks: Count
+    """in a row, in a descent"""
     travel: Positive
     """m that the platform's motion shortens a cable by while its drum does not turn at all"""
     innovation: Positive

@@ -148,12 +148,18 @@ def _motion(run: Observed, bounds: Bounds, limits: Limits | None) -> Iterator[Vi
 
 
 def _not_falling(run: Observed, bounds: Bounds, speed: Floats) -> Iterator[Violation]:
-    """From a while after each fault on, no speed that was not reached before."""
+    """From a while after each fault on, no speed that was not reached before. One that did no harm
+    at first counts once more when it is found: the stop that follows moves the platform."""
     times = run.truth_ns
     wrong = np.zeros(len(speed), bool)
     allowed = np.full(len(speed), np.inf)
     delay = round((bounds.falling_from + bounds.settle) * NS)
     faults = sorted({strike.at_ns for strike in run.strikes})
+    if not faults:
+        return
+    worse = np.diff(run.cycle["state"]["stop_mode"].astype(np.int8), prepend=0) > 0
+    found = run.cycle_ns[worse & (run.cycle_ns > faults[0])]
+    faults = sorted({*faults, *found.tolist()})
     ends = np.append(np.searchsorted(times, faults[1:]), len(times))
     for at, end in zip(faults, ends, strict=False):
         first, last = np.searchsorted(times, [faults[0], at + delay])
