@@ -19,7 +19,7 @@ from runtime.sensing import Sensing
 from runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State, StopMode
 
 _FAULTS = (int(AxisState.FAULT), int(AxisState.FAULT_REACTION_ACTIVE))
-_FEWEST = 5
+FEWEST = 5
 """cables with which a descent is planned; with fewer the pose is not known for long"""
 MOVING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 
@@ -154,7 +154,7 @@ class Sequence:
         faults = self.faults
         lost = int(faults.failed.sum())
         blind = any(faults.has(cause) for cause in PASSIVE) or faults.at(Fault.LENGTH_DRIFT, -1)
-        if not self.referenced or blind or lost > len(faults.failed) - _FEWEST:
+        if not self.referenced or blind or lost > len(faults.failed) - FEWEST:
             wanted = StopMode.PASSIVE
         elif lost or not self._sensing.present.all():
             wanted = StopMode.DESCENT

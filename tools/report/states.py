@@ -7,8 +7,20 @@ from __future__ import annotations
 
 import sys
 
-from runtime.states import ARMED, MEANING, MOVES, NEXT, TRANSITIONS, Event, Fault, Operator, State
-from runtime.words import TEXT, reaction
+from runtime.sequence import FEWEST
+from runtime.states import (
+    ARMED,
+    MEANING,
+    MOVES,
+    NEXT,
+    TRANSITIONS,
+    Event,
+    Fault,
+    Operator,
+    State,
+    StopMode,
+)
+from runtime.words import STOP_TEXT, TEXT, reaction
 
 _HEAD = """# The state machine
 
@@ -16,24 +28,80 @@ One table (`runtime/states.py`) says what every event does in every state; this 
 from it (`python -m tools.report.states`). At most one event a tick is followed, a fault before a
 command. *Armed* states, in which drives are enabled, have a thick border.
 """
-_STOP = """## The controlled stop
+_ASSUMES = {
+    StopMode.ON_PATH: "all cables, a pose that is known",
+    StopMode.DESCENT: f"at least {FEWEST} cables, a pose that is known",
+    StopMode.PASSIVE: "encoders of single drums; also before the cables are referenced",
+}
+
+
+def _modes() -> str:
+    return "\n".join(
+        f"| {mode.name} | {_ASSUMES[mode]} | {STOP_TEXT[mode]} |"
+        for mode in StopMode
+        if mode is not StopMode.NONE
+    )
+
+
+_STOP = f"""## The controlled stop
 
 A cable robot must not let go of all its cables at once while anything answers: the platform would
-drop, or be thrown by the load. SAFE_STOP takes these steps; the times are in `control.sequence`.
+drop, or be thrown by the load. SAFE_STOP has three modes (`state.stop_mode` in the log, event
+`stop_mode`). A tick uses the first one whose assumptions hold, and a stop never goes back to an
+earlier one.
+
+| mode | assumes | what |
+|---|---|---|
+{_modes()}
+
+Faults of drives and cells are examined in every state but FAULT, in a stop as well; bounds and
+contradictions between cables are examined while the platform moves, bounds also in a descent. The
+first fault since the last reset is the reason. Each later one is an event, and may give up another
+cable (`state.failed`) or change the mode.
+
+### On the path
+
+The times are in `control.sequence`.
 
 | step | takes | what |
 |---|---|---|
 | slow down | `stop_s` | the reference's velocity goes to zero along the platform's way |
-| wait | at most `hold_s` | while more than `release_load` pushes and all cables are there |
+| wait | at most `hold_s` | while more than `release_load` pushes and no contact limit was met |
 | lower | `lower_s`, from far away longer | down to the cradle, minimum jerk |
 | let down | `stop_s` | stiffness from K0 to K_min, tensions to the referencing level, together |
 | disable | at once | every drive, while its cable still holds that little |
 
-A stop because of contact is at K_min from its first tick on, and one without all eight cables
-brings the platform down by weight and damping. Brakes are the drives' own affair: an EPOS4 wired to
-a holding brake applies it itself when it is disabled (0x3158 holds the brake's times); the daemon
-commands none, and the paper's robot has none. An emergency stop, and a computed value that is not a
-number, skip all this: every drive is disabled in that tick.
+A stop because of contact is at K_min from its first tick on.
+
+### Descent
+
+A cable is given up when its drive or cell is lost or defective, or when its length or tension
+contradicts the others. It is asked for nothing. The active cables carry the weight and damp every
+motion; no place is kept, and the platform comes down. The values are in `control.stop`.
+
+- After CABLE_TORN the drums give their full torque for about `reflex.duration`, along the pull that
+  is missing or against it.
+- A cable below half of `taut_tension` is reeled in slowly, with the passive law, until it pulls.
+- Each drum brakes what goes beyond `reel_in` and `reel_out`, and puts in no more energy than its
+  `tank` holds.
+- It takes the times of a stop on the path, without the wait, and up to `landing_s` more until the
+  platform has landed or all drums stand. Then every drive is disabled.
+
+### Passive
+
+It relies on no pose, no cell and no plan. Each drum whose encoder is trusted gives
+`passive_tension` less `passive_damping` times its own rate, at most `passive_force`. When all drums
+have stood for `rest_s`, and after `passive_s` in any case, the tension goes to zero within `stop_s`
+and every drive is disabled. A stop comes to it when a computed value is not a number, when the
+cables contradict each other and none stands out, or when too few are left. Before the cables are
+referenced it lets their tension down within `stop_s`. An exception in control ends in the same law,
+with the times in `operation.fallback`; the run ends.
+
+### What a stop leaves out
+
+An emergency stop skips all this: every drive is disabled in that tick. Brakes are the drives' own
+affair: an EPOS4 wired to a holding brake applies it itself when it is disabled (0x3158 holds the
+brake's times); the daemon commands none, and the paper's robot has none.
 
 ## Signals
 
