@@ -141,8 +141,8 @@ class Isolation:
 
     def reset(self) -> None:
         self._jumped[:] = self._astray[:] = self._same[:] = self._misled[:] = 0
-        self._travel[:] = 0.0
-        self.drift[:] = 0.0
+        for each in (*self._observed, self._torques, self._travel, self.drift):
+            each[:] = 0.0
 
     def step(
         self, innovation: Array, reference: Array, filtered: Array, watched: NDArray[np.bool_]
