@@ -1,0 +1,195 @@
+"""Each residual by itself names its fault and its cable, and a sound cable shows none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from config import load
+from config.schema.bus import CELLS
+from config.schema.robot import CABLES
+from runtime.isolation import Isolation
+from runtime.states import Fault
+
+Array = NDArray[np.float64]
+CONFIG, _ = load("config/can.yaml")
+CONTROL = CONFIG.control
+PERIOD, RADIUS = CONTROL.rates.period, CONFIG.robot.drum.radius
+SETTINGS = CONTROL.isolation
+ALL = np.ones(CABLES, dtype=bool)
+FRESH = np.zeros(CELLS, dtype=np.uint16)
+PULL = 45.0
+
+
+class Watched:
+    """Cables at rest under equal tension; a test changes what one of them reports."""
+
+    def __init__(self) -> None:
+        self.isolation = Isolation(CONFIG.robot, SETTINGS, CONTROL.stop, PERIOD)
+        self.given: dict[str, Array] = {
+            "innovation": np.zeros(CABLES),
+            "reference": np.full(CABLES, PULL),
+            "tension": np.full(CABLES, PULL),
+            "angle": np.zeros(CABLES),
+            "rate": np.zeros(CABLES),
+            "torque": np.full(CABLES, RADIUS * PULL),
+            "following": np.zeros(CABLES),
+        }
+        self.watched = ALL.copy()
+        self._random = np.random.default_rng(1)
+        self.repeats: int | None = None
+        """cell whose reading repeats"""
+        self._raw = np.zeros(CELLS)
+
+    def tick(self, count: int = 1) -> tuple[Fault, int]:
+        given = self.given
+        for _ in range(count):
+            raw = self._random.normal(PULL, 0.1, CELLS)
+            if self.repeats is not None:
+                raw[self.repeats] = self._raw[self.repeats]
+            self._raw = raw
+            self.isolation.step(
+                given["innovation"], given["reference"], given["tension"], self.watched
+            )
+            self.isolation.drums(
+                given["angle"],
+                given["rate"],
+                given["torque"],
+                given["tension"],
+                given["following"],
+                self.watched,
+            )
+            self.isolation.cells(raw, FRESH, given["tension"])
+        return self.isolation.found(given["tension"])
+
+    def found_after(self, most: int) -> tuple[Fault, int, int]:
+        """The first fault, its place, and the tick in which it is found."""
+        for tick in range(1, most + 1):
+            fault, place = self.tick()
+            if fault is not Fault.NONE:
+                return fault, place, tick
+        return Fault.NONE, -1, most
+
+
+@pytest.fixture
+def cables() -> Watched:
+    watched = Watched()
+    assert watched.tick(200) == (Fault.NONE, -1)
+    return watched
+
+
+def test_a_length_that_jumps_while_its_cable_stops_pulling_is_a_torn_cable(cables: Watched) -> None:
+    cables.given["innovation"][3] = 2.0 * SETTINGS.length_jump
+    cables.given["tension"][3] = 0.0
+    assert cables.found_after(50) == (Fault.CABLE_TORN, 3, SETTINGS.jump_ticks)
+
+
+def test_a_length_that_jumps_while_its_cable_pulls_has_slipped(cables: Watched) -> None:
+    cables.given["innovation"][6] = -2.0 * SETTINGS.length_jump
+    assert cables.found_after(50) == (Fault.LENGTH_JUMP, 6, SETTINGS.jump_ticks)
+
+
+def test_one_odd_sample_is_no_jump(cables: Watched) -> None:
+    for innovation in (2.0 * SETTINGS.length_jump, 0.0) * 5:
+        cables.given["innovation"][2] = innovation
+        assert cables.tick()[0] not in (Fault.CABLE_TORN, Fault.LENGTH_JUMP)
+
+
+def test_a_sample_that_is_not_there_counts_for_nothing(cables: Watched) -> None:
+    cables.given["innovation"][:] = np.nan
+    assert cables.tick(500) == (Fault.NONE, -1)
+    assert np.isfinite(cables.isolation.drift).all()
+
+
+@pytest.mark.parametrize("error", [-1.1, 1.1])
+def test_a_tension_that_does_not_follow_is_named(cables: Watched, error: float) -> None:
+    cables.given["reference"][1] += error * SETTINGS.tension_error
+    ticks = round(SETTINGS.tension_error_s / PERIOD)
+    assert cables.found_after(2 * ticks) == (Fault.TENSION_ERROR, 1, ticks)
+
+
+def test_a_tension_error_within_its_bound_is_none(cables: Watched) -> None:
+    cables.given["reference"][1] += 0.9 * SETTINGS.tension_error
+    assert cables.tick(1000) == (Fault.NONE, -1)
+
+
+def test_a_drum_that_does_not_turn_as_its_torque_has_it_is_named(cables: Watched) -> None:
+    beyond = SETTINGS.torque_error + SETTINGS.torque_share * 4.0 * PULL
+    cables.given["torque"][5] = RADIUS * (PULL + 2.0 * beyond)
+    fault, place, tick = cables.found_after(100)
+    assert (fault, place) == (Fault.DRUM_TORQUE, 5)
+    assert tick <= round(5.0 * SETTINGS.torque_s / PERIOD)
+
+
+def test_friction_within_its_bound_is_none(cables: Watched) -> None:
+    cables.given["torque"][5] = RADIUS * (PULL + 0.9 * SETTINGS.torque_error)
+    assert cables.tick(500) == (Fault.NONE, -1)
+
+
+def test_a_drum_that_stands_where_the_platform_would_turn_it_is_stuck(cables: Watched) -> None:
+    """The others turn with the platform; only a contradicting length makes it a fault."""
+    found: set[tuple[Fault, int]] = set()
+    for n in range(100):
+        moving = np.full(CABLES, min(n, 80) * 1e-3)
+        cables.given["following"], cables.given["rate"] = moving, moving / RADIUS
+        cables.given["rate"][4] = 0.0
+        cables.given["angle"] = cables.given["angle"] + cables.given["rate"] * PERIOD
+        if n == 90:
+            assert found == {(Fault.NONE, -1)}
+            cables.given["innovation"][7] = 2.0 * SETTINGS.length_jump
+        found.add(cables.tick())
+    assert found == {(Fault.NONE, -1), (Fault.DRUM_STUCK, 4)}
+
+
+def test_a_mean_innovation_that_stands_out_names_its_cable(cables: Watched) -> None:
+    cables.given["innovation"][:] = 0.4 * SETTINGS.innovation
+    cables.given["innovation"][0] = 1.5 * SETTINGS.innovation
+    fault, place, tick = cables.found_after(1000)
+    assert (fault, place) == (Fault.LENGTH_DRIFT, 0)
+    assert tick <= round(5.0 * SETTINGS.innovation_s / PERIOD)
+
+
+def test_cables_that_contradict_each_other_alike_name_none(cables: Watched) -> None:
+    """Half of them go astray together: not one cable, and the pose is not to be relied on."""
+    for n in range(400):
+        beyond = n % 2 == 0
+        cables.given["innovation"][:4] = (2.0 if beyond else 0.9) * SETTINGS.length_jump
+        found = cables.tick()
+    assert found == (Fault.LENGTH_DRIFT, -1)
+
+
+def test_a_cell_under_load_that_repeats_itself_is_frozen(cables: Watched) -> None:
+    cables.repeats = 2
+    fault, place, tick = cables.found_after(200)
+    assert (fault, place, tick) == (Fault.CELL_FROZEN, 2, SETTINGS.frozen_ticks)
+
+
+def test_a_cell_without_load_may_repeat_itself(cables: Watched) -> None:
+    for name in ("tension", "reference", "torque"):
+        cables.given[name][2] = 0.0
+    cables.repeats = 2
+    assert cables.tick(200)[0] is not Fault.CELL_FROZEN
+
+
+@pytest.mark.parametrize("name", ["innovation", "reference", "torque"])
+def test_a_cable_that_is_not_watched_shows_nothing(cables: Watched, name: str) -> None:
+    cables.watched[3] = False
+    cables.given[name][3] += 1e3
+    assert cables.tick(500) == (Fault.NONE, -1)
+
+
+def test_a_reset_forgets_everything() -> None:
+    def told(cables: Watched) -> list[Any]:
+        cables.isolation.reset()
+        return [cables.tick() for _ in range(30)]
+
+    before = Watched()
+    for name in ("innovation", "reference", "torque"):
+        before.given[name] = before.given[name] + 1e3
+    before.given["rate"][:] = 30.0
+    before.tick(300)
+    before.given = Watched().given
+    assert told(before) == told(Watched())

@@ -1,0 +1,192 @@
+"""Which stop is made: the best one whose assumptions hold, and never a better one again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from statue import CABLES, CONFIG, CONTROL, Statue
+
+from drivers.process_image import AxisCommand, ProcessImage
+from runtime.sequence import FEWEST
+from runtime.states import Fault, Operator, State, StopMode
+
+STALE = CONTROL.freshness.stale_stop_ticks
+RADIUS = CONFIG.robot.drum.radius
+Spoil = Callable[[ProcessImage], None]
+
+
+def defective(*cells: int) -> Spoil:
+    def spoil(image: ProcessImage) -> None:
+        image.cells["status"][list(cells)] = 1
+
+    return spoil
+
+
+def contact(image: ProcessImage) -> None:
+    image.cells["force"][8] = 30.0
+
+
+def go_on(
+    statue: Statue, spoil: Spoil | None = None, ticks: int = 1, operator: Operator = Operator.NONE
+) -> Statue:
+    for _ in range(ticks):
+        statue.report()
+        if spoil is not None:
+            spoil(statue.image)
+        statue.step(operator)
+    return statue
+
+
+def mode(statue: Statue) -> StopMode:
+    recorded = StopMode(int(statue.record.state.stop_mode))
+    assert recorded is statue.cycle.sequence.stop_mode, "the log says what is done"
+    return recorded
+
+
+def given_up(statue: Statue) -> list[int]:
+    return np.flatnonzero(statue.record.state.failed).tolist()
+
+
+def test_there_is_no_mode_outside_a_stop() -> None:
+    for state in (State.STANDBY, State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE):
+        assert mode(Statue().until(state)) is StopMode.NONE
+
+
+def test_with_all_cables_a_stop_keeps_to_the_path() -> None:
+    for state in (State.PRETENSION, State.HOLD, State.ACTIVE):
+        statue = go_on(Statue().until(state), operator=Operator.STOP)
+        assert mode(statue) is StopMode.ON_PATH
+        assert given_up(statue) == []
+        statue.until(State.STANDBY)
+        assert mode(statue) is StopMode.NONE
+
+
+def test_a_fault_of_a_cable_is_a_descent_with_the_others() -> None:
+    statue = go_on(Statue().until(State.ACTIVE), defective(4))
+    assert (mode(statue), given_up(statue)) == (StopMode.DESCENT, [4])
+    reference = statue.record.tension.reference
+    assert reference[4] == 0.0
+    assert np.delete(reference, 4).min() >= CONTROL.stop.least_tension
+    assert reference.max() <= CONTROL.stop.most_tension
+
+
+def test_a_fault_in_a_stop_changes_it_at_once_and_the_first_stays_the_reason() -> None:
+    statue = go_on(Statue().until(State.ACTIVE), contact, 20)
+    assert mode(statue) is StopMode.ON_PATH
+    go_on(statue, defective(4))
+    sequence = statue.cycle.sequence
+    assert (mode(statue), given_up(statue)) == (StopMode.DESCENT, [4])
+    assert sequence.fault is Fault.CONTACT_LIMIT
+    assert sequence.faults.at(Fault.CELL_BAD, 4)
+    assert statue.record.tension.reference[4] == 0.0
+
+
+def test_a_second_cable_in_a_stop_is_given_up_as_well() -> None:
+    statue = go_on(Statue().until(State.HOLD), defective(1))
+    go_on(statue, defective(6))
+    assert given_up(statue) == [1, 6]
+    assert statue.cycle.sequence.where == 1
+    assert not statue.record.tension.reference[[1, 6]].any()
+
+
+def test_a_cable_that_comes_back_in_a_stop_is_not_used_again() -> None:
+    statue = go_on(Statue().until(State.HOLD), defective(4))
+    go_on(statue, ticks=20)
+    assert (mode(statue), given_up(statue)) == (StopMode.DESCENT, [4])
+    assert statue.record.tension.reference[4] == 0.0
+
+
+def test_with_too_few_cables_left_it_is_passive() -> None:
+    most = range(CABLES - FEWEST)
+    assert mode(go_on(Statue().until(State.HOLD), defective(*most))) is StopMode.DESCENT
+    more = range(CABLES - FEWEST + 1)
+    statue = go_on(Statue().until(State.HOLD), defective(*more))
+    assert mode(statue) is StopMode.PASSIVE
+
+
+def test_before_the_cables_are_referenced_it_is_passive() -> None:
+    statue = Statue().until(State.REFERENCING)
+    while not statue.cycle.sequence.enabled:
+        go_on(statue)
+    go_on(statue, operator=Operator.STOP)
+    assert mode(statue) is StopMode.PASSIVE
+
+
+def test_a_passive_stop_needs_no_cell_and_damps_each_drum_by_its_own_rate() -> None:
+    statue = go_on(Statue().until(State.HOLD), defective(*range(8)))
+    assert mode(statue) is StopMode.PASSIVE
+    stop = CONTROL.stop
+    go_on(statue, ticks=50)
+    angle = statue.image.axes["angle"].copy()
+    speed = -0.2  # m/s, reeling out
+    for n in range(1, 30):
+        turned = angle + np.arange(CABLES) * 0.1 * speed / RADIUS * n * CONTROL.rates.period
+
+        def spoil(image: ProcessImage, turned: np.ndarray = turned) -> None:
+            image.axes["angle"] = turned
+            image.cells["force"] = np.nan
+
+        go_on(statue, spoil)
+    rate = np.arange(CABLES) * 0.1 * speed
+    wanted = RADIUS * (stop.passive_tension - stop.passive_damping * rate)
+    np.testing.assert_allclose(statue.image.commands["torque"], wanted, rtol=1e-3)
+
+
+def test_a_passive_stop_lets_go_only_after_rest_and_then_disables() -> None:
+    statue = go_on(Statue().until(State.HOLD), defective(*range(8)))
+    enabled = 0
+    while statue.state is State.SAFE_STOP:
+        go_on(statue)
+        enabled += int((statue.image.commands["command"] == AxisCommand.ENABLE).all())
+    least = (CONTROL.stop.rest_s + CONTROL.sequence.stop_s) / CONTROL.rates.period
+    assert enabled >= round(least) - 2
+    assert enabled * CONTROL.rates.period < CONTROL.stop.passive_s
+    assert statue.state is State.FAULT
+
+
+def test_drums_that_never_stand_are_let_go_in_the_end() -> None:
+    statue = go_on(Statue().until(State.HOLD), defective(*range(8)))
+    angle, ticks = statue.image.axes["angle"].copy(), 0
+    swing = 2.0 * CONTROL.stop.rest_speed / RADIUS * CONTROL.rates.period
+
+    while statue.state is State.SAFE_STOP:
+        ticks += 1
+
+        def spoil(image: ProcessImage, off: float = swing * ticks) -> None:
+            image.axes["angle"] = angle + off
+
+        go_on(statue, spoil)
+        assert ticks < 20_000
+    stop = CONTROL.stop.passive_s + CONTROL.sequence.stop_s
+    assert ticks == pytest.approx(stop / CONTROL.rates.period, abs=5)
+
+
+def test_no_fault_leads_back_to_a_better_stop() -> None:
+    statue = go_on(Statue().until(State.ACTIVE), contact, 20)
+    seen = [mode(statue)]
+    for spoil in (defective(0), None, contact, defective(*range(8)), None, defective(3), contact):
+        seen.append(mode(go_on(statue, spoil, 2)))
+    assert seen == sorted(seen)
+    assert set(seen) == {StopMode.ON_PATH, StopMode.DESCENT, StopMode.PASSIVE}
+
+
+@pytest.mark.parametrize("fault", [Fault.NOT_FINITE])
+def test_a_value_that_is_not_a_number_is_a_passive_stop(fault: Fault) -> None:
+    statue = Statue().until(State.HOLD)
+    statue.cycle._finite = False
+    go_on(statue)
+    assert (statue.cycle.sequence.fault, mode(statue)) == (fault, StopMode.PASSIVE)
+    assert (statue.image.commands["command"] == AxisCommand.ENABLE).all()
+    assert np.isfinite(statue.image.commands["torque"]).all()
+
+
+def test_after_a_reset_the_robot_is_whole_again() -> None:
+    statue = go_on(Statue().until(State.HOLD), defective(4)).until(State.FAULT)
+    go_on(statue, ticks=5)
+    go_on(statue, operator=Operator.RESET)
+    assert given_up(statue) == []
+    statue.until(State.ACTIVE)
+    assert (statue.record.tension.reference >= CONTROL.tension.min).all()
+    assert mode(go_on(statue, operator=Operator.STOP)) is StopMode.ON_PATH
