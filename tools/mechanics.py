@@ -26,6 +26,8 @@ SAMPLES = 401
 """Of the reference, over the scenario's duration."""
 _AFTER_ACTIVE_S = 0.5
 """s, so that devices that take their time to be enabled do not matter"""
+_DELAY_PERIODS = 3.0
+"""from a drum's mean rate to the middle of its torque"""
 DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
 
 
@@ -48,6 +50,7 @@ def mechanics(config: Config, scenario: Scenario) -> Iterator[Finding]:
     yield from _places(config.robot)
     yield from scenario_rules(config, scenario)
     yield from _drives(config)
+    yield from _drum_damping(config)
     yield from _tension_loop(config, at)
     yield from _whole_loop(config)
 
@@ -205,6 +208,24 @@ def _drives(config: Config) -> Iterator[Finding]:
         f"{control.envelope.speed_limit:g} m/s",
         "lower control.envelope.speed_limit or the gear ratio",
     )
+
+
+def _drum_damping(config: Config) -> Iterator[Finding]:
+    """A drum that a stop damps by its own rate, without a cable: the rate is the mean of a period,
+    and its torque acts two periods later for one. With mass over delay or less the phase margin is
+    32 deg at least."""
+    robot, period = config.robot, config.control.rates.period
+    most = robot.drum.inertia / robot.drum.radius**2 / (_DELAY_PERIODS * period)
+    for name in ("passive_damping", "reel_damping"):
+        damping = float(getattr(config.control.stop, name))
+        yield Finding(
+            "drum damping",
+            damping < most,
+            f"control.stop.{name}",
+            f"{damping:g} N s/m on a drum's own rate; a delay of "
+            f"{1e3 * _DELAY_PERIODS * period:g} ms admits less than {most:.0f} N s/m",
+            f"lower control.stop.{name}, or shorten control.rates.period_us",
+        )
 
 
 def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:

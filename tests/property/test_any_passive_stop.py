@@ -14,12 +14,12 @@ own), the motors change V by -d w v only, v being the drum's true rate. What can
   d a^2 tau^3 / 6 at most. A tension of 240 N accelerates a drum with a = 23 m/s2: 0.42 mJ, and
   3.4 mJ if all eight reverse at once.
 - *Quantisation*. One increment is 2.5 mm/s between two samples, 0.15 N; half a per mille of the
-  rated torque is 0.17 N. Together e = 0.32 N, less than the friction of a drum. Without friction the
-  bearings' b = 30 N s/m are left: e |v| - b v^2 <= e^2 / 4 b = 0.9 mW, for eight drums over 0.2 s
-  1.4 mJ.
+  rated torque is 0.17 N. Together e = 0.32 N, less than the friction of a drum. Without friction
+  the bearings' b = 30 N s/m are left: e |v| - b v^2 <= e^2 / 4 b = 0.9 mW, for eight drums over
+  0.2 s 1.4 mJ.
 
-So V may rise by 5 mJ over all that it has fallen to, of the tens of joules there are. The plant's own
-integration error, by its energy balance, is taken off.
+So V may rise by 5 mJ over the least that it has been, of the tens of joules there are. The plant's
+own integration error, by its energy balance, is taken off.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ TOLERANCE = 5e-3
 BEGUN = 5
 """ticks: two until a command acts, three in which the current of before dies away"""
 AT_TENSION, LONGEST = 2.0, 6.0
-"""s: the drums are let go after the first, sooner than by `passive_s`; all rests before the second"""
+"""s: the drums are let go after the first, sooner than by `passive_s`; all rests by the second"""
 Array = NDArray[np.float64]
 
 three = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
@@ -142,7 +142,10 @@ FASTEST = ((0.0, 0.8, 0.6), (4.0, 0.0, 3.0))
 
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(
-    place=st.tuples(*[st.floats(*edge) for edge in (ROBOT.workspace.x, ROBOT.workspace.y)], st.floats(-0.1, ROBOT.workspace.z[1])),
+    place=st.tuples(
+        *[st.floats(*edge) for edge in (ROBOT.workspace.x, ROBOT.workspace.y)],
+        st.floats(-0.1, ROBOT.workspace.z[1]),
+    ),
     tilt=st.tuples(st.floats(0.0, 20.0), three),
     tensions=st.lists(st.floats(0.0, 200.0), min_size=CABLES, max_size=CABLES),
     cut=st.lists(st.booleans(), min_size=CABLES, max_size=CABLES),

@@ -130,6 +130,8 @@ def test_one_id_on_two_channels_is_no_collision() -> None:
         ({"robot.rest": [0.0, 0.4, 0.0]}, "places", "outside the workspace"),
         ({"robot.motor.current_limit": 5.7}, "motor torque", "200 N need 5.75 A of 5.7 A"),
         ({"control.envelope.speed_limit": 0.6}, "motor speed", "0.516 m/s"),
+        ({"control.stop.passive_damping": 3600.0}, "drum damping", "3600 N s/m"),
+        ({"control.stop.reel_damping": 3500.0}, "drum damping", "less than 3500 N s/m"),
         ({"control.tension_loop.rate_damping": 0.1}, "tension loop", "floors 6 dB and 35 deg"),
         ({"control.tension_loop.proportional": 60.0}, "tension loop", "floors 6 dB and 35 deg"),
     ],
