@@ -8,8 +8,8 @@ MINUTES ?= 20
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test test-long bench bench-realtime least-stop load paper campaign fuzz robust replay
-.PHONY: kill soak
+.PHONY: setup run test test-long bench bench-realtime least-stop load paper campaign torn isolation
+.PHONY: fuzz robust replay kill soak
 .PHONY: lint check-types lock clean
 
 setup: $(STAMP)
@@ -53,6 +53,16 @@ EPISODES ?= 300
 CAMPAIGN_SEED ?= 1
 campaign: setup
 	$(BIN)/tonus campaign faults --episodes $(EPISODES) --seed $(CAMPAIGN_SEED) --out out/campaign
+
+# Every cable torn at 27 poses, at rest and in motion; half an hour on one core. Table and figure go
+# into docs/stop.md.
+torn: setup
+	$(BIN)/python -m tests.bench.torn --write
+
+# Every fault of cables, drums, motors and sensors by itself: what it is taken for, and how soon. A few
+# minutes; the table goes into docs/stop.md.
+isolation: setup
+	$(BIN)/python -m tests.bench.isolation --write
 
 # MINUTES of cyclictest and the daemon in alternation, half of it each; the result goes into docs/timing.md.
 bench-realtime: setup

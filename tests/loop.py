@@ -7,7 +7,7 @@ instant of tick k+1.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from config import load
 from config.schema.bus import CELLS, CONTACT_CELL
 from config.schema.root import Config
-from config.schema.scenario import Scenario
+from config.schema.scenario import Reference, Scenario
 from drivers.process_image import AxisCommand, AxisState, ProcessImage
 from runtime.cycle import ControlCycle
 from runtime.operator import Script
@@ -77,10 +77,18 @@ class ClosedLoop:
     """One robot in one scenario; `tick` is a millisecond.
 
     A test may silence ``axes`` and ``cells`` (their ages then grow), block the tracker, or put a
-    device's own ``axis_state`` in place of the obedient one (negative: obedient).
+    device's own ``axis_state`` in place of the obedient one (negative: obedient). ``others`` are
+    references that a tick may select, by their numbers from 2 on.
     """
 
-    def __init__(self, config: Config, scenario: Scenario, *, seed: int | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        scenario: Scenario,
+        *,
+        seed: int | None = None,
+        others: Iterable[Reference] = (),
+    ) -> None:
         robot, lab = config.robot, config.lab
         assert lab is not None
         self.scenario = scenario
@@ -95,7 +103,7 @@ class ClosedLoop:
             displacement=script.displacement,
         )
         self.tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
-        self.cycle = ControlCycle(robot, config.control, config.tracker, scenario.reference)
+        self.cycle = ControlCycle(robot, config.control, config.tracker, scenario.reference, others)
         self.image = ProcessImage()
         self.silent_axes: set[int] = set()
         self.silent_cells: set[int] = set()
@@ -130,7 +138,12 @@ class ClosedLoop:
         truth = np.array(self._truths).view(TRUTH).reshape(-1)
         return Trace(np.concatenate(self._cycles), truth)
 
-    def tick(self, operator: Operator = Operator.NONE) -> None:
+    def forget(self) -> None:
+        """Begin the trace anew, as before a stretch that is looked at by itself."""
+        self._cycles.clear()
+        self._truths.clear()
+
+    def tick(self, operator: Operator = Operator.NONE, select: int = 0) -> None:
         now = self.number * self._period_ns
         while self.tracker.next_ns <= now + SAMPLE_OFFSET_NS:
             due = self.tracker.next_ns
@@ -143,7 +156,7 @@ class ClosedLoop:
             self.inputs.append(
                 Inputs(image.axes.copy(), image.cells.copy(), image.tracker.copy(), operator)
             )
-        record = self.cycle.step(self.image, self.number, operator)
+        record = self.cycle.step(self.image, self.number, operator, select)
         self._cycles.append(record.data.copy())
         self._truths.append(self.plant.truth.copy())
         self._publish(now)
