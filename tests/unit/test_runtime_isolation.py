@@ -39,6 +39,7 @@ class Watched:
             "following": np.zeros(CABLES),
         }
         self.watched = ALL.copy()
+        self.descending = False
         self._random = np.random.default_rng(1)
         self.repeats: int | None = None
         """cell whose reading repeats"""
@@ -63,7 +64,8 @@ class Watched:
                 self.watched,
             )
             self.isolation.cells(raw, FRESH, given["tension"])
-        return self.isolation.found(given["tension"])
+        drum = self.isolation.disobedient(descending=self.descending)
+        return drum if drum[0] is not Fault.NONE else self.isolation.found(given["tension"])
 
     def found_after(self, most: int) -> tuple[Fault, int, int]:
         """The first fault, its place, and the tick in which it is found."""
@@ -122,6 +124,14 @@ def test_a_drum_that_does_not_turn_as_its_torque_has_it_is_named(cables: Watched
     fault, place, tick = cables.found_after(100)
     assert (fault, place) == (Fault.DRUM_TORQUE, 5)
     assert tick <= round(5.0 * SETTINGS.torque_s / PERIOD)
+
+
+def test_a_descent_has_more_patience_with_a_drum(cables: Watched) -> None:
+    cables.descending = True
+    cables.given["torque"][5] = RADIUS * (PULL + 10.0 * SETTINGS.torque_error)
+    fault, place, tick = cables.found_after(100)
+    assert (fault, place) == (Fault.DRUM_TORQUE, 5)
+    assert tick >= SETTINGS.torque_descent_ticks > SETTINGS.torque_ticks
 
 
 def test_friction_within_its_bound_is_none(cables: Watched) -> None:

@@ -165,8 +165,8 @@ def test_drums_that_never_stand_are_let_go_in_the_end() -> None:
 
 def test_no_fault_leads_back_to_a_better_stop() -> None:
     statue = go_on(Statue().until(State.ACTIVE), contact, 20)
-    spoils = (defective(0), None, contact, defective(*range(8)), None, defective(3), contact)
-    seen = [mode(statue), *(mode(go_on(statue, spoil, 2)) for spoil in spoils)]
+    spoils = (None, defective(0), None, contact, defective(*range(8)), None, defective(3), contact)
+    seen = [mode(go_on(statue, spoil, 2)) for spoil in spoils]
     assert seen == sorted(seen)
     assert set(seen) == {StopMode.ON_PATH, StopMode.DESCENT, StopMode.PASSIVE}
 

@@ -54,10 +54,11 @@ earlier one.
 |---|---|---|
 {_modes()}
 
-Faults of drives and cells are examined in every state but FAULT, in a stop as well; bounds and
-contradictions between cables are examined while the platform moves, bounds also in a descent. The
-first fault since the last reset is the reason. Each later one is an event, and may give up another
-cable (`state.failed`) or change the mode.
+Faults of drives and cells are examined in every state but FAULT, in a stop as well, and what each
+drum does with its torque in every armed state. Bounds and contradictions between cables are
+examined while the platform moves, bounds also in a descent. The first fault since the last reset
+is the reason. Each later one is an event, and may give up another cable (`state.failed`) or change
+the mode.
 
 ### On the path
 
@@ -79,8 +80,8 @@ A cable is given up when its drive or cell is lost or defective, or when its len
 contradicts the others. It is asked for nothing. The active cables carry the weight and damp every
 motion; no place is kept, and the platform comes down. The values are in `control.stop`.
 
-- After CABLE_TORN the drums give their full torque for about `reflex.duration`, along the pull that
-  is missing or against it.
+- What a given-up cable still pulls counts as a load. On a drum that turns freely it goes to zero
+  within a few `release_s`.
 - A cable below half of `taut_tension` is reeled in slowly, with the passive law, until it pulls.
 - Each drum brakes what goes beyond `reel_in` and `reel_out`, and puts in no more energy than its
   `tank` holds.
