@@ -248,7 +248,9 @@ class ControlCycle:
         self._isolation.step(
             self._estimator.innovations, self._reference, sensing.filter.value[:CABLES], watched
         )
-        self._isolation.cells(image.cells["force"], image.cells["age"], sensing.tension)
+        self._isolation.cells(
+            image.cells["force"], image.cells["age"], sensing.tension, self._reference
+        )
         self._accepted = bool(tracker["fresh"]) and self._estimator.track(
             tracker["position"], tracker["quaternion"], float(tracker["delay"])
         )

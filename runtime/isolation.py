@@ -14,7 +14,7 @@ Residuals of each cable, none of which a sound one shows:
 - *drift*: its innovation has a mean: what is wrong grows slowly, and is blamed on the cable whose
   mean stands out. Where none does, the cables contradict each other, and none is blamed.
 
-And a load cell whose reading repeats to the last bit is frozen.
+And a load cell whose reading repeats to the last bit while its reference moves is frozen.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.bus import CELLS
 from config.schema.control import Isolation as Settings
 from config.schema.control import Stop
 from config.schema.robot import CABLES, Robot
@@ -99,12 +98,24 @@ def _turn(
 
 @njit(cache=True)
 def _repeat(
-    raw: Array, age: NDArray[np.uint16], powered: NDArray[np.bool_], last: Array, same: Counts
+    raw: Array,
+    age: NDArray[np.uint16],
+    reference: Array,
+    change: float,
+    loaded: NDArray[np.bool_],
+    last: Array,
+    then: Array,
+    same: Counts,
 ) -> None:
-    for i in range(raw.shape[0]):
-        if age[i] == 0:
-            same[i] = same[i] + 1 if raw[i] == last[i] and powered[i] else 0
-            last[i] = raw[i]
+    """``then``: the tension references when the readings last changed; a reading counts as repeated
+    once its reference has moved by ``change`` (N) from there."""
+    for i in range(reference.shape[0]):
+        if age[i] != 0:
+            continue
+        if raw[i] != last[i] or not loaded[i]:
+            last[i], then[i], same[i] = raw[i], reference[i], 0
+        elif abs(reference[i] - then[i]) > change:
+            same[i] += 1
 
 
 class Isolation:
@@ -135,9 +146,9 @@ class Isolation:
         self._astray = np.zeros(CABLES, dtype=np.int64)
         self.drift = np.zeros(CABLES)
         """m (n,), mean innovation of each length"""
-        self._last = np.full(CELLS, np.nan)
-        self._same = np.zeros(CELLS, dtype=np.int64)
-        self._loaded = np.zeros(CELLS, dtype=bool)
+        self._last, self._then = np.full(CABLES, np.nan), np.zeros(CABLES)
+        self._same = np.zeros(CABLES, dtype=np.int64)
+        self._loaded = np.zeros(CABLES, dtype=bool)
 
     def reset(self) -> None:
         self._jumped[:] = self._astray[:] = self._same[:] = self._misled[:] = 0
@@ -185,11 +196,20 @@ class Isolation:
             self._travel,
         )
 
-    def cells(self, raw: Array, age: NDArray[np.uint16], tension: Array) -> None:
-        """From raw readings and ages of the cells, and tensions (n,): a cell without load may well
-        repeat itself."""
-        self._loaded[:CABLES] = tension > self._taut
-        _repeat(raw, age, self._loaded, self._last, self._same)
+    def cells(self, raw: Array, age: NDArray[np.uint16], tension: Array, reference: Array) -> None:
+        """From raw readings and ages of the cells, tensions and their references (n,): a cell
+        without load, or whose load should not change, may well repeat itself."""
+        self._loaded[:] = tension > self._taut
+        _repeat(
+            raw,
+            age,
+            reference,
+            self._settings.frozen_change,
+            self._loaded,
+            self._last,
+            self._then,
+            self._same,
+        )
 
     def found(self, tension: Array) -> tuple[Fault, int]:
         """The first fault there is, and its cable or cell; ``tension`` (n,) N, unfiltered, tells a

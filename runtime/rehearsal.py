@@ -10,6 +10,7 @@ from config.schema.root import Config
 from config.schema.scenario import Scenario
 from drivers.process_image import AxisCommand, AxisState, ProcessImage
 from runtime.cycle import ControlCycle
+from runtime.descent import Descent
 from runtime.envelope import Envelope
 from runtime.states import Operator, State
 
@@ -72,7 +73,7 @@ def rehearse(config: Config, scenario: Scenario) -> bool:
 
 
 def _watch(config: Config) -> None:
-    """The envelope's own part."""
+    """The envelope's own part, and a stop's."""
     control = config.control
     envelope = Envelope(
         control.envelope,
@@ -81,5 +82,9 @@ def _watch(config: Config) -> None:
         config.robot,
         control.rates.period,
     )
+    descent = Descent(config.robot, control, control.rates.period)
+    every, still = np.ones(CABLES, dtype=bool), np.zeros(CABLES)
+    descent.bound(ProcessImage().commands["torque"], still, every)
+    descent.guard.passive(still, every)
     tension, bearing = np.full(CABLES, control.tension.pre), np.ones(CABLES, dtype=bool)
     envelope(tension, 0.0, np.array(config.robot.home), np.zeros(3), bearing)

@@ -382,6 +382,8 @@ class Isolation(Section):
     """times the second largest: the largest then tells which cable it is"""
     innovation_s: Positive
     """s over which it is averaged"""
+    frozen_change: Positive
+    """N that a tension's reference moves while its cell's reading does not"""
     frozen_ticks: Count
     """fresh samples in a row to the last bit equal: a load cell has noise"""
 

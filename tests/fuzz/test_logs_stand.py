@@ -16,7 +16,8 @@ def test_readers_stand_whatever_happened_to_a_log() -> None:
     quick = tuple(name for name in readers(Path()) if name not in LONG)
     ends = storm(3, 15, quick, drawn=1)
     assert {f"{name}: one line" for name in quick} <= set(ends)
-    assert {"info: done", "recover: done", "export: done", "replay: done"} <= set(ends)
+    # `info` tells what it found of a damaged log, and ends with 1.
+    assert {"recover: done", "export: done", "replay: done"} <= set(ends)
 
 
 def test_what_draws_and_compares_stands_too() -> None:

@@ -46,7 +46,8 @@ TOLERANCE = {
 def swept() -> dict[str, Any]:
     """A load of 15 N either way, from 3 s on."""
     times = accumulate(SWEEP, initial=3.0)
-    profile = [{"at": at, "force": f} for at, f in zip(times, cycle((15.0, -15.0)), strict=False)]
+    profile = [{"at": 2.9, "force": 0.0}]
+    profile += [{"at": at, "force": f} for at, f in zip(times, cycle((15.0, -15.0)), strict=False)]
     way, point = [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]
     return {"load": {"direction": way, "point": point, "profile": profile}}
 

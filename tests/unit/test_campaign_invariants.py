@@ -12,7 +12,7 @@ from loop import QUICK, ClosedLoop, configured
 
 from config.loader import load_bounds
 from config.schema.faults import FAULT
-from runtime.states import Fault, Operator, State
+from runtime.states import Fault, Operator, State, StopMode
 from runtime.taps import Level
 from tools.campaign.invariants import INVARIANTS, Limits, within_bounds
 from tools.campaign.observed import End, Observed
@@ -109,6 +109,8 @@ def thrown(run: Observed) -> Observed:
 
 def faster(run: Observed) -> Observed:
     run = struck(run)
+    # One that was harmless counts again when it is found, so this one is found at once.
+    run.cycle["state"]["stop_mode"][:] = StopMode.NONE
     late = run.strikes[0].at_ns + round((BOUNDS.falling_from + 0.05) * NS)
     run.truth["velocity"][np.searchsorted(run.truth_ns, late), 0] = 0.4
     return run

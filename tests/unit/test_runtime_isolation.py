@@ -63,7 +63,7 @@ class Watched:
                 given["following"],
                 self.watched,
             )
-            self.isolation.cells(raw, FRESH, given["tension"])
+            self.isolation.cells(raw, FRESH, given["tension"], given["reference"])
         drum = self.isolation.disobedient(descending=self.descending)
         return drum if drum[0] is not Fault.NONE else self.isolation.found(given["tension"])
 
@@ -173,6 +173,8 @@ def test_cables_that_contradict_each_other_alike_name_none(cables: Watched) -> N
 
 def test_a_cell_under_load_that_repeats_itself_is_frozen(cables: Watched) -> None:
     cables.repeats = 2
+    assert cables.tick(200)[0] is Fault.NONE, "nothing should change it"
+    cables.given["reference"][2] += 1.5 * SETTINGS.frozen_change
     fault, place, tick = cables.found_after(200)
     assert (fault, place, tick) == (Fault.CELL_FROZEN, 2, SETTINGS.frozen_ticks)
 
