@@ -35,9 +35,10 @@ class Broken:
 
 
 def _faults() -> Iterator[Broken]:
-    torn, length = frozenset({Fault.CABLE_TORN}), {Fault.LENGTH_JUMP, Fault.LENGTH_DRIFT}
+    torn = frozenset({Fault.CABLE_TORN})
+    length = {Fault.LENGTH_JUMP, Fault.LENGTH_DRIFT, Fault.DRUM_TORQUE, Fault.DRUM_STUCK}
     measured = frozenset({*length, Fault.TENSION_ERROR})
-    driven = frozenset({Fault.TENSION_ERROR})
+    driven = frozenset({Fault.TENSION_ERROR, Fault.DRUM_TORQUE, Fault.DRUM_STUCK})
     yield Broken("cable_cut", "", tear, torn)
     yield Broken("cable_cut", f"under {_PUSH:g} N", tear, torn, ("rest",), _PUSH)
     for metres in (0.002, 0.005, 0.020):

@@ -65,7 +65,7 @@ def test_every_measurement_of_the_run_was_fresh(ethercat: tuple[Path, Log]) -> N
     assert (log["/tonus/drives"]["age"][2:] == 0).all()
     assert (log["/tonus/force_cells"]["age"][2:] == 0).all()
     names = {event.name for event in log.events()}
-    assert names <= {"state", "operator", "envelope"}, names
+    assert names <= {"state", "stop_mode", "operator", "envelope"}, names
 
 
 @pytest.mark.long
