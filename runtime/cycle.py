@@ -163,7 +163,8 @@ class ControlCycle:
             )
             if sequence.descending:
                 usable = sensing.usable & sequence.carrying
-                self._descent.bound(image.commands["torque"], sensing.rate, usable)
+                torque = image.commands["torque"]
+                self._descent.bound(torque, sensing.rate, self._drum_rate, usable)
         self._torque[:] = image.commands["torque"]
 
     def fall_back(self, image: ProcessImage, tick: int) -> None:
@@ -245,6 +246,9 @@ class ControlCycle:
         self._pulling = descent.pulling(sensing.tension, sequence.faults)
         estimate = self._estimator.step(lengths, self._pulling, believed)
         watched = sensing.usable & sequence.carrying
+        if sequence.descending:
+            slack = watched & ~descent.taut
+            self._isolation.reeled(self._kinematics.lengths, lengths, slack)
         self._isolation.step(
             self._estimator.innovations, self._reference, sensing.filter.value[:CABLES], watched
         )

@@ -1,8 +1,8 @@
 """A stop with the cables that are left: what each is asked for, and what no plan may do.
 
 The wrench is the weight and a damper of every motion, forces long before moments: letting the
-platform turn gives the least speed (docs/stop.md). A slack cable cannot pull, and is taken up
-slowly; what a given-up one still pulls counts as a load.
+platform turn gives the least speed (docs/stop.md). A slack cable cannot pull: its drum follows the
+platform and closes the gap slowly. What a given-up one still pulls counts as a load.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ class Descent:
         stiff = {"proportional": control.stop.proportional, "integral": 0.0}
         self.loop = TensionLoop(robot, control.tension_loop.model_copy(update=stiff), period)
         self.guard = Guard(robot, control.stop, period)
-        self._taut = np.ones(CABLES, dtype=bool)
+        self.taut = np.ones(CABLES, dtype=bool)
+        """(n,) cables that pull; a slack one has to come back above `taut_tension`"""
         self.centre = np.zeros(CABLES)
         """N (n,), what tensions are drawn towards: from what they were to the passive tension"""
         self._most = np.zeros(CABLES)
@@ -43,7 +44,7 @@ class Descent:
         """From tensions (n,) of this tick."""
         self.guard.reset()
         self.centre[:] = tension
-        self._taut[:] = True
+        self.taut[:] = True
 
     def pulling(self, tension: Array, faults: Faults) -> Array:
         """Tensions (n,) as far as they are believed: a given-up cable pulls no more than it did
@@ -71,22 +72,23 @@ class Descent:
         """Tension references (n,) for a ``wrench`` (6,), less, in place, what given-up cables pull.
         ``before`` and ``tension`` (n,): the last references, and what `pulling` believes."""
         stop = self._stop
-        self._taut &= tension > 0.5 * stop.taut_tension
-        self._taut |= tension > stop.taut_tension
+        self.taut &= tension > 0.5 * stop.taut_tension
+        self.taut |= tension > stop.taut_tension
         gone = faults.failed
         if gone.any():
             wrench -= matrix[:, gone] @ tension[gone]
-        able = carrying & self._taut
+        able = carrying & self.taut
         self.centre += (self._period / stop.ease_s) * (stop.passive_tension - self.centre)
         reach, least, most = stop.tension_rate * self._period, stop.least_tension, stop.most_tension
         self._low[:] = np.clip(before - reach, least, most) * able
         self._high[:] = np.clip(before + reach, least, most) * able
         drawn = np.clip(self.centre, least, most) * able
         planned = self.distribution(matrix * able, wrench, drawn, self._low, self._high)
-        planned[carrying & ~self._taut] = stop.passive_tension
+        planned[carrying & ~self.taut] = stop.passive_tension
         return planned
 
-    def bound(self, torque: Array, rate: Array, usable: Mask) -> None:
-        """The tension loop's torques (n,) made safe in place, at drum rates (n,) rad/s."""
-        self.guard.take_up(torque, rate, usable & ~self._taut)
+    def bound(self, torque: Array, rate: Array, following: Array, usable: Mask) -> None:
+        """The tension loop's torques (n,) made safe in place, at drum rates (n,) rad/s;
+        ``following``: the rates that would follow the platform."""
+        self.guard.take_up(torque, rate, following, usable & ~self.taut)
         self.guard.bound(torque, rate, usable)

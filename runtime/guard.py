@@ -49,6 +49,24 @@ def _passive(
 
 
 @njit(cache=True)
+def _taken_up(
+    rate: Array,
+    following: Array,
+    slack: NDArray[np.bool_],
+    law: tuple[float, float, float, float],
+    torque: Array,
+) -> None:
+    """``law``: drum radius (m), closing speed (m/s), damping (N s/m), largest speed (m/s)."""
+    radius, closing, damping, fastest = law
+    for i in range(rate.shape[0]):
+        if not slack[i]:
+            continue
+        ahead = min(max(radius * following[i], -fastest), fastest)
+        force = damping * (ahead + closing - radius * rate[i])
+        torque[i] = radius * force if math.isfinite(force) else 0.0
+
+
+@njit(cache=True)
 def _bounded(
     rate: Array,
     usable: NDArray[np.bool_],
@@ -88,6 +106,7 @@ class Guard:
         s, radius = settings, robot.drum.radius
         self._law = (radius, s.passive_tension, s.passive_damping, s.passive_force)
         self._speeds = (s.reel_in, s.reel_out, s.reel_damping)
+        self._slack = (radius, s.take_up_speed, s.take_up_damping, s.reel_in)
         self._period, self._capacity = period, s.tank
         motor = robot.motor
         self._largest = motor.current_limit * motor.torque_constant * robot.gearbox.ratio
@@ -104,10 +123,13 @@ class Guard:
         _passive(rate, trusted, share, self._law, self._torque)
         return self._torque
 
-    def take_up(self, torque: Array, rate: Array, slack: NDArray[np.bool_]) -> None:
-        """Planned torques (n,) of cables that are ``slack`` (n,) become passive ones, in place: no
-        drum gathers speed before its cable pulls."""
-        _passive(rate, slack, 1.0, self._law, torque)
+    def take_up(
+        self, torque: Array, rate: Array, following: Array, slack: NDArray[np.bool_]
+    ) -> None:
+        """Planned torques (n,) of cables that are ``slack`` (n,) become, in place, those that keep
+        the drum at the rate ``following`` the platform (n,) rad/s, a little faster: a cable
+        whose drum lags snaps taut later."""
+        _taken_up(rate, following, slack, self._slack, torque)
 
     def bound(self, torque: Array, rate: Array, usable: NDArray[np.bool_]) -> None:
         """Planned torques (n,) of ``usable`` cables (n,) within a descent's bounds, in place."""

@@ -8,13 +8,16 @@ Residuals of each cable, none of which a sound one shows:
 - *tension error*: its tension does not follow its reference: drum jammed, friction, motor weak or
   reversed, or a cell of wrong gain.
 - *torque*: its drum does not turn as torque and tension would have it; what is left unexplained
-  comes from an observer of the drum's momentum (De Luca and Mattone, ICRA 2005).
+  comes from an observer of the drum's momentum (De Luca and Mattone, ICRA 2005). A drum that speeds
+  up or stops in one tick as no torque could make it has jammed, or its encoder has slipped.
 - *travel*: its drum does not turn at all where the platform's motion would turn it. Friction may
   do that for some millimetres, so it only tells which cable it is when lengths contradict.
 - *drift*: its innovation has a mean: what is wrong grows slowly, and is blamed on the cable whose
   mean stands out. Where none does, the cables contradict each other, and none is blamed.
 
-And a load cell whose reading repeats to the last bit while its reference moves is frozen.
+In a descent a slack cable's drum reels in towards the platform: where it has wound on more than the
+way to the platform, the cable is torn. And a load cell whose reading repeats to the last bit while
+its reference moves is frozen.
 """
 
 from __future__ import annotations
@@ -33,6 +36,8 @@ from runtime.states import Fault
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 _BY_LENGTH = (Fault.LENGTH_JUMP, Fault.LENGTH_DRIFT)
+_CERTAIN = 1000
+"""ticks: more than any number that is waited for"""
 _UNDER_WAY = 2
 """ticks from a torque to the sample that it has made"""
 
@@ -69,29 +74,34 @@ def _turn(
     tension: Array,
     following: Array,
     watched: NDArray[np.bool_],
-    limits: tuple[float, float, float, float, float, float],
+    limits: tuple[float, float, float, float, float, float, float],
     observed: tuple[Array, Array, Array],
     misled: Counts,
-    last: Array,
+    past: tuple[Array, Array],
     travel: Array,
 ) -> None:
     """``drums``: angles (rad), rates (rad/s) and the torques (N m) that made them; ``following``:
     m/s that the cables shorten by the platform's motion; ``limits``: period, drum radius, its mass
-    at the cable, observer time, force (N) and share of the torque's that may be unexplained;
-    ``observed``: explained momentum, unexplained force, mean force of the torque."""
-    period, radius, mass, time, force, share = limits
+    at the cable, observer time, force (N) and share of the torque's that may be unexplained, and
+    the largest acceleration (m/s2); ``observed``: explained momentum, unexplained force, mean force
+    of the torque; ``past``: last angles and speeds."""
+    period, radius, mass, time, force, share, fastest = limits
     explained, unexplained, mean = observed
+    last, before = past
     for i in range(tension.shape[0]):
         speed, pull = radius * drums[1][i], drums[2][i] / radius
         if not (watched[i] and math.isfinite(speed + pull + tension[i] + following[i])):
             explained[i], unexplained[i], mean[i] = mass * speed, 0.0, abs(pull)
-            misled[i], travel[i], last[i] = 0, 0.0, drums[0][i]
+            misled[i], travel[i], last[i], before[i] = 0, 0.0, drums[0][i], speed
             continue
         explained[i] += period * (pull - tension[i] + unexplained[i])
         unexplained[i] = (mass * speed - explained[i]) / time
         mean[i] += period / time * (abs(pull) - mean[i])
         beyond = abs(unexplained[i]) > force + share * mean[i]
         misled[i] = misled[i] + 1 if beyond else 0
+        if abs(speed - before[i]) > fastest * period:
+            misled[i] = _CERTAIN
+        before[i] = speed
         travel[i] = travel[i] + period * following[i] if drums[0][i] == last[i] else 0.0
         last[i] = drums[0][i]
 
@@ -124,18 +134,21 @@ class Isolation:
     def __init__(self, robot: Robot, settings: Settings, stop: Stop, period: float) -> None:
         self._settings, self._taut = settings, stop.taut_tension
         radius = robot.drum.radius
+        mass, motor = robot.drum.inertia / radius**2, robot.motor
+        strongest = motor.current_limit * motor.torque_constant * robot.gearbox.ratio / radius
         self._turning = (
             period,
             radius,
-            robot.drum.inertia / radius**2,
+            mass,
             settings.torque_s,
             settings.torque_error,
             settings.torque_share,
+            settings.acceleration * strongest / mass,
         )
         self._observed = (np.zeros(CABLES), np.zeros(CABLES), np.zeros(CABLES))
         self._torques = np.zeros((_UNDER_WAY, CABLES))
         self._misled = np.zeros(CABLES, dtype=np.int64)
-        self._angle, self._travel = np.zeros(CABLES), np.zeros(CABLES)
+        self._past, self._travel = (np.zeros(CABLES), np.zeros(CABLES)), np.zeros(CABLES)
         self._limits = (
             settings.length_jump,
             settings.tension_error,
@@ -149,11 +162,14 @@ class Isolation:
         self._last, self._then = np.full(CABLES, np.nan), np.zeros(CABLES)
         self._same = np.zeros(CABLES, dtype=np.int64)
         self._loaded = np.zeros(CABLES, dtype=bool)
+        self._overwound = np.zeros(CABLES, dtype=bool)
 
     def reset(self) -> None:
         self._jumped[:] = self._astray[:] = self._same[:] = self._misled[:] = 0
         for each in (*self._observed, self._torques, self._travel, self.drift):
             each[:] = 0.0
+        self._overwound[:] = False
+        self._past[1][:] = np.nan
 
     def step(
         self, innovation: Array, reference: Array, filtered: Array, watched: NDArray[np.bool_]
@@ -192,9 +208,14 @@ class Isolation:
             self._turning,
             self._observed,
             self._misled,
-            self._angle,
+            self._past,
             self._travel,
         )
+
+    def reeled(self, distance: Array, length: Array, slack: NDArray[np.bool_]) -> None:
+        """From the distances (n,) m between a cable's anchors as the pose has them, and the lengths
+        (n,) m that the drums have left it; of cables that are ``slack`` (n,)."""
+        self._overwound[:] = slack & (distance - length > self._settings.overwound)
 
     def cells(self, raw: Array, age: NDArray[np.uint16], tension: Array, reference: Array) -> None:
         """From raw readings and ages of the cells, tensions and their references (n,): a cell
@@ -223,8 +244,11 @@ class Isolation:
 
     def disobedient(self, *, descending: bool) -> tuple[Fault, int]:
         """The first drum that does not turn as its torque has it, whatever the estimate is. While
-        ``descending`` drums work at their limits, where losses are least known."""
+        ``descending`` drums work at their limits, where losses are least known, and a slack cable
+        may turn out to be torn."""
         s = self._settings
+        if descending and self._overwound.any():
+            return Fault.CABLE_TORN, int(self._overwound.argmax())
         if (self._misled >= (s.torque_descent_ticks if descending else s.torque_ticks)).any():
             return Fault.DRUM_TORQUE, int(self._misled.argmax())
         return Fault.NONE, -1

@@ -84,7 +84,7 @@ def _watch(config: Config) -> None:
     )
     descent = Descent(config.robot, control, control.rates.period)
     every, still = np.ones(CABLES, dtype=bool), np.zeros(CABLES)
-    descent.bound(ProcessImage().commands["torque"], still, every)
+    descent.bound(ProcessImage().commands["torque"], still, still, every)
     descent.guard.passive(still, every)
     tension, bearing = np.full(CABLES, control.tension.pre), np.ones(CABLES, dtype=bool)
     envelope(tension, 0.0, np.array(config.robot.home), np.zeros(3), bearing)

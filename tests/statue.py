@@ -35,6 +35,7 @@ OVERRIDES: dict[str, Any] = {
     "control.sequence.enable_timeout_s": 0.02,
     # Stone answers no torque; `test_runtime_isolation` has what a drum's torque tells.
     "control.isolation.torque_error": 1e9,
+    "control.isolation.acceleration": 1e9,
 }
 CONFIG, SCENARIO = load("config/can.yaml", scenario="sine_x", overrides=OVERRIDES)
 CONTROL = CONFIG.control

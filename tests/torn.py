@@ -86,9 +86,8 @@ class Stopped(Before):
     """m, where the platform is in the end"""
     at_rest: bool
 
-    @property
-    def named(self) -> bool:
-        return self.fault == Fault.CABLE_TORN.name and self.where == self.cable
+    named: bool
+    """`Fault.CABLE_TORN` was found at the cable, as the first fault or after it"""
 
 
 Breaking = Callable[[Plant, int], object]
@@ -162,6 +161,16 @@ class Torn:
 
         return forked(push)
 
+    def again(self, cable: int, other: int, after: float) -> Stopped:
+        """A cable torn at rest, and an ``other`` one ``after`` s: what comes of that one."""
+
+        def twice() -> Stopped:
+            tear(self._loop.plant, cable)
+            self._loop.run(after)
+            return self._break(other, "rest", tear)
+
+        return forked(twice)
+
     def _move(self, cable: int, motions: tuple[Motion, ...], breaking: Breaking) -> list[Stopped]:
         loop, found = self._loop, []
         loop.tick(select=cable + 2)
@@ -189,7 +198,8 @@ class Torn:
             if loop.state is State.FAULT and self._still():
                 break
         before = Before(self.home, cable, motion, round(speed, 4), round(tension, 1))
-        return _outcome(loop.trace, before, self._still())
+        named = loop.cycle.sequence.faults.at(Fault.CABLE_TORN, cable)
+        return _outcome(loop.trace, before, named, self._still())
 
     def _still(self) -> bool:
         plant = self._loop.plant
@@ -197,7 +207,7 @@ class Torn:
         return bool(fastest < _STILL)
 
 
-def _outcome(trace: Trace, before: Before, still: bool) -> Stopped:
+def _outcome(trace: Trace, before: Before, named: bool, still: bool) -> Stopped:
     truth, state = trace.truth, trace.cycle["state"]
     speeds = np.linalg.norm(truth["velocity"], axis=1)
     peak = int(speeds.argmax())
@@ -215,6 +225,7 @@ def _outcome(trace: Trace, before: Before, still: bool) -> Stopped:
         fault=Fault(int(faults[first or 0])).name,
         where=int(state["fault_where"][first or 0]),
         given_up=tuple(np.flatnonzero(state["failed"].any(axis=0)).tolist()),
+        named=named,
         mode=StopMode(int(state["stop_mode"].max())).name,
         ended_after=None if ended is None else round(1e-3 * ended, 3),
         rest=(x, y, z),

@@ -216,7 +216,7 @@ def _drum_damping(config: Config) -> Iterator[Finding]:
     32 deg at least."""
     robot, period = config.robot, config.control.rates.period
     most = robot.drum.inertia / robot.drum.radius**2 / (_DELAY_PERIODS * period)
-    for name in ("passive_damping", "reel_damping"):
+    for name in ("passive_damping", "take_up_damping", "reel_damping"):
         damping = float(getattr(config.control.stop, name))
         yield Finding(
             "drum damping",

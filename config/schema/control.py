@@ -325,6 +325,10 @@ class Stop(Section):
     """s, time constant with which a given-up cable on a free drum goes slack"""
     taut_tension: Positive
     """N above which a cable counts as taut, and below half of which it counts as slack"""
+    take_up_speed: Positive
+    """m/s by which the drum of a slack cable turns faster than the platform comes nearer"""
+    take_up_damping: Positive
+    """N s/m that keeps it there"""
     reel_in: Positive
     """m/s that a drum reels in at most while the robot stops"""
     reel_out: Positive
@@ -374,6 +378,10 @@ class Isolation(Section):
     """in a row"""
     torque_descent_ticks: Count
     """in a row, in a descent"""
+    acceleration: Positive
+    """times what a drum's motor can give, at its current limit and without a cable"""
+    overwound: Positive
+    """m by which a slack cable's length falls short of its way to the platform"""
     travel: Positive
     """m that the platform's motion shortens a cable by while its drum does not turn at all"""
     innovation: Positive

@@ -27,3 +27,15 @@ def test_no_torn_cable_throws_the_platform(home: Place) -> None:
         assert case.found_after <= bounds.found_within["cable_cut"], case
         assert case.at_rest, case
         assert case.ended_after is not None, case
+
+
+@pytest.mark.parametrize(("first", "second"), [(0, 1), (0, 2), (4, 2), (4, 6)])
+def test_a_second_cable_torn_in_the_descent_is_named_and_throws_nothing(
+    first: int, second: int
+) -> None:
+    case = Torn((0.0, 0.0, 0.0)).again(first, second, after=0.3)
+    assert case.named, case
+    assert case.given_up == tuple(sorted((first, second))), case
+    assert case.peak_speed <= load_bounds().speed, case
+    assert case.peak_tension <= TENSION, case
+    assert case.at_rest, case

@@ -205,3 +205,20 @@ def test_a_reset_forgets_everything() -> None:
     before.tick(300)
     before.given = Watched().given
     assert told(before) == told(Watched())
+
+
+@pytest.mark.parametrize("descending", [False, True])
+def test_a_drum_speeds_up_no_faster_than_a_motor_can(cables: Watched, *, descending: bool) -> None:
+    """An encoder that slips by a quarter of a turn in 30 ms; torque and tension say nothing."""
+    cables.descending = descending
+    cables.given["rate"][4] = 0.5 * np.pi / 0.03
+    assert cables.tick() == (Fault.DRUM_TORQUE, 4)
+
+
+def test_a_motor_at_its_limit_makes_no_such_step(cables: Watched) -> None:
+    motor, drum = CONFIG.robot.motor, CONFIG.robot.drum
+    torque = motor.current_limit * motor.torque_constant * CONFIG.robot.gearbox.ratio
+    cables.given["torque"][4] = torque + RADIUS * PULL
+    for _ in range(20):
+        assert cables.tick() == (Fault.NONE, -1)
+        cables.given["rate"][4] += PERIOD * torque / drum.inertia
