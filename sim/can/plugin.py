@@ -226,9 +226,17 @@ class LocalBus(TonusBus):
 
         Raises `can.CanOperationError` if it would have to wait.
         """
-        while (frames := self._take(1)).size:
-            frame = next(packet.decode(frames.tobytes()))
-            message = _message(*frame, self._name)
+        received = self._received
+        while True:
+            if not received:
+                self._lab.advance(self._clock())
+                if not received:
+                    break
+            frame = received.popleft()
+            own = frame.sender is self._port
+            message = _message(
+                frame.stamp_ns, frame.identifier, frame.dlc, own, frame.data, self._name
+            )
             if self._wanted(message):
                 return message
         if timeout is None or timeout > 0:
@@ -242,9 +250,14 @@ class LocalBus(TonusBus):
         received = self._received
         if not received:
             self._lab.advance(self._clock())
-        take = received.popleft
-        frames = [take() for _ in range(min(limit, len(received)))]
-        return np.frombuffer(packet.encode(frames, self._port), packet.FRAMES)
+        pack, take, port = packet.FRAME.pack, received.popleft, self._port
+        count = min(limit, len(received))
+        if count == 1:
+            f = take()
+            data = pack(f.stamp_ns, f.identifier, f.dlc, f.sender is port, f.data)
+        else:
+            data = packet.encode([take() for _ in range(count)], port)
+        return np.frombuffer(data, packet.FRAMES)
 
     def flush_tx_buffer(self) -> None:
         self._port.channel.drop(self._port)
