@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from struct import Struct
 
 from sim.ethercat import registers as reg
 from sim.ethercat.controller import READ, WRITE, Manager, Mapping
@@ -42,8 +43,98 @@ class Part:
         self.inputs = False
         self.counter = 0
 
+    def play(self, frame: bytearray, data: int, size: int, now_ns: int) -> None:
+        """Do it. Bytes may be mapped both ways, in the frame and in the slave: each way takes what
+        was there before."""
+        slave = self.slave
+        memory = slave.controller.memory
+        writes = self.writes
+        given = [frame[data + at : data + at + count] for at, _, count in writes]
+        if self.bit_writes or self.bit_reads or self.registers:
+            self._slowly(frame, data, size, now_ns)
+        for at, place, count in self.reads:
+            frame[data + at : data + at + count] = memory[place : place + count]
+        for (_, place, count), piece in zip(writes, given, strict=True):
+            memory[place : place + count] = piece
+        if self.outputs:
+            slave.outputs_written(now_ns)
+        elif self.inputs:
+            slave.inputs_read(now_ns)
 
-def compile_plan(slaves: Iterable[Slave], ways: int, start: int, length: int) -> list[Part]:
+    def _slowly(self, frame: bytearray, data: int, size: int, now_ns: int) -> None:
+        """Single bits, and registers."""
+        memory = self.slave.controller.memory
+        given = frame[data : data + size]
+        self._through(frame, data, now_ns)
+        if self.bit_reads:
+            found = frame[data : data + size]
+            copy_bits(memory, found, ((to, where) for where, to in self.bit_reads))
+            frame[data : data + size] = found
+        if self.bit_writes:
+            copy_bits(given, memory, self.bit_writes)
+
+    def _through(self, frame: bytearray, data: int, now_ns: int) -> None:
+        """Copies of registers, which do more than memory does."""
+        controller = self.slave.controller
+        for way, (at, place, count) in self.registers:
+            if way == WRITE:
+                controller.write(place, bytes(frame[data + at : data + at + count]), now_ns)
+            else:
+                found = controller.read(place, count, now_ns)
+                if found is not None:
+                    frame[data + at : data + at + count] = found
+
+
+class Plan:
+    """What all slaves do with the datagram: slave by slave, or ``straight``, with the same effect,
+    where that is possible."""
+
+    __slots__ = ("counter", "parts", "straight")
+
+    def __init__(self, parts: list[Part]) -> None:
+        self.parts = parts
+        self.counter = sum(part.counter for part in parts)
+        self.straight = _straighten(parts)
+
+    def play(self, frame: bytearray, data: int, size: int, now_ns: int) -> None:
+        """Do it; the datagram's data begin at ``data``."""
+        straight = self.straight
+        if straight is None:
+            for part in self.parts:
+                part.play(frame, data, size, now_ns)
+            return
+        for at, end, views in straight.runs:
+            frame[data + at : data + end] = b"".join(views)
+        pieces = straight.unpack(frame, data)
+        for (slave, area), piece in zip(straight.areas, pieces, strict=True):
+            if piece:
+                area[:] = piece
+                slave.outputs_came(piece, now_ns)
+            else:
+                slave.inputs_read(now_ns)
+
+
+class Straight:
+    """A plan in which each slave has one area each way at most, completes it and `takes` it, and no
+    byte of the datagram goes both ways."""
+
+    __slots__ = ("areas", "runs", "unpack")
+
+    def __init__(
+        self,
+        runs: list[tuple[int, int, list[memoryview]]],
+        areas: list[tuple[Slave, memoryview]],
+        layout: Struct,
+    ) -> None:
+        self.runs = runs
+        """inputs that lie one behind the other in the datagram: first place, end, whence"""
+        self.areas = areas
+        """every slave with its output area, empty if it has inputs only"""
+        self.unpack = layout.unpack_from
+        """the pieces of the datagram for these"""
+
+
+def compile_plan(slaves: Iterable[Slave], ways: int, start: int, length: int) -> Plan:
     """``ways``: `READ` for LRD, `WRITE` for LWR, both for LRW. Slaves that have no part are left
     out; so are mappings that a sync manager does not let through."""
     found = []
@@ -57,7 +148,44 @@ def compile_plan(slaves: Iterable[Slave], ways: int, start: int, length: int) ->
         if done:
             part.counter = {WRITE: 2 if ways & READ else 1, READ: 1}.get(done, 3)
             found.append(part)
-    return found
+    return Plan(found)
+
+
+def _straighten(parts: list[Part]) -> Straight | None:
+    read_at: set[int] = set()
+    written_at: set[int] = set()
+    runs: list[tuple[int, int, list[memoryview]]] = []
+    areas = []
+    layout, end_of_writes = "<", 0
+    for part in parts:
+        writes, reads = part.writes, part.reads
+        if part.bit_reads or part.bit_writes or part.registers:
+            return None
+        if len(writes) > 1 or len(reads) > 1:
+            return None
+        if part.outputs != bool(writes) or part.inputs != bool(reads):
+            return None
+        memory = memoryview(part.slave.controller.memory)
+        for at, place, count in reads:
+            read_at.update(range(at, at + count))
+            if not runs or runs[-1][1] != at:
+                runs.append((at, at, []))
+            first, _, views = runs[-1]
+            runs[-1] = first, at + count, [*views, memory[place : place + count]]
+        area = memory[:0]
+        for at, place, count in writes:
+            if at < end_of_writes or not part.slave.takes(place, count):
+                return None
+            layout += f"{at - end_of_writes}x{count}s"
+            end_of_writes = at + count
+            written_at.update(range(at, at + count))
+            area = memory[place : place + count]
+        if not writes:
+            layout += "0s"
+        areas.append((part.slave, area))
+    if not areas or not read_at.isdisjoint(written_at):
+        return None
+    return Straight(runs, areas, Struct(layout))
 
 
 def _add(part: Part, mapping: Mapping, way: int, start: int, length: int) -> bool:

@@ -26,7 +26,7 @@ from sim.ethercat.frames import (
     Command,
     is_ethercat,
 )
-from sim.ethercat.plan import Part, compile_plan, copy_bits
+from sim.ethercat.plan import Plan, compile_plan
 from sim.ethercat.slave import Slave
 
 _COUNTER = struct.Struct("<H")
@@ -76,7 +76,7 @@ class Segment:
         self.counts = Counts()
         self.disturbance = Disturbance()
         self._lab = lab
-        self._plans: dict[tuple[int, int, int, int, int], list[Part]] = {}
+        self._plans: dict[tuple[int, int, int, int, int], Plan] = {}
         self._touched: dict[int, Slave] = {}
         self._mail = 0
         self._sync = 0  # timers of an older arrangement are stale
@@ -297,26 +297,8 @@ class Segment:
             if len(self._plans) >= _PLANS:
                 self._plans.clear()
             plan = self._plans[key] = compile_plan(slaves, _WAYS[Command(command)], start, size)
-        added = 0
-        for part in plan:
-            slave = part.slave
-            memory = slave.controller.memory
-            # Bytes may be mapped both ways, in the frame and in the slave: each way takes what was
-            # there before.
-            writes = part.writes
-            given = [frame[data + at : data + at + count] for at, _, count in writes]
-            if part.bit_writes or part.bit_reads or part.registers:
-                _slowly(part, frame, data, size, now_ns)
-            for at, place, count in part.reads:
-                frame[data + at : data + at + count] = memory[place : place + count]
-            for (_, place, count), piece in zip(writes, given, strict=True):
-                memory[place : place + count] = piece
-            if part.outputs:
-                slave.outputs_written(now_ns)
-            elif part.inputs:
-                slave.inputs_read(now_ns)
-            added += part.counter
-        return added
+        plan.play(frame, data, size, now_ns)
+        return plan.counter
 
     # -- SYNC0 -----------------------------------------------------------------------------------
 
@@ -369,28 +351,3 @@ _COUNTING = frozenset(
 
 def _either(one: bytes | bytearray, other: bytes) -> bytes:
     return bytes(a | b for a, b in zip(one, other, strict=True))
-
-
-def _slowly(part: Part, frame: bytearray, data: int, size: int, now_ns: int) -> None:
-    """Single bits, and registers."""
-    memory = part.slave.controller.memory
-    given = frame[data : data + size]
-    _through(part, frame, data, now_ns)
-    if part.bit_reads:
-        found = frame[data : data + size]
-        copy_bits(memory, found, ((to, where) for where, to in part.bit_reads))
-        frame[data : data + size] = found
-    if part.bit_writes:
-        copy_bits(given, memory, part.bit_writes)
-
-
-def _through(part: Part, frame: bytearray, data: int, now_ns: int) -> None:
-    """Copies of registers, which do more than memory does."""
-    controller = part.slave.controller
-    for way, (at, place, count) in part.registers:
-        if way == WRITE:
-            controller.write(place, bytes(frame[data + at : data + at + count]), now_ns)
-        else:
-            found = controller.read(place, count, now_ns)
-            if found is not None:
-                frame[data + at : data + at + count] = found

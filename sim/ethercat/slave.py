@@ -100,7 +100,7 @@ class Slave:
         )
         self.controller = Controller(self, Eeprom(image(kind, serial)))
         self.mailbox = Mailbox(self.controller, self._coe.serve, kind.mailbox_bytes)
-        self._outputs = bytearray()
+        self._outputs: bytes | bytearray = bytearray()
         self._fresh = False
         self._watchdog = Watchdog(self.controller, timers, self.expire)
         self._waiting = 0  # number of the present wait for SYNC0; 0: there is none
@@ -264,10 +264,23 @@ class Slave:
     # -- process data ----------------------------------------------------------------------------
 
     def outputs_written(self, now_ns: int) -> None:
-        controller, size = self.controller, self.process_data.size
-        manager, start = controller.managers[_OUT], self.kind.outputs
-        if manager.start == start and manager.length == size:
-            self._outputs = controller.memory[start : start + size]
+        manager = self.controller.managers[_OUT]
+        whole = self.takes(manager.start, manager.length)
+        memory = self.controller.memory
+        self.outputs_came(memory[manager.start : manager.end] if whole else None, now_ns)
+
+    def takes(self, start: int, size: int) -> bool:
+        """Whether that is the whole output area, and as it was when the state was granted."""
+        manager, granted = (
+            self.controller.managers[_OUT],
+            (self.kind.outputs, self.process_data.size),
+        )
+        return (start, size) == (manager.start, manager.length) == granted
+
+    def outputs_came(self, outputs: bytes | bytearray | None, now_ns: int) -> None:
+        """The last byte of the area was written; ``outputs`` if the slave `takes` it."""
+        if outputs is not None:
+            self._outputs = outputs
             self._fresh = True
         self._watchdog.heard(now_ns)
         if not self.sync.active:

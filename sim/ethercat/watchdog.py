@@ -9,6 +9,7 @@ from sim.ethercat import registers as reg
 from sim.ethercat.controller import Controller
 
 _OUT = 2
+_STATUS = reg.WATCHDOG_STATUS
 _TICK_NS = 40
 """of its divider (0x400)"""
 _LONGEST_NS = 1_000_000_000
@@ -22,6 +23,7 @@ class Watchdog:
 
     def __init__(self, controller: Controller, timers: Timers, bite: Callable[[int], None]) -> None:
         self._controller = controller
+        self._memory = controller.memory
         self._timers = timers
         self._bite = bite
         self._on = False
@@ -40,7 +42,7 @@ class Watchdog:
     def heard(self, now_ns: int) -> None:
         """Outputs have come."""
         self._heard_ns = now_ns
-        self._controller.memory[reg.WATCHDOG_STATUS] = 1
+        self._memory[_STATUS] = 1
 
     def changed(self, now_ns: int) -> None:
         """Its time may be another."""
