@@ -294,8 +294,8 @@ class Lab:
         arrival = self._tracker.next_arrival_ns
         return min(due, self._tracker.next_ns if arrival is None else arrival)
 
-    def _due(self) -> int:
-        """The next event that is not a channel's own."""
+    def next_work_ns(self) -> int:
+        """The next event that is not a channel's own, the truth record's millisecond included."""
         due = self._grid_ns
         if self._tracker.next_ns < due:
             due = self._tracker.next_ns
@@ -309,7 +309,7 @@ class Lab:
             return
         channels = self._order
         while True:
-            due = self._due()
+            due = self.next_work_ns()
             limit = min(due, to_ns)
             for channel in channels:
                 channel.run(limit)
@@ -328,7 +328,7 @@ class Lab:
                 if self._timers and self._timers[0][0] < limit:
                     limit = self._timers[0][0]
                 first.run(limit)
-            due = self._due()
+            due = self.next_work_ns()
             if due > to_ns:
                 break
             self.now_ns = due

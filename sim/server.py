@@ -291,6 +291,8 @@ class _Server:
             port.receive_all()
         self._queue(self._read_all())
         lab.advance(now_ns)
+        for port in self._ports:
+            port.receive_all()  # what came meanwhile has waited enough
         for client in tuple(self._clients):
             if client.port.received:
                 self._send(client)
@@ -328,6 +330,9 @@ class _Server:
     def _arm(self) -> None:
         lab = self._lab
         due_ns = min(lab.next_event_ns() + self._coalesce_ns, lab.now_ns + _IDLE_NS)
+        if self._ports:
+            # A frame waits for what is due before it, so that is not left until one comes.
+            due_ns = min(due_ns, lab.next_work_ns())
         wake = self._wake
         # What is due first is kept: later frames are taken along with it.
         if not wake.due_ns or due_ns < wake.due_ns:

@@ -55,8 +55,11 @@ class DistributedClock:
 
     def when(self, system: int, now_ns: int) -> int:
         """The lab's time at which the system time will be ``system``, as things stand."""
-        left = _less(system, self.system(now_ns))
-        return now_ns + round(left / (1.0 + self._speed))
+        # As `system`, and written out like `compare`: every slave is asked in every cycle.
+        passed, speed = now_ns - self._since_ns, self.drift + self._correction
+        shown = self._local + passed + round(passed * speed) + self.offset
+        left = (system - shown + _HALF & _MASK) - _HALF
+        return now_ns + round(left / (1.0 + speed))
 
     def change_drift(self, drift: float, now_ns: int) -> None:
         """Run at another speed from now on."""
@@ -72,16 +75,24 @@ class DistributedClock:
 
     def compare(self, reference: int, now_ns: int) -> None:
         """The reference clock's time has come by, and is to be followed."""
-        self._rebase(now_ns)
-        own = self._local + self.offset & _MASK
-        difference = _less(own, reference + self.delay & _MASK)
-        self.difference = difference
-        passed = max(now_ns - self._compared_ns, _LEAST_NS)
-        self._compared_ns = now_ns
+        passed, correction = now_ns - self._since_ns, self._correction
+        local = self._local + passed + round(passed * (self.drift + correction))
+        difference = (local + self.offset - reference - self.delay + _HALF & _MASK) - _HALF
+        passed = now_ns - self._compared_ns
+        if passed < _LEAST_NS:
+            passed = _LEAST_NS
         step = int(difference / _PHASE)
-        self._local -= min(max(step, -passed // _SLEW), passed // _SLEW)
-        correction = self._correction - difference / _RATE / passed
-        self._correction = min(max(correction, -_SPEED_LIMIT), _SPEED_LIMIT)
+        if step > passed // _SLEW:
+            step = passed // _SLEW
+        elif step < -passed // _SLEW:
+            step = -passed // _SLEW
+        correction -= difference / _RATE / passed
+        if correction > _SPEED_LIMIT:
+            correction = _SPEED_LIMIT
+        elif correction < -_SPEED_LIMIT:
+            correction = -_SPEED_LIMIT
+        self._since_ns = self._compared_ns = now_ns
+        self._local, self._correction, self.difference = local - step, correction, difference
 
 
 class SyncUnit:

@@ -39,7 +39,7 @@ _LONGEST_NS = 1_000_000_000
 _READS = (Command.APRD, Command.FPRD, Command.BRD)
 _WAYS = {Command.LRD: READ, Command.LWR: WRITE, Command.LRW: READ | WRITE}
 _PLANS = 64
-"""How many are remembered; a master in order uses a few."""
+"""How many are remembered, and reference clocks likewise; a master in order uses a few."""
 
 
 class Lab(Protocol):
@@ -77,6 +77,7 @@ class Segment:
         self.disturbance = Disturbance()
         self._lab = lab
         self._plans: dict[tuple[int, int, int, int, int], Plan] = {}
+        self._references: dict[tuple[int, int, int], list[bool]] = {}
         self._touched: dict[int, Slave] = {}
         self._mail = 0
         self._sync = 0  # timers of an older arrangement are stale
@@ -95,6 +96,7 @@ class Segment:
 
     def remapped(self) -> None:
         self._plans.clear()
+        self._references.clear()
 
     def exchanged(self, slave: Slave) -> None:
         self._touched[slave.number] = slave
@@ -229,17 +231,20 @@ class Segment:
         """FRMW of the system time, which comes with every cycle. Slaves before the reference see
         what the master has sent, so a master takes the first for it."""
         value = _TIME.unpack_from(frame, data)[0]
-        added = 0
-        for slave in slaves:
-            if slave.controller.answers_to(station):
+        key = (station, slaves[0].number if slaves else 0, len(slaves))
+        references = self._references.get(key)
+        if references is None:
+            if len(self._references) >= _PLANS:
+                self._references.clear()
+            references = [slave.controller.answers_to(station) for slave in slaves]
+            self._references[key] = references
+        for slave, refers in zip(slaves, references, strict=True):
+            if refers:
                 value = slave.system_time(now_ns)
-                added += 1
-            else:
-                if value:
-                    slave.compare(value, now_ns)
-                added += 1
+            elif value:
+                slave.clock.compare(value, now_ns + slave.arrival_ns)
         _TIME.pack_into(frame, data, value)
-        return added
+        return len(slaves)
 
     def _physical(
         self,

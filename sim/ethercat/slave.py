@@ -42,6 +42,7 @@ _TIME = struct.Struct("<Q")
 _SPAN = struct.Struct("<I")
 _SIGN = 1 << 31
 _OUT, _IN = 2, 3
+_SAFE_OP = int(State.SAFE_OP)  # a member of an enumeration is slow to look up
 _VENDOR, _PRODUCT, _REVISION = 8, 10, 12
 """words in the EEPROM"""
 
@@ -293,7 +294,7 @@ class Slave:
 
     def latch(self, now_ns: int) -> None:
         """Take the inputs of this instant."""
-        if self.state >= State.SAFE_OP:
+        if self.standing.state >= _SAFE_OP:
             self.device.sample(now_ns)
             data = self.process_data.inputs()
             start = self.kind.inputs  # where the sync manager was when the state was granted
@@ -361,9 +362,6 @@ class Slave:
         """As the slave shows it while a frame that came into the segment now passes."""
         return self.clock.system(now_ns + self.arrival_ns)
 
-    def compare(self, reference: int, now_ns: int) -> None:
-        self.clock.compare(reference, now_ns + self.arrival_ns)
-
     def clock_written(self, start: int, data: bytes, now_ns: int) -> None:
         memory, clock, end = self.controller.memory, self.clock, start + len(data)
         if start <= reg.RECEIVE_TIME < end:
@@ -399,7 +397,7 @@ class Slave:
             own = self.system_time(now_ns)
             low = _SPAN.unpack_from(data)[0]
             reference = own + ((low - own + (1 << 31)) % (1 << 32) - (1 << 31))
-        self.compare(reference, now_ns)
+        self.clock.compare(reference, now_ns + self.arrival_ns)
 
     def _activate(self, now_ns: int) -> None:
         memory = self.controller.memory
