@@ -50,24 +50,24 @@ def control() -> list[Figure]:
     note = "of 1000 us; bounds are active in every tick"
     figures.append(Figure("ControlCycle.step in HOLD, heavily loaded", step, "us", note=note))
     note = "of 1000 us; median of processor time, in the loop with the plant"
-    figures.append(Figure("ControlCycle.step in ACTIVE", _active_step(), "us", note=note))
+    figures.append(Figure("ControlCycle.step in ACTIVE", active_step(), "us", note=note))
     return figures
 
 
-def _active_step() -> float:
-    """A sine, where as a rule no bound is active and one tick in eight brings a tracker pose."""
+def active_step(seconds: float = 3.0) -> float:
+    """us of a step in a sine, where as a rule no bound is active and one tick in eight brings a tracker pose."""
     loop = ClosedLoop(*configured("sine_x", QUICK))
     loop.until(State.ACTIVE)
     step, clock, spans = loop.cycle.step, Stopwatch(running=True).processor_ns, []
 
-    def timed(image: ProcessImage, tick: int, operator: Operator) -> CycleRecord:
+    def timed(image: ProcessImage, tick: int, operator: Operator, select: int) -> CycleRecord:
         began = clock()
-        record = step(image, tick, operator)
+        record = step(image, tick, operator, select)
         spans.append((clock() - began) * 1e-3)
         return record
 
     with patch.object(loop.cycle, "step", timed):
-        loop.run(3.0)
+        loop.run(seconds)
     return float(np.median(spans))
 
 

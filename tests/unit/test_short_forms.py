@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from config.loader import HERE
-from tests.bench import process_data
+from tests.bench import control, process_data
 from tools.cli.check import check
 from tools.cli.main import tonus
 
@@ -88,6 +88,11 @@ def test_the_process_data_can_be_measured(monkeypatch: pytest.MonkeyPatch) -> No
     figures = process_data.process_data()
     assert len(figures) == 4
     assert all(figure.value > 0.0 for figure in figures)
+
+
+def test_a_step_in_motion_can_be_measured() -> None:
+    """So did this one, when a step was given one argument more."""
+    assert control.active_step(seconds=0.05) > 0.0
 
 
 def test_commissioning_shows_what_the_check_prints() -> None:
