@@ -55,7 +55,8 @@ def control() -> list[Figure]:
 
 
 def active_step(seconds: float = 3.0) -> float:
-    """us of a step in a sine, where as a rule no bound is active and one tick in eight brings a tracker pose."""
+    """us of a step in a sine, where as a rule no bound is active and one tick in eight brings a
+    tracker pose."""
     loop = ClosedLoop(*configured("sine_x", QUICK))
     loop.until(State.ACTIVE)
     step, clock, spans = loop.cycle.step, Stopwatch(running=True).processor_ns, []
