@@ -47,8 +47,13 @@ def control() -> list[Figure]:
     cycle, image = _holding_cycle()
     counter = iter(range(10**6, 10**9))
     step = microseconds(lambda: cycle.step(image, next(counter), Operator.NONE))
+    state = cycle.sequence.state
     note = "of 1000 us; bounds are active in every tick"
-    figures.append(Figure("ControlCycle.step in HOLD, heavily loaded", step, "us", note=note))
+    if state is not State.HOLD:
+        note = f"it was to be HOLD: {cycle.sequence.fault.name}"
+    figures.append(
+        Figure(f"ControlCycle.step in {state.name}, heavily loaded", step, "us", note=note)
+    )
     note = "of 1000 us; median of processor time, in the loop with the plant"
     figures.append(Figure("ControlCycle.step in ACTIVE", active_step(), "us", note=note))
     return figures
