@@ -244,11 +244,13 @@ class Isolation:
 
     def disobedient(self, *, descending: bool) -> tuple[Fault, int]:
         """The first drum that does not turn as its torque has it, whatever the estimate is. While
-        ``descending`` drums work at their limits, where losses are least known, and a slack cable
-        may turn out to be torn."""
+        ``descending`` drums work at their limits, where losses are least known; then a slack cable
+        may turn out to be torn, and a cell frozen."""
         s = self._settings
         if descending and self._overwound.any():
             return Fault.CABLE_TORN, int(self._overwound.argmax())
+        if descending and (self._same >= s.frozen_ticks).any():
+            return Fault.CELL_FROZEN, int((self._same >= s.frozen_ticks).argmax())
         if (self._misled >= (s.torque_descent_ticks if descending else s.torque_ticks)).any():
             return Fault.DRUM_TORQUE, int(self._misled.argmax())
         return Fault.NONE, -1

@@ -3,6 +3,7 @@ grow and shrink on the way."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,8 +87,11 @@ class Sequence:
         self.faults = Faults()
         """since the last reset"""
         self.stop_mode = StopMode.NONE
-        self._passive_at = self._released_at = -1.0
+        self._mode_at, self._released_at = 0.0, -1.0
+        """s into the state at which the mode began, and a passive stop let go; -1 for not"""
         self._standing = 0.0
+        self._lowest = math.inf
+        """m, least height above the cradle since a descent has settled"""
         self.reason = ""
         """why referencing refused, or what control raised, in words"""
         self.enabled = False
@@ -123,9 +127,10 @@ class Sequence:
             return False
         self._entered, self.elapsed = tick, 0.0
         self._waited, self._lowering = 0.0, False
+        self._mode_at = 0.0
         if self.state is not State.SAFE_STOP:
             self.stop_mode = StopMode.NONE
-            self._passive_at = self._released_at = -1.0
+            self._released_at = -1.0
         if self.state is State.REFERENCING:
             self._resetting = self.referenced = False
             self._referencing.reset()
@@ -154,16 +159,17 @@ class Sequence:
         faults = self.faults
         lost = int(faults.failed.sum())
         blind = any(faults.has(cause) for cause in PASSIVE) or faults.at(Fault.LENGTH_DRIFT, -1)
-        if not self.referenced or blind or lost > len(faults.failed) - FEWEST:
+        if not self.referenced or blind or lost > len(faults.failed) - FEWEST or self._hangs:
             wanted = StopMode.PASSIVE
         elif lost or not self._sensing.present.all():
             wanted = StopMode.DESCENT
         else:
             wanted = StopMode.ON_PATH
         if wanted > self.stop_mode:
-            self.stop_mode = wanted
-            if wanted is StopMode.PASSIVE:
-                self._passive_at, self._standing = self.elapsed, 0.0
+            self.stop_mode, self._mode_at = wanted, self.elapsed
+            self._standing, self._lowest = 0.0, math.inf
+        if self.elapsed - self._mode_at >= self._control.stop.settle_s:
+            self._lowest = min(self._lowest, self.height)
 
     def abandon(self, reason: str, tick: int) -> None:
         """Control raised for ``reason``: nothing is followed any more, the daemon ends the run."""
@@ -198,7 +204,7 @@ class Sequence:
         self._standing = self._standing + self._period if fastest < stop.rest_speed else 0.0
         if self.stop_mode is not StopMode.PASSIVE:
             return
-        late = self.elapsed - self._passive_at >= stop.passive_s
+        late = self.elapsed - self._mode_at >= stop.passive_s
         if self._released_at < 0.0 and (self._standing >= stop.rest_s or late):
             self._released_at = self.elapsed
 
@@ -307,11 +313,21 @@ class Sequence:
         """A stop disables the drives at its end, or early when there was no reference."""
         if self.stop_mode is StopMode.PASSIVE:
             return self.passive_share <= 0.0
-        ends, stop = self.stop_ends, self._control.stop
-        if self.stop_mode is StopMode.DESCENT:
-            landed = self.height <= stop.landed or self._standing >= stop.rest_s
-            ends += 0.0 if landed else stop.landing_s
-        return self.stop_time >= ends
+        if self.stop_mode is StopMode.DESCENT and self.height > self._control.stop.landed:
+            return False
+        return self.stop_time >= self.stop_ends
+
+    @property
+    def _hangs(self) -> bool:
+        """A descent that does not come down, or rises: something it relies on is wrong. Let go from
+        up there, the platform would fall."""
+        stop = self._control.stop
+        if self.stop_mode is not StopMode.DESCENT or self.height <= stop.landed:
+            return False
+        if self.height > self._lowest + stop.rise:
+            return True
+        late = self.stop_time - self.stop_ends
+        return late >= (0.0 if self._standing >= stop.rest_s else stop.landing_s)
 
     def _watch(self, image: ProcessImage, operator: Operator, finite: bool) -> Event | None:
         """Every fault in every state; the first since the last reset is an event."""

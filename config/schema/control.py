@@ -306,7 +306,11 @@ class Stop(Section):
     landed: Positive
     """m above the cradle that counts as landed"""
     landing_s: NonNegative
-    """s that a descent waits for it"""
+    """s that a descent waits for it, before it becomes a passive stop"""
+    settle_s: Positive
+    """s after the beginning of a descent in which the platform may rise"""
+    rise: Positive
+    """m by which it may rise later, before the descent becomes a passive stop"""
     unrest: Positive
     """times the estimator's process noise in a descent"""
     length_sigma: Positive

@@ -82,11 +82,14 @@ motion; no place is kept, and the platform comes down. The values are in `contro
 
 - What a given-up cable still pulls counts as a load. On a drum that turns freely it goes to zero
   within a few `release_s`.
-- A cable below half of `taut_tension` is reeled in slowly, with the passive law, until it pulls.
+- The drum of a cable below half of `taut_tension` follows the platform and reels in `take_up_speed`
+  faster, until the cable pulls.
 - Each drum brakes what goes beyond `reel_in` and `reel_out`, and puts in no more energy than its
   `tank` holds.
-- It takes the times of a stop on the path, without the wait, and up to `landing_s` more until the
-  platform has landed or all drums stand. Then every drive is disabled.
+- It takes the times of a stop on the path, without the wait. Then every drive is disabled if the
+  platform is no more than `landed` above the cradle. If not, the stop becomes a passive one: when
+  all drums stand, at the latest after `landing_s` more. It also becomes one when the platform rises
+  by `rise` later than `settle_s`: then a measurement that it relies on is wrong.
 
 ### Passive
 
@@ -94,9 +97,9 @@ It relies on no pose, no cell and no plan. Each drum whose encoder is trusted gi
 `passive_tension` less `passive_damping` times its own rate, at most `passive_force`. When all drums
 have stood for `rest_s`, and after `passive_s` in any case, the tension goes to zero within `stop_s`
 and every drive is disabled. A stop comes to it when a computed value is not a number, when the
-cables contradict each other and none stands out, or when too few are left. Before the cables are
-referenced it lets their tension down within `stop_s`. An exception in control ends in the same law,
-with the times in `operation.fallback`; the run ends.
+cables contradict each other and none stands out, when too few are left, or when a descent does not
+come down. Before the cables are referenced it lets their tension down within `stop_s`. An exception
+in control ends in the same law, with the times in `operation.fallback`; the run ends.
 
 ### What a stop leaves out
 
