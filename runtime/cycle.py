@@ -182,8 +182,9 @@ class ControlCycle:
         share = sequence.passive_share
         if share < 0.0 or sequence.axis_command is not AxisCommand.ENABLE:
             trusted[:], share = False, 0.0
-        self._reference[:] = share * stop.passive_tension * trusted
-        torque = self._descent.guard.passive(self._sensing.rate, trusted, share)
+        shares = np.where(sequence.faults.torn, 0.0, share)
+        self._reference[:] = shares * stop.passive_tension * trusted
+        torque = self._descent.guard.passive(self._sensing.rate, trusted, shares)
         image.commands["torque"] = self._torque[:] = torque
 
     def write(

@@ -85,6 +85,11 @@ class Faults:
         return self.without(_ENCODER_UNKNOWN)
 
     @property
+    def torn(self) -> NDArray[np.bool_]:
+        """(n,) whose cable is taken to be torn: reeled in, it would only be wound on."""
+        return ~self.without(frozenset({Fault.CABLE_TORN}))
+
+    @property
     def let_go(self) -> NDArray[np.bool_]:
         """(n,) given-up cables whose drum turns freely, so that they soon pull no more."""
         return self.failed & self.without(_HELD)

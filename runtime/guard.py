@@ -33,17 +33,17 @@ Array = NDArray[np.float64]
 def _passive(
     rate: Array,
     chosen: NDArray[np.bool_],
-    share: float,
+    share: Array,
     law: tuple[float, float, float, float],
     torque: Array,
 ) -> None:
-    """``law``: drum radius, T_0, d, F_max; ``share``: of T_0, 0 to 1."""
+    """``law``: drum radius, T_0, d, F_max; ``share`` (n,): of T_0, 0 to 1."""
     radius, tension, damping, largest = law
     for i in range(rate.shape[0]):
         if not chosen[i]:
             continue
         torque[i] = 0.0
-        force = share * tension - damping * radius * rate[i]
+        force = share[i] * tension - damping * radius * rate[i]
         if math.isfinite(force):
             torque[i] = radius * min(max(force, -largest), largest)
 
@@ -112,15 +112,17 @@ class Guard:
         self._largest = motor.current_limit * motor.torque_constant * robot.gearbox.ratio
         self.tank = np.full(CABLES, s.tank)
         """J (n,)"""
-        self._torque = np.zeros(CABLES)
+        self._torque, self._share = np.zeros(CABLES), np.zeros(CABLES)
 
     def reset(self) -> None:
         self.tank[:] = self._capacity
 
-    def passive(self, rate: Array, trusted: NDArray[np.bool_], share: float = 1.0) -> Array:
-        """Torques (n,) of the passive stop; none where a drum's rate is not ``trusted`` (n,)."""
+    def passive(self, rate: Array, trusted: NDArray[np.bool_], share: float | Array = 1.0) -> Array:
+        """Torques (n,) of the passive stop; none where a drum's rate is not ``trusted`` (n,);
+        ``share`` of the passive tension, of all or of each (n,)."""
         self._torque[:] = 0.0
-        _passive(rate, trusted, share, self._law, self._torque)
+        self._share[:] = share
+        _passive(rate, trusted, self._share, self._law, self._torque)
         return self._torque
 
     def take_up(

@@ -200,7 +200,8 @@ class Sequence:
         """Count how long all drums have stood; a passive stop releases them when that is long
         enough."""
         stop = self._control.stop
-        fastest = float(np.abs(self._sensing.rate).max()) * self._radius
+        pulling = self.faults.drums_trusted & ~self.faults.torn
+        fastest = float(np.abs(self._sensing.rate * pulling).max()) * self._radius
         self._standing = self._standing + self._period if fastest < stop.rest_speed else 0.0
         if self.stop_mode is not StopMode.PASSIVE:
             return
