@@ -23,7 +23,8 @@ from config.schema.root import Config
 from config.schema.scenario import Scenario
 from config.schema.tuning import Tuning
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent
+"""The folder of the shipped files itself, whichever link this module was imported through."""
 Overrides = dict[str, Any]
 Model = TypeVar("Model", bound=BaseModel)
 
