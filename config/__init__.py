@@ -4,9 +4,9 @@
 file, line, key, rule and remedy. This room depends on no other.
 """
 
-from config.errors import ConfigError
-from config.loader import load
-from config.schema.root import Config
-from config.schema.scenario import Scenario
+from tonus.config.errors import ConfigError
+from tonus.config.loader import load
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
 
 __all__ = ["Config", "ConfigError", "Scenario", "load"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from config.schema.bus import CanopenBus, Channel
+from tonus.config.schema.bus import CanopenBus, Channel
 
 FRAME_BITS = 44
 STUFFABLE_BITS = 34

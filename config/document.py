@@ -10,7 +10,7 @@ import yaml
 from yaml.composer import ComposerError
 from yaml.reader import ReaderError
 
-from config.errors import ConfigError
+from tonus.config.errors import ConfigError
 
 Key = tuple[str | int, ...]
 Scalar = str | int | float | bool | None

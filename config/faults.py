@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from config.schema.base import Section
-from config.schema.faults import Fault
+from tonus.config.schema.base import Section
+from tonus.config.schema.faults import Fault
 
 
 @dataclass(frozen=True)

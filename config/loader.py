@@ -10,18 +10,18 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from config.document import Document, Key, dotted, is_file, read
-from config.errors import ConfigError
-from config.relaxed import unnamed_risks
-from config.schema.bounds import Bounds
-from config.schema.budget import Budget
-from config.schema.campaign import Study
-from config.schema.least_stop import LeastStops
-from config.schema.plausible import Plausible
-from config.schema.protocol import Protocol
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from config.schema.tuning import Tuning
+from tonus.config.document import Document, Key, dotted, is_file, read
+from tonus.config.errors import ConfigError
+from tonus.config.relaxed import unnamed_risks
+from tonus.config.schema.bounds import Bounds
+from tonus.config.schema.budget import Budget
+from tonus.config.schema.campaign import Study
+from tonus.config.schema.least_stop import LeastStops
+from tonus.config.schema.plausible import Plausible
+from tonus.config.schema.protocol import Protocol
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.config.schema.tuning import Tuning
 
 HERE = Path(__file__).resolve().parent
 """The folder of the shipped files itself, whichever link this module was imported through."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from config.document import Key, dotted
-from config.schema.place import DEFAULTS, LARGEST_JITTER_MS, LARGEST_STALE_TICKS
-from config.schema.root import Config
+from tonus.config.document import Key, dotted
+from tonus.config.schema.place import DEFAULTS, LARGEST_JITTER_MS, LARGEST_STALE_TICKS
+from tonus.config.schema.root import Config
 
 
 def unnamed_risks(config: Config) -> Iterator[tuple[Key, str, str]]:

@@ -5,8 +5,8 @@ A value that a configuration states itself stands; `tonus check` holds it to the
 
 from __future__ import annotations
 
-from config.schema.bus import CanopenBus, Device, EthercatBus, Master
-from config.schema.tolerance import Tolerance
+from tonus.config.schema.bus import CanopenBus, Device, EthercatBus, Master
+from tonus.config.schema.tolerance import Tolerance
 
 
 def least_master_timeout_ms(bus: CanopenBus, tolerance: Tolerance) -> int:

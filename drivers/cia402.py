@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.process_image import AxisCommand, AxisState
+from tonus.drivers.process_image import AxisCommand, AxisState
 
 SHUTDOWN = 0x06
 SWITCH_ON = 0x07

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from config.schema.bus import DirectBus
-from config.schema.robot import CABLES
-from config.schema.root import Config
-from drivers import epos4
-from drivers.errors import BringUpError, DriverError, SdoError
-from drivers.events import EventLog
-from drivers.exchange import Exchange
-from drivers.fieldbus import BusEvent, Progress
-from drivers.process_image import ProcessImage
-from drivers.setting import apply
+from tonus.config.schema.bus import DirectBus
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.root import Config
+from tonus.drivers import epos4
+from tonus.drivers.errors import BringUpError, DriverError, SdoError
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import Exchange
+from tonus.drivers.fieldbus import BusEvent, Progress
+from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.setting import apply
 
 
 class DirectPort(Protocol):

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from config.schema.bus import Drive, EthercatDrive
-from config.schema.robot import Robot
-from drivers.errors import DriverError
-from drivers.setting import Kind, Setting
+from tonus.config.schema.bus import Drive, EthercatDrive
+from tonus.config.schema.robot import Robot
+from tonus.drivers.errors import DriverError
+from tonus.drivers.setting import Kind, Setting
 
 CONTROLWORD = 0x60400010
 TARGET_TORQUE = 0x60710010

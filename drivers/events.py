@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass
 
-from drivers.fieldbus import BusEvent
+from tonus.drivers.fieldbus import BusEvent
 
 CAPACITY = 256
 """Events kept between two calls of `take`; what does not fit is counted and said."""

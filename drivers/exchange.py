@@ -13,14 +13,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.bus import CELLS, Amplifier, ForceCell
-from config.schema.control import Freshness
-from config.schema.robot import CABLES, Robot
-from drivers.cia402 import STATE_OF, Cia402Axis
-from drivers.epos4 import Scale
-from drivers.events import EventLog
-from drivers.force_cell import divisor
-from drivers.process_image import NEVER, AxisCommand, AxisState, ProcessImage
+from tonus.config.schema.bus import CELLS, Amplifier, ForceCell
+from tonus.config.schema.control import Freshness
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.drivers.cia402 import STATE_OF, Cia402Axis
+from tonus.drivers.epos4 import Scale
+from tonus.drivers.events import EventLog
+from tonus.drivers.force_cell import divisor
+from tonus.drivers.process_image import NEVER, AxisCommand, AxisState, ProcessImage
 
 NOT_YET = -(1 << 32)
 """A sample's tick before there was one."""

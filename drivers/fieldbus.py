@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.process_image import ProcessImage
+from tonus.drivers.process_image import ProcessImage
 
 Progress = Callable[[str], None]
 """Called with one short line for each step of a bring-up."""
@@ -45,7 +45,7 @@ class BusEvent:
     """Something a person should read later: which node, what, in words."""
 
     name: str
-    """one of `drivers.events.EVENTS`"""
+    """one of `tonus.drivers.events.EVENTS`"""
     where: str
     """channel and node, as in can1/3"""
     text: str

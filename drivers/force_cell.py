@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from config.schema.bus import Amplifier, ForceCell
-from drivers.setting import Kind, Setting
+from tonus.config.schema.bus import Amplifier, ForceCell
+from tonus.drivers.setting import Kind, Setting
 
 REAL32 = 0x61300120
 INT16 = 0x71300110

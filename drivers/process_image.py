@@ -7,8 +7,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from config.schema.bus import CELLS
-from config.schema.robot import CABLES
+from tonus.config.schema.bus import CELLS
+from tonus.config.schema.robot import CABLES
 
 NEVER = np.iinfo(np.uint16).max
 """Age of a measurement that has not arrived yet, in ticks."""

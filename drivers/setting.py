@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from drivers.errors import DriverError
+from tonus.drivers.errors import DriverError
 
 
 class Kind(Enum):

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import EthercatBus, SeveralBuses, devices
-from config.schema.root import Config
-from drivers.errors import DriverError
-from drivers.fieldbus import BusEvent, Fieldbus, Progress
-from drivers.process_image import AxisCommand, ProcessImage
+from tonus.config.schema.bus import EthercatBus, SeveralBuses, devices
+from tonus.config.schema.root import Config
+from tonus.drivers.errors import DriverError
+from tonus.drivers.fieldbus import BusEvent, Fieldbus, Progress
+from tonus.drivers.process_image import AxisCommand, ProcessImage
 
 Build = Callable[[Config, ProcessImage], Fieldbus]
 """Makes the fieldbus of a configuration with one bus, on an image of its own."""

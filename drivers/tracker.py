@@ -10,10 +10,10 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.errors import DriverError
-from drivers.events import EventLog
-from drivers.fieldbus import BusEvent
-from drivers.process_image import ProcessImage
+from tonus.drivers.errors import DriverError
+from tonus.drivers.events import EventLog
+from tonus.drivers.fieldbus import BusEvent
+from tonus.drivers.process_image import ProcessImage
 
 DATAGRAM = struct.Struct("<4sHHIIq3d4df")
 MAGIC = b"TNTK"

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from statistics import fmean, median
 from typing import Literal
 
-from runtime.clock import pause, wall_seconds
+from tonus.runtime.clock import pause, wall_seconds
 
 Choice = Literal["own", "all"]
 Undo = Callable[[], object]

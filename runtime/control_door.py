@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from runtime.daemon import Daemon
-from runtime.operator import Console
-from runtime.signals import Grade
-from runtime.states import (
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.runtime.daemon import Daemon
+from tonus.runtime.operator import Console
+from tonus.runtime.signals import Grade
+from tonus.runtime.states import (
     ARMED,
     MEANING,
     MOVES,
@@ -29,8 +29,8 @@ from runtime.states import (
     Operator,
     State,
 )
-from runtime.taps import Level
-from runtime.words import describe
+from tonus.runtime.taps import Level
+from tonus.runtime.words import describe
 
 Reply = dict[str, Any]
 _LINE = 400

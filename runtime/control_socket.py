@@ -21,9 +21,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
-from config.schema.operation import ControlSocket as Settings
-from runtime.errors import DaemonError
-from runtime.socket_client import SocketClient
+from tonus.config.schema.operation import ControlSocket as Settings
+from tonus.runtime.errors import DaemonError
+from tonus.runtime.socket_client import SocketClient
 
 _CREDENTIALS = struct.Struct("@iII")
 """struct ucred: process, user, group"""

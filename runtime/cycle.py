@@ -14,29 +14,29 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import Tracker
-from config.schema.control import Control
-from config.schema.robot import CABLES, Robot
-from config.schema.scenario import Reference
-from drivers.process_image import AxisCommand, ProcessImage
-from runtime.controllers import CONTROLLERS, Motion
-from runtime.controllers.base import norm, share
-from runtime.descent import Descent
-from runtime.distribution import TensionDistribution, delivered, opposition, tension_bounds
-from runtime.envelope import Envelope
-from runtime.estimator import Doubts, Estimate, PoseEstimator
-from runtime.guide import Guide
-from runtime.isolation import Isolation
-from runtime.kinematics import Kinematics
-from runtime.passivity import Limiter
-from runtime.recording import write_measured, write_motion
-from runtime.referencing import Referencing
-from runtime.sensing import Sensing
-from runtime.sequence import Sequence
-from runtime.signals import CycleRecord, Solver
-from runtime.states import ARMED, Operator, State
-from runtime.stiffness import LawTerms
-from runtime.tension import TensionLoop, drum_motion
+from tonus.config.schema.bus import Tracker
+from tonus.config.schema.control import Control
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.scenario import Reference
+from tonus.drivers.process_image import AxisCommand, ProcessImage
+from tonus.runtime.controllers import CONTROLLERS, Motion
+from tonus.runtime.controllers.base import norm, share
+from tonus.runtime.descent import Descent
+from tonus.runtime.distribution import TensionDistribution, delivered, opposition, tension_bounds
+from tonus.runtime.envelope import Envelope
+from tonus.runtime.estimator import Doubts, Estimate, PoseEstimator
+from tonus.runtime.guide import Guide
+from tonus.runtime.isolation import Isolation
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.passivity import Limiter
+from tonus.runtime.recording import write_measured, write_motion
+from tonus.runtime.referencing import Referencing
+from tonus.runtime.sensing import Sensing
+from tonus.runtime.sequence import Sequence
+from tonus.runtime.signals import CycleRecord, Solver
+from tonus.runtime.states import ARMED, Operator, State
+from tonus.runtime.stiffness import LawTerms
+from tonus.runtime.tension import TensionLoop, drum_motion
 
 Array = NDArray[np.float64]
 _NOBODY = np.zeros(CABLES, dtype=bool)

@@ -13,26 +13,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from drivers.fieldbus import Fieldbus, Progress
-from runtime.clock import Stopwatch, now_ns
-from runtime.cycle import ControlCycle
-from runtime.fallback import Fallback
-from runtime.firewall import Firewall, Part, in_one_line
-from runtime.guarded_parts import GuardedParts
-from runtime.keyframe_keeper import KeyframeKeeper, KeyframeSink
-from runtime.latencies import Latencies, Marks
-from runtime.operator import Commander
-from runtime.overruns import Overruns
-from runtime.ports import Ring, TrackerDoor
-from runtime.reporter import EventSink, Reporter
-from runtime.scheduler import Misses, Pacing, Scheduler
-from runtime.self_test import SelfTest
-from runtime.signals import CycleRecord
-from runtime.states import ARMED, Fault, Operator, State
-from runtime.taps import Level
-from runtime.words import describe
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.drivers.fieldbus import Fieldbus, Progress
+from tonus.runtime.clock import Stopwatch, now_ns
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.fallback import Fallback
+from tonus.runtime.firewall import Firewall, Part, in_one_line
+from tonus.runtime.guarded_parts import GuardedParts
+from tonus.runtime.keyframe_keeper import KeyframeKeeper, KeyframeSink
+from tonus.runtime.latencies import Latencies, Marks
+from tonus.runtime.operator import Commander
+from tonus.runtime.overruns import Overruns
+from tonus.runtime.ports import Ring, TrackerDoor
+from tonus.runtime.reporter import EventSink, Reporter
+from tonus.runtime.scheduler import Misses, Pacing, Scheduler
+from tonus.runtime.self_test import SelfTest
+from tonus.runtime.signals import CycleRecord
+from tonus.runtime.states import ARMED, Fault, Operator, State
+from tonus.runtime.taps import Level
+from tonus.runtime.words import describe
 
 _NOTICEABLE_S = 0.5
 """Slowing at the start and at the end takes a tenth of a second; more was the envelope."""

@@ -12,12 +12,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.control import Control
-from config.schema.robot import CABLES, Robot
-from runtime.distribution import TensionDistribution
-from runtime.faults import Faults
-from runtime.guard import Guard
-from runtime.tension import TensionLoop
+from tonus.config.schema.control import Control
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.runtime.distribution import TensionDistribution
+from tonus.runtime.faults import Faults
+from tonus.runtime.guard import Guard
+from tonus.runtime.tension import TensionLoop
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -26,9 +26,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
-from config.schema.control import Distribution as Settings
-from config.schema.robot import CABLES
-from runtime.signals import Solver
+from tonus.config.schema.control import Distribution as Settings
+from tonus.config.schema.robot import CABLES
+from tonus.runtime.signals import Solver
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.control import Envelope as Settings
-from config.schema.control import StiffnessLaw
-from config.schema.robot import Robot, Tension
-from runtime.signals import Bound, Grade
-from runtime.states import Fault
+from tonus.config.schema.control import Envelope as Settings
+from tonus.config.schema.control import StiffnessLaw
+from tonus.config.schema.robot import Robot, Tension
+from tonus.runtime.signals import Bound, Grade
+from tonus.runtime.states import Fault
 
 Array = NDArray[np.float64]
 _GRADED = (Bound.CONTACT, Bound.SPEED, Bound.WORKSPACE, Bound.TENSION_HIGH)

@@ -5,8 +5,8 @@ missed) and the optical tracker (its own rate and latency, coarse, but right). O
 extended Kalman filter holds both, 27 states: pose, twist, external wrench, and the constants of
 calibration, an offset of each cable's length and the excess of the cables' compliance over the
 nominal one. The orientation is a quaternion; only its error, a rotation vector in the base frame,
-has a covariance. Predict and correct are filterpy's algebra, compiled (`runtime.compiled`) and held
-against filterpy by test.
+has a covariance. Predict and correct are filterpy's algebra, compiled (`tonus.runtime.compiled`)
+and held against filterpy by test.
 
 - The measured cable wrench drives the prediction as an accelerometer would, so that velocity needs
   no differentiation; what it leaves unexplained is the external wrench.
@@ -26,11 +26,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import Tracker
-from config.schema.control import Control
-from config.schema.control import Estimator as Settings
-from config.schema.robot import CABLES, Robot
-from runtime.compiled import (
+from tonus.config.schema.bus import Tracker
+from tonus.config.schema.control import Control
+from tonus.config.schema.control import Estimator as Settings
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.runtime.compiled import (
     ERRORS,
     EXCESS,
     EXTERNAL,
@@ -43,9 +43,9 @@ from runtime.compiled import (
     rotation_between,
     track,
 )
-from runtime.disagreement import Disagreement
-from runtime.kinematics import Kinematics
-from runtime.signals import Consistency
+from tonus.runtime.disagreement import Disagreement
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.signals import Consistency
 
 Array = NDArray[np.float64]
 _FIT_ITERATIONS = 2

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from config.schema.root import Config
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
-from runtime.cycle import ControlCycle
-from runtime.firewall import Part
-from runtime.states import State
+from tonus.config.schema.root import Config
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.firewall import Part
+from tonus.runtime.states import State
 
 
 class Fallback:

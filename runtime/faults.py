@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import CELLS
-from config.schema.robot import CABLES
-from runtime.states import Fault
+from tonus.config.schema.bus import CELLS
+from tonus.config.schema.robot import CABLES
+from tonus.runtime.states import Fault
 
 CABLE_GONE = frozenset(
     {

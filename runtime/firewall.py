@@ -11,8 +11,8 @@ import traceback
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
-from drivers.events import Meaning
-from drivers.fieldbus import BusEvent
+from tonus.drivers.events import Meaning
+from tonus.drivers.fieldbus import BusEvent
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from runtime.firewall import Firewall
+from tonus.runtime.firewall import Firewall
 
 
 class GuardedParts:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.fieldbus import FrameTap
-from runtime.firewall import Part
+from tonus.drivers.fieldbus import FrameTap
+from tonus.runtime.firewall import Part
 
 
 class GuardedTap:

@@ -10,11 +10,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.control import Envelope, Sequence
-from config.schema.robot import Robot
-from config.schema.scenario import Reference
-from runtime.reference import Move, Sample, trajectory
-from runtime.states import State
+from tonus.config.schema.control import Envelope, Sequence
+from tonus.config.schema.robot import Robot
+from tonus.config.schema.scenario import Reference
+from tonus.runtime.reference import Move, Sample, trajectory
+from tonus.runtime.states import State
 
 Array = NDArray[np.float64]
 _ORIGIN = np.zeros(3)

@@ -28,10 +28,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.control import Isolation as Settings
-from config.schema.control import Stop
-from config.schema.robot import CABLES, Robot
-from runtime.states import Fault
+from tonus.config.schema.control import Isolation as Settings
+from tonus.config.schema.control import Stop
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.runtime.states import Fault
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]

@@ -22,8 +22,8 @@ import clarabel
 import numpy as np
 from pydantic import BaseModel
 
-from runtime.errors import DaemonError
-from runtime.signals import CycleRecord
+from tonus.runtime.errors import DaemonError
+from tonus.runtime.signals import CycleRecord
 
 VERSION = 1
 _CONSTANT = (BaseModel, FunctionType, clarabel.DefaultSolver)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
-from runtime.keyframe import Keyframe
+from tonus.runtime.keyframe import Keyframe
 
 
 class KeyframeSink(Protocol):

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.robot import Geometry
-from runtime.compiled import condition, forward, geometry
+from tonus.config.schema.robot import Geometry
+from tonus.runtime.compiled import condition, forward, geometry
 
 Array = NDArray[np.float64]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from runtime.histogram import Histogram
-from runtime.scheduler import Scheduler
-from runtime.signals import CycleRecord
+from tonus.runtime.histogram import Histogram
+from tonus.runtime.scheduler import Scheduler
+from tonus.runtime.signals import CycleRecord
 
 
 class Marks(NamedTuple):

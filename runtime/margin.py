@@ -2,8 +2,8 @@
 would hide the lack of them.
 
 One cable, its platform end fixed: drum, elastic cable, current loop and force cell as a continuous
-model under a zero-order hold; the loop of `runtime.tension` with its two ticks from sampling to
-effect; the loop is cut where the torque acts.
+model under a zero-order hold; the loop of `tonus.runtime.tension` with its two ticks from sampling
+to effect; the loop is cut where the torque acts.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from config.schema.control import TensionLoop
-from config.schema.robot import Robot
+from tonus.config.schema.control import TensionLoop
+from tonus.config.schema.robot import Robot
 
 Array = NDArray[np.float64]
 DELAY_TICKS = 2

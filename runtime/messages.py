@@ -9,10 +9,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.mcap_file import Block, McapFile
-from runtime.ring import Meta, RingError
-from runtime.taps import EVENT, FRAME, KEYFRAME
-from runtime.topics import from_json, record_dtype
+from tonus.runtime.mcap_file import Block, McapFile
+from tonus.runtime.ring import Meta, RingError
+from tonus.runtime.taps import EVENT, FRAME, KEYFRAME
+from tonus.runtime.topics import from_json, record_dtype
 
 FRAME_DEFINITION = """\
 std_msgs/Header header

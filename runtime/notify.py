@@ -8,7 +8,7 @@ import socket
 from collections.abc import Mapping
 from contextlib import suppress
 
-from runtime.states import MEANING, State
+from tonus.runtime.states import MEANING, State
 
 _US_NS = 1000
 

@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Protocol
 
-from config.schema.scenario import Command
-from runtime.sequence import Sequence
-from runtime.states import ARMED, Operator, State
+from tonus.config.schema.scenario import Command
+from tonus.runtime.sequence import Sequence
+from tonus.runtime.states import ARMED, Operator, State
 
 
 class Commander(Protocol):

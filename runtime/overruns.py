@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from config.schema.realtime import RealTime
-from runtime.states import ARMED, Operator, State
+from tonus.config.schema.realtime import RealTime
+from tonus.runtime.states import ARMED, Operator, State
 
 _YIELDING = (Operator.NONE, Operator.START, Operator.HOLD)
 """what the operator may have said that a policy takes the place of"""

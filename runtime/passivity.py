@@ -24,9 +24,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.control import Passivity, StiffnessLaw
-from config.schema.robot import Robot
-from runtime.kinematics import Kinematics
+from tonus.config.schema.control import Passivity, StiffnessLaw
+from tonus.config.schema.robot import Robot
+from tonus.runtime.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 

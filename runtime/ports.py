@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.fieldbus import BusEvent
+from tonus.drivers.fieldbus import BusEvent
 
 
 class TrackerDoor(Protocol):

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from config.schema.realtime import Processor, Processors, RealTime
-from runtime.awake import Choice, Comparison, Undo, compare
-from runtime.errors import DaemonError
+from tonus.config.schema.realtime import Processor, Processors, RealTime
+from tonus.runtime.awake import Choice, Comparison, Undo, compare
+from tonus.runtime.errors import DaemonError
 
 _MCL_CURRENT_AND_FUTURE = 1 | 2
 _PR_SET_TIMERSLACK = 29

@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.control import Recording
-from runtime.mcap_file import Block
-from runtime.messages import Encoder
-from runtime.ring import RingReader
-from runtime.segment import CYCLE_RING, Segment, cycle_dtype, next_name
-from runtime.taps import EVENT, Level
-from runtime.viewer import Scene
+from tonus.config.schema.control import Recording
+from tonus.runtime.mcap_file import Block
+from tonus.runtime.messages import Encoder
+from tonus.runtime.ring import RingReader
+from tonus.runtime.segment import CYCLE_RING, Segment, cycle_dtype, next_name
+from tonus.runtime.taps import EVENT, Level
+from tonus.runtime.viewer import Scene
 
 Watch = Callable[[np.void, int], None]
 """Receives the newest cycle record and its stamp in ns."""

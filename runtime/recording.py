@@ -1,8 +1,8 @@
 """Compiled writers of the cycle record's larger parts: a call each, where assigning array by array
 costs three to five times as much.
 
-They write the same named fields that `runtime.signals` lists. What a tick writes besides, it writes
-through the views of `CycleRecord`.
+They write the same named fields that `tonus.runtime.signals` lists. What a tick writes besides, it
+writes through the views of `CycleRecord`.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.scenario import Hold, Multisine, Path, Press, Reference, Sine
+from tonus.config.schema.scenario import Hold, Multisine, Path, Press, Reference, Sine
 
 Array = NDArray[np.float64]
 Sample = tuple[Array, Array, Array]

@@ -7,11 +7,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.control import Sequence
-from config.schema.robot import CABLES, Robot
-from drivers.process_image import ProcessImage
-from runtime.compiled import rotate, rotation_between
-from runtime.kinematics import Kinematics
+from tonus.config.schema.control import Sequence
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.drivers.process_image import ProcessImage
+from tonus.runtime.compiled import rotate, rotation_between
+from tonus.runtime.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from config.schema.robot import CABLES
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
-from runtime.cycle import ControlCycle
-from runtime.descent import Descent
-from runtime.envelope import Envelope
-from runtime.states import Operator, State
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.descent import Descent
+from tonus.runtime.envelope import Envelope
+from tonus.runtime.states import Operator, State
 
 TICKS_AFTER_START = 50
 _TRACKER_DIVISOR = 8

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from config.schema.root import Config
-from runtime.cycle import ControlCycle
-from runtime.sequence import MOVING
-from runtime.signals import Consistency, Grade
-from runtime.states import ARMED, Fault, State, StopMode
-from runtime.taps import Level
-from runtime.words import STOP_TEXT, describe, place, reaction
+from tonus.config.schema.root import Config
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.sequence import MOVING
+from tonus.runtime.signals import Consistency, Grade
+from tonus.runtime.states import ARMED, Fault, State, StopMode
+from tonus.runtime.taps import Level
+from tonus.runtime.words import STOP_TEXT, describe, place, reaction
 
 _CONSISTENCY = {
     Consistency.GOOD: "lengths, tensions and tracker fit together again",

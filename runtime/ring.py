@@ -21,7 +21,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import DaemonError
+from tonus.runtime.errors import DaemonError
 
 Meta = dict[str, Any]
 """JSON object; ``kind`` says what the payload is: record, frames or events."""

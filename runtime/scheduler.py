@@ -14,8 +14,8 @@ import struct
 from dataclasses import dataclass
 from typing import Protocol
 
-from runtime.clock import Stopwatch, Usage, loop_clock
-from runtime.errors import SchedulingError
+from tonus.runtime.clock import Stopwatch, Usage, loop_clock
+from tonus.runtime.errors import SchedulingError
 
 _CLOCK_MONOTONIC = 1
 _TIMER_ABSTIME = 1

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.control import Recording
-from runtime.mcap_file import Block, McapFile
-from runtime.messages import Encoder, EventEncoder, encoder
-from runtime.ring import Meta
-from runtime.topics import from_json, record_dtype
-from runtime.viewer import Scene, ViewerEncoder
+from tonus.config.schema.control import Recording
+from tonus.runtime.mcap_file import Block, McapFile
+from tonus.runtime.messages import Encoder, EventEncoder, encoder
+from tonus.runtime.ring import Meta
+from tonus.runtime.topics import from_json, record_dtype
+from tonus.runtime.viewer import Scene, ViewerEncoder
 
 CYCLE_RING = "cycle.ring"
 """the ring of the cycle records, which viewers' messages are made of"""

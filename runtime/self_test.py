@@ -10,11 +10,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from config.schema.bus import CONTACT_CELL
-from config.schema.root import Config
-from drivers.process_image import AxisState, ProcessImage
-from runtime.cycle import ControlCycle
-from runtime.words import axis_name, cell_name
+from tonus.config.schema.bus import CONTACT_CELL
+from tonus.config.schema.root import Config
+from tonus.drivers.process_image import AxisState, ProcessImage
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.words import axis_name, cell_name
 
 _DISABLED = (
     int(AxisState.SWITCH_ON_DISABLED),

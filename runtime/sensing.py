@@ -10,11 +10,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.bus import CELLS, CONTACT_CELL
-from config.schema.control import Control
-from config.schema.robot import CABLES, Robot
-from drivers.process_image import NEVER, ProcessImage
-from runtime.filters import ButterworthBank
+from tonus.config.schema.bus import CELLS, CONTACT_CELL
+from tonus.config.schema.control import Control
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.drivers.process_image import NEVER, ProcessImage
+from tonus.runtime.filters import ButterworthBank
 
 Array = NDArray[np.float64]
 _MISSING = -1

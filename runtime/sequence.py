@@ -10,14 +10,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.control import Control
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
-from runtime.envelope import Envelope
-from runtime.faults import PASSIVE, Faults
-from runtime.isolation import Isolation
-from runtime.referencing import Referencing
-from runtime.sensing import Sensing
-from runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State, StopMode
+from tonus.config.schema.control import Control
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.envelope import Envelope
+from tonus.runtime.faults import PASSIVE, Faults
+from tonus.runtime.isolation import Isolation
+from tonus.runtime.referencing import Referencing
+from tonus.runtime.sensing import Sensing
+from tonus.runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State, StopMode
 
 _FAULTS = (int(AxisState.FAULT), int(AxisState.FAULT_REACTION_ACTIVE))
 FEWEST = 5

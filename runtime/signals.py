@@ -11,9 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from config.schema.bus import CELLS
-from config.schema.robot import CABLES
-from runtime.topics import Field, Topic, record_dtype
+from tonus.config.schema.bus import CELLS
+from tonus.config.schema.robot import CABLES
+from tonus.runtime.topics import Field, Topic, record_dtype
 
 SCHEMA_VERSION = 5
 """Counts up when a field changes its name, type, unit or meaning."""

@@ -7,7 +7,7 @@ import re
 import socket
 from collections import deque
 
-from config.schema.operation import ControlSocket as Settings
+from tonus.config.schema.operation import ControlSocket as Settings
 
 CHUNK_BYTES = 16384
 """taken from a connection at once"""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from config.schema.bus import DistributedClocks
-from runtime.scheduler import Pacing
+from tonus.config.schema.bus import DistributedClocks
+from tonus.runtime.scheduler import Pacing
 
 
 class Reference(Protocol):

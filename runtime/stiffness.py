@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from config.schema.control import StiffnessLaw
+from tonus.config.schema.control import StiffnessLaw
 
 
 @dataclass

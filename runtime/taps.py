@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from drivers.fieldbus import RAW_FRAME
-from runtime.ring import RingWriter
+from tonus.drivers.fieldbus import RAW_FRAME
+from tonus.runtime.ring import RingWriter
 
 FRAME = np.dtype(
     [
@@ -128,7 +128,7 @@ class FrameRing(RingWriter):
         return ring
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
-        """As `drivers.fieldbus.FrameTap` has it, at most as many as the ring holds."""
+        """As `tonus.drivers.fieldbus.FrameTap` has it, at most as many as the ring holds."""
         count = _strangers(frames)
         words, ring, slot = self._array, self._shape, self._slot
         _invalidate(words, ring, slot, count)

@@ -1,10 +1,10 @@
 """Stability margins of a whole controller: task-space loop round tension loop round plant.
 
-Translation along one axis at home, linear and frictionless, as in `runtime.margin`: the eight drums
-move in the pattern g_i = u_i . d of that axis, so that they are one drum behind one cable, and G =
-sum g_i^2 of them pull at the platform. The estimator is taken as exact but for its delay, so a load
-observer, which then sees only what comes from outside, changes nothing here. The loop is cut at the
-torque, where everything acts, and at the force, where the outer loop alone does.
+Translation along one axis at home, linear and frictionless, as in `tonus.runtime.margin`: the eight
+drums move in the pattern g_i = u_i . d of that axis, so that they are one drum behind one cable,
+and G = sum g_i^2 of them pull at the platform. The estimator is taken as exact but for its delay,
+so a load observer, which then sees only what comes from outside, changes nothing here. The loop is
+cut at the torque, where everything acts, and at the force, where the outer loop alone does.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from config.schema.control import TensionLoop
-from config.schema.root import Config
-from runtime.controllers import CONTROLLERS
-from runtime.controllers.linear import LinearLaw
-from runtime.kinematics import Kinematics
-from runtime.margin import DELAY_TICKS, UNSTABLE, Margins, frequencies, margins_of, stable
+from tonus.config.schema.control import TensionLoop
+from tonus.config.schema.root import Config
+from tonus.runtime.controllers import CONTROLLERS
+from tonus.runtime.controllers.linear import LinearLaw
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.margin import DELAY_TICKS, UNSTABLE, Margins, frequencies, margins_of, stable
 
 Array = NDArray[np.float64]
 _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

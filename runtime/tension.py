@@ -13,7 +13,7 @@ is filtered, and bounded so that a jump of T_ref gives no blow. M is what the dr
 on the desired motion: the drum's inertia and friction, and the gearbox's loss, which helps to hold
 a cable that runs out. It follows the desired motion and never the measured one: friction fed back
 by its own measured rate drives what it should cancel. Drum rate and tension are taken unfiltered: a
-filter's delay would cost the phase margin that `runtime.margin` computes.
+filter's delay would cost the phase margin that `tonus.runtime.margin` computes.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.control import TensionLoop as Settings
-from config.schema.robot import CABLES, Robot
+from tonus.config.schema.control import TensionLoop as Settings
+from tonus.config.schema.robot import CABLES, Robot
 
 Array = NDArray[np.float64]
 

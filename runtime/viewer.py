@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.robot import CABLES
-from config.schema.root import Config
-from runtime.cdr import Body, rows, set_stamp
-from runtime.mcap_file import Block, McapFile
-from runtime.viewer_messages import DEFINITIONS, JOINTS, MARKERS, POSE, TRANSFORMS
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.root import Config
+from tonus.runtime.cdr import Body, rows, set_stamp
+from tonus.runtime.mcap_file import Block, McapFile
+from tonus.runtime.viewer_messages import DEFINITIONS, JOINTS, MARKERS, POSE, TRANSFORMS
 
 Array = NDArray[np.float64]
 

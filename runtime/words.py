@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from config.schema.bus import CONTACT_CELL, CanopenBus, parts
-from config.schema.root import Config
-from runtime.faults import PASSIVE
-from runtime.states import Fault, StopMode
+from tonus.config.schema.bus import CONTACT_CELL, CanopenBus, parts
+from tonus.config.schema.root import Config
+from tonus.runtime.faults import PASSIVE
+from tonus.runtime.states import Fault, StopMode
 
 TEXT = {
     Fault.NONE: "no fault",

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from config.schema.lab import LabScript
-from config.schema.root import Config
-from sim.can.eds import eds
-from sim.can.faulty import FaultyChannel
-from sim.can.node import Node
-from sim.devices.device import Device
-from sim.devices.epos4 import Epos4
-from sim.devices.force_cell import ForceCell
-from sim.errors import LabError
-from sim.lab import Lab
+from tonus.config.schema.lab import LabScript
+from tonus.config.schema.root import Config
+from tonus.sim.can.eds import eds
+from tonus.sim.can.faulty import FaultyChannel
+from tonus.sim.can.node import Node
+from tonus.sim.devices.device import Device
+from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.force_cell import ForceCell
+from tonus.sim.errors import LabError
+from tonus.sim.lab import Lab
 
 _EPOS4_RATES = (20, 50, 125, 250, 500, 800, 1000)
 _CELL_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)

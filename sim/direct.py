@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from config.schema.robot import CABLES
-from sim.devices.epos4 import Epos4
-from sim.devices.force_cell import ForceCell
-from sim.devices.samples import CELL, POSITION, TORQUE, Samples
+from tonus.config.schema.robot import CABLES
+from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.force_cell import ForceCell
+from tonus.sim.devices.samples import CELL, POSITION, TORQUE, Samples
 
 
 class Devices(Protocol):
@@ -66,9 +66,9 @@ class DirectPort:
         )
 
     def read(self, axis: int, index: int, subindex: int) -> bytes:
-        """Raises `sim.devices.objects.AbortError`, a `LookupError`."""
+        """Raises `tonus.sim.devices.objects.AbortError`, a `LookupError`."""
         return self._lab.drives[axis].objects.read(index, subindex)
 
     def write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
-        """Raises `sim.devices.objects.AbortError`, a `LookupError`."""
+        """Raises `tonus.sim.devices.objects.AbortError`, a `LookupError`."""
         self._lab.drives[axis].objects.write(index, subindex, data)

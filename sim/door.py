@@ -15,15 +15,15 @@ from typing import Any, Literal, get_args
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from config.faults import KINDS, FaultKind
-from config.schema.base import Section
-from config.schema.faults import ClearFaults, Fault
-from config.schema.robot_faults import OfRobot
-from sim.devices.epos4 import Epos4
-from sim.devices.force_cell import ForceCell
-from sim.errors import LabError
-from sim.ethercat import verbs
-from sim.lab import Lab
+from tonus.config.faults import KINDS, FaultKind
+from tonus.config.schema.base import Section
+from tonus.config.schema.faults import ClearFaults, Fault
+from tonus.config.schema.robot_faults import OfRobot
+from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.force_cell import ForceCell
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat import verbs
+from tonus.sim.lab import Lab
 
 REQUEST_BYTES = 65536
 _LINE = 500

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from sim.door import REQUEST_BYTES, Door, refusal
-from sim.errors import LabError
+from tonus.sim.door import REQUEST_BYTES, Door, refusal
+from tonus.sim.errors import LabError
 
 _CREDENTIALS = struct.Struct("@iII")
 """struct ucred: process, user, group"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypedDict
 
-from config.schema.faults import (
+from tonus.config.schema.faults import (
     Babble,
     CellBreak,
     ClearFaults,
@@ -22,19 +22,19 @@ from config.schema.faults import (
     StuckBus,
     Unplug,
 )
-from config.schema.robot_faults import OfRobot
-from sim.can.faulty import FaultyChannel
-from sim.can.frame_faults import FrameFault
-from sim.can.node import Node
-from sim.devices.epos4 import Epos4
-from sim.devices.epos4_errors import ERRORS
-from sim.devices.force_cell import ForceCell
-from sim.devices.timers import Timers
-from sim.errors import LabError
-from sim.ethercat import faults as ethercat
-from sim.ethercat.segment import Segment
-from sim.plant.streams import Stream, generator
-from sim.robot_faults import RobotFaults, place
+from tonus.config.schema.robot_faults import OfRobot
+from tonus.sim.can.faulty import FaultyChannel
+from tonus.sim.can.frame_faults import FrameFault
+from tonus.sim.can.node import Node
+from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.epos4_errors import ERRORS
+from tonus.sim.devices.force_cell import ForceCell
+from tonus.sim.devices.timers import Timers
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat import faults as ethercat
+from tonus.sim.ethercat.segment import Segment
+from tonus.sim.plant.streams import Stream, generator
+from tonus.sim.robot_faults import RobotFaults, place
 
 _SECOND_NS = 1_000_000_000
 _OF_NODE = Unplug | Replug | PowerCycle | DriveError | DriveInput | CellBreak

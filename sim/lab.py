@@ -13,30 +13,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import CELLS, CanopenBus, DirectBus, EthercatBus, SeveralBuses
-from config.schema.faults import Fault, Replug, Unplug
-from config.schema.lab import LabScript
-from config.schema.robot import CABLES
-from config.schema.root import Config
-from sim.can import registry
-from sim.can.bus import NEVER
-from sim.can.faulty import FaultyChannel
-from sim.can.latency import Latency
-from sim.can.node import Node
-from sim.devices.epos4 import Epos4
-from sim.devices.force_cell import ForceCell
-from sim.devices.samples import Samples
-from sim.devices.timers import Callback
-from sim.devices.tracker import Tracker
-from sim.direct import DirectPort
-from sim.errors import LabError
-from sim.ethercat.build import build_segment
-from sim.ethercat.segment import Segment
-from sim.faults import ActiveFault, Faults
-from sim.plant import Plant
-from sim.robot_faults import RobotFaults
-from sim.statistics import PERIOD_NS, LoadWindow, Statistics, channel_statistics
-from sim.truth import TRUTH, fill
+from tonus.config.schema.bus import CELLS, CanopenBus, DirectBus, EthercatBus, SeveralBuses
+from tonus.config.schema.faults import Fault, Replug, Unplug
+from tonus.config.schema.lab import LabScript
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.root import Config
+from tonus.sim.can import registry
+from tonus.sim.can.bus import NEVER
+from tonus.sim.can.faulty import FaultyChannel
+from tonus.sim.can.latency import Latency
+from tonus.sim.can.node import Node
+from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.force_cell import ForceCell
+from tonus.sim.devices.samples import Samples
+from tonus.sim.devices.timers import Callback
+from tonus.sim.devices.tracker import Tracker
+from tonus.sim.direct import DirectPort
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat.build import build_segment
+from tonus.sim.ethercat.segment import Segment
+from tonus.sim.faults import ActiveFault, Faults
+from tonus.sim.plant import Plant
+from tonus.sim.robot_faults import RobotFaults
+from tonus.sim.statistics import PERIOD_NS, LoadWindow, Statistics, channel_statistics
+from tonus.sim.truth import TRUTH, fill
 
 TRUTH_PERIOD_NS = 1_000_000
 _SECOND_NS = 1_000_000_000
@@ -391,7 +391,7 @@ class Lab:
         self.call_at(at_ns, lambda _: self._faults.inject(fault))
 
     def robot_places(self, kind: str, *, axis: bool, cell: bool) -> list[str]:
-        """Where a kind of fault of the robot can happen; see `sim.robot_faults`."""
+        """Where a kind of fault of the robot can happen; see `tonus.sim.robot_faults`."""
         return self._robot_faults.places(kind, axis=axis, cell=cell)
 
     def faults(self) -> list[ActiveFault]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from config.schema.bus import CELLS
-from config.schema.robot import CABLES
-from config.schema.robot_faults import (
+from tonus.config.schema.bus import CELLS
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.robot_faults import (
     CableCut,
     CellFrozen,
     CellGain,
@@ -22,9 +22,9 @@ from config.schema.robot_faults import (
     Push,
     ShiftedTracker,
 )
-from sim.devices.tracker import Tracker
-from sim.errors import LabError
-from sim.plant import Plant
+from tonus.sim.devices.tracker import Tracker
+from tonus.sim.errors import LabError
+from tonus.sim.plant import Plant
 
 _Ender = Callable[[], None]
 

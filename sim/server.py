@@ -16,13 +16,13 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from config.places import LAB_DOOR
-from config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
-from config.schema.root import Config
-from sim.can.bridge import Bridge
-from sim.can.bus import Channel, Port
-from sim.can.frame import Frame
-from sim.can.packet import (
+from tonus.config.places import LAB_DOOR
+from tonus.config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
+from tonus.config.schema.root import Config
+from tonus.sim.can.bridge import Bridge
+from tonus.sim.can.bus import Channel, Port
+from tonus.sim.can.frame import Frame
+from tonus.sim.can.packet import (
     ECHO,
     FRAMES_PER_PACKET,
     PACKET_BYTES,
@@ -31,13 +31,13 @@ from sim.can.packet import (
     socket_path,
     sound,
 )
-from sim.door import Door
-from sim.door_socket import DoorSocket
-from sim.errors import LabError
-from sim.ethercat.port import SegmentPort
-from sim.ethercat.veth import close_pair, open_pair
-from sim.lab import Lab
-from sim.timer import WakeUp
+from tonus.sim.door import Door
+from tonus.sim.door_socket import DoorSocket
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat.port import SegmentPort
+from tonus.sim.ethercat.veth import close_pair, open_pair
+from tonus.sim.lab import Lab
+from tonus.sim.timer import WakeUp
 
 _IDLE_NS = 5_000_000
 """The longest the lab is left behind the present: the truth of a quiet lab keeps coming, and the

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import deque
 from typing import TypedDict
 
-from sim.can.bus import Port
-from sim.can.faulty import FaultyChannel
-from sim.can.frame import EXTENDED, EXTENDED_ID, REMOTE
-from sim.can.latency import Summary
+from tonus.sim.can.bus import Port
+from tonus.sim.can.faulty import FaultyChannel
+from tonus.sim.can.frame import EXTENDED, EXTENDED_ID, REMOTE
+from tonus.sim.can.latency import Summary
 
 PERIOD_NS = 100_000_000
 """How often the load is noted."""

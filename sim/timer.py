@@ -11,7 +11,7 @@ import os
 import struct
 from collections.abc import Callable
 
-from sim.errors import LabError
+from tonus.sim.errors import LabError
 
 _MONOTONIC = 1
 _ABSOLUTE = 1

@@ -12,8 +12,8 @@ from functools import partial
 
 import pytest
 
-from config.loader import HERE
-from runtime.realtime import stolen_jiffies
+from tonus.config.loader import HERE
+from tonus.runtime.realtime import stolen_jiffies
 
 TRIES = 3
 OUT = HERE.parent / "out"

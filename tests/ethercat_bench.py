@@ -6,12 +6,12 @@ import struct
 from functools import cache
 from typing import Any
 
-from config import load
-from config.schema.lab import LabScript
-from config.schema.root import Config
-from sim.ethercat.frames import Command, Datagram, build, parse, physical
-from sim.ethercat.slave import Slave
-from sim.lab import Lab
+from tonus.config import load
+from tonus.config.schema.lab import LabScript
+from tonus.config.schema.root import Config
+from tonus.sim.ethercat.frames import Command, Datagram, build, parse, physical
+from tonus.sim.ethercat.slave import Slave
+from tonus.sim.lab import Lab
 
 US, MS = 1_000, 1_000_000
 CHANNEL = "tonus0"

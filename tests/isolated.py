@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from runtime.states import Fault
-from sim.plant import Plant
 from tests.torn import Motion, Stopped, Torn, tear
+from tonus.runtime.states import Fault
+from tonus.sim.plant import Plant
 
 _SLIPPING = 0.02
 """s in which a cable slips"""
@@ -20,7 +20,7 @@ class Broken:
     """A fault of the plant at a cable."""
 
     kind: str
-    """of `config.faults`"""
+    """of `tonus.config.faults`"""
     size: str
     breaking: Callable[[Plant, int], object]
     names: frozenset[Fault]

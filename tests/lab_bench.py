@@ -9,10 +9,10 @@ from typing import Any, Self
 
 import can
 
-from config import load
-from config.schema.lab import LabScript
-from config.schema.root import Config
-from sim.lab import Lab
+from tonus.config import load
+from tonus.config.schema.lab import LabScript
+from tonus.config.schema.root import Config
+from tonus.sim.lab import Lab
 
 MS = 1_000_000
 

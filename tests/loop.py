@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config import load
-from config.schema.bus import CELLS, CONTACT_CELL
-from config.schema.root import Config
-from config.schema.scenario import Reference, Scenario
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
-from runtime.cycle import ControlCycle
-from runtime.operator import Script
-from runtime.signals import TOPICS
-from runtime.states import Operator, State
-from sim.devices.tracker import DATAGRAM, VALID, Tracker
-from sim.plant import Plant
-from sim.truth import TRUTH
+from tonus.config import load
+from tonus.config.schema.bus import CELLS, CONTACT_CELL
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Reference, Scenario
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.operator import Script
+from tonus.runtime.signals import TOPICS
+from tonus.runtime.states import Operator, State
+from tonus.sim.devices.tracker import DATAGRAM, VALID, Tracker
+from tonus.sim.plant import Plant
+from tonus.sim.truth import TRUTH
 
 Array = NDArray[np.float64]
 SAMPLE_OFFSET_NS = 50_000

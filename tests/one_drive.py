@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from config import load
-from config.schema.lab import LabScript
-from sim.devices.cia402 import State
-from sim.lab import Lab
+from tonus.config import load
+from tonus.config.schema.lab import LabScript
+from tonus.sim.devices.cia402 import State
+from tonus.sim.lab import Lab
 
 MS = 1_000_000
 CONFIG = load("config/direct.yaml")[0]

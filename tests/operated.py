@@ -13,18 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 from statue import OVERRIDES, Statue
 
-from config import Config, load
-from config.loader import load_scenario
-from drivers.fieldbus import BusEvent, Progress
-from drivers.process_image import ProcessImage
-from runtime import clock
-from runtime.control_door import ControlDoor
-from runtime.control_socket import ControlSocket
-from runtime.daemon import Daemon, Outcome
-from runtime.operator import Console, Script
-from runtime.scheduler import VirtualPacing
-from runtime.states import Fault, State
-from runtime.taps import Level
+from tonus.config import Config, load
+from tonus.config.loader import load_scenario
+from tonus.drivers.fieldbus import BusEvent, Progress
+from tonus.drivers.process_image import ProcessImage
+from tonus.runtime import clock
+from tonus.runtime.control_door import ControlDoor
+from tonus.runtime.control_socket import ControlSocket
+from tonus.runtime.daemon import Daemon, Outcome
+from tonus.runtime.operator import Console, Script
+from tonus.runtime.scheduler import VirtualPacing
+from tonus.runtime.states import Fault, State
+from tonus.runtime.taps import Level
 
 Spoil = Callable[[ProcessImage], None]
 NAMES = ("hold", "sine_x", "sine_y")

@@ -8,20 +8,20 @@ from typing import Any, TypeVar
 
 from pydantic import TypeAdapter
 
-from config import load
-from config.schema.bus import EthercatBus
-from config.schema.faults import Fault
-from config.schema.root import Config
-from drivers.ethercat.deterministic import DeterministicMaster
-from drivers.ethercat.master import EthercatFieldbus
-from drivers.ethercat.ring import injected_ring
-from drivers.fieldbus import BusEvent
-from drivers.process_image import AxisCommand, ProcessImage
-from runtime import clock
-from runtime.scheduler import VirtualPacing
-from runtime.steering import SteeredPacing
-from sim.ethercat.ring import Ring
-from sim.lab import Lab
+from tonus.config import load
+from tonus.config.schema.bus import EthercatBus
+from tonus.config.schema.faults import Fault
+from tonus.config.schema.root import Config
+from tonus.drivers.ethercat.deterministic import DeterministicMaster
+from tonus.drivers.ethercat.master import EthercatFieldbus
+from tonus.drivers.ethercat.ring import injected_ring
+from tonus.drivers.fieldbus import BusEvent
+from tonus.drivers.process_image import AxisCommand, ProcessImage
+from tonus.runtime import clock
+from tonus.runtime.scheduler import VirtualPacing
+from tonus.runtime.steering import SteeredPacing
+from tonus.sim.ethercat.ring import Ring
+from tonus.sim.lab import Lab
 
 Result = TypeVar("Result")
 PERIOD_NS = 1_000_000

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config import load
-from config.schema.bus import CELLS
-from config.schema.robot import CABLES
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
-from runtime.cycle import ControlCycle
-from runtime.kinematics import Kinematics
-from runtime.operator import Script
-from runtime.signals import CycleRecord
-from runtime.states import Operator, State
+from tonus.config import load
+from tonus.config.schema.bus import CELLS
+from tonus.config.schema.robot import CABLES
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.operator import Script
+from tonus.runtime.signals import CycleRecord
+from tonus.runtime.states import Operator, State
 
 Array = NDArray[np.float64]
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

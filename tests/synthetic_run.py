@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from config.schema.control import Recording
-from runtime.recorder import Recorder
-from runtime.ring import RingWriter
-from runtime.signals import CYCLE, TOPICS
-from runtime.states import Fault, State
-from runtime.taps import EventRing, FrameRing, Level
-from runtime.topics import Field, Topic, to_json
-from runtime.viewer import Scene
-from sim.truth import TRUTH, TRUTH_FIELDS
+from tonus.config.schema.control import Recording
+from tonus.runtime.recorder import Recorder
+from tonus.runtime.ring import RingWriter
+from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.states import Fault, State
+from tonus.runtime.taps import EventRing, FrameRing, Level
+from tonus.runtime.topics import Field, Topic, to_json
+from tonus.runtime.viewer import Scene
+from tonus.sim.truth import TRUTH, TRUTH_FIELDS
 
 MS = 1_000_000
 CHANNELS = ("can0", "can1")

@@ -17,12 +17,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.robot import CABLES
-from config.schema.scenario import Path, Reference, Waypoint
-from runtime.states import Fault, Operator, State, StopMode
-from sim.plant import Plant
 from tests.forked import forked
 from tests.loop import QUICK, ClosedLoop, Trace, configured
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.scenario import Path, Reference, Waypoint
+from tonus.runtime.states import Fault, Operator, State, StopMode
+from tonus.sim.plant import Plant
 
 Motion = Literal["rest", "towards", "away"]
 Place = tuple[float, float, float]

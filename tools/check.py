@@ -10,9 +10,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from config import Config, Scenario
-from config.busload import channel_load
-from config.schema.bus import (
+from tonus.config import Config, Scenario
+from tonus.config.busload import channel_load
+from tonus.config.schema.bus import (
     CELLS,
     Amplifier,
     CanopenBus,
@@ -24,16 +24,16 @@ from config.schema.bus import (
     ForceCell,
     parts,
 )
-from config.schema.robot import CABLES
-from config.schema.robot_faults import OfRobot, PhantomHit
-from drivers import epos4, force_cell
-from drivers.canopen import identifiers
-from drivers.canopen.pdo import Mapping, PdoError
-from drivers.canopen.process_data import drive_encoder
-from tools.check_ethercat import check_ethercat
-from tools.check_losses import check_losses
-from tools.mechanics import Finding, mechanics, scenario_rules
-from tools.plausibility import plausibility
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.robot_faults import OfRobot, PhantomHit
+from tonus.drivers import epos4, force_cell
+from tonus.drivers.canopen import identifiers
+from tonus.drivers.canopen.pdo import Mapping, PdoError
+from tonus.drivers.canopen.process_data import drive_encoder
+from tonus.tools.check_ethercat import check_ethercat
+from tonus.tools.check_losses import check_losses
+from tonus.tools.mechanics import Finding, mechanics, scenario_rules
+from tonus.tools.plausibility import plausibility
 
 __all__ = ["Finding", "check", "check_catalogue"]
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from config import Config
-from config.schema.bus import EthercatBus
-from drivers.errors import DriverError
-from drivers.ethercat.frames import COUNTER_BYTES, HEADER_BYTES, MAXIMUM_DATA
-from drivers.ethercat.slave import slaves
-from drivers.ethercat.status import MOST
-from tools.mechanics import Finding
+from tonus.config import Config
+from tonus.config.schema.bus import EthercatBus
+from tonus.drivers.errors import DriverError
+from tonus.drivers.ethercat.frames import COUNTER_BYTES, HEADER_BYTES, MAXIMUM_DATA
+from tonus.drivers.ethercat.slave import slaves
+from tonus.drivers.ethercat.status import MOST
+from tonus.tools.mechanics import Finding
 
 BYTE_NS = 80
 """100 Mbit/s."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from config import Config
-from config.schema.bus import CanopenBus, Drive, EthercatBus, ForceCell, devices, parts
-from config.timeouts import (
+from tonus.config import Config
+from tonus.config.schema.bus import CanopenBus, Drive, EthercatBus, ForceCell, devices, parts
+from tonus.config.timeouts import (
     least_master_timeout_ms,
     least_node_timeout_ms,
     least_watchdog_ms,
@@ -14,7 +14,7 @@ from config.timeouts import (
     node_timeout_ms,
     watchdog_ms,
 )
-from tools.mechanics import Finding
+from tonus.tools.mechanics import Finding
 
 LEAST_JITTER_MS = 20
 """EPOS4: a heartbeat consumer waits at least this much longer than the producer's period."""

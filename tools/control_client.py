@@ -8,8 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-from config.places import CONTROL_SOCKET, runtime_dir
-from tools.errors import ToolError
+from tonus.config.places import CONTROL_SOCKET, runtime_dir
+from tonus.tools.errors import ToolError
 
 PATIENCE_S = 15.0
 """a bus that is being brought up delays the first tick, and with it the answer to a command"""

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from config.schema.robot import Geometry, Tension, Workspace
-from runtime.compiled import geometry, rotate
+from tonus.config.schema.robot import Geometry, Tension, Workspace
+from tonus.runtime.compiled import geometry, rotate
 
 Array = NDArray[np.float64]
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])

@@ -7,24 +7,24 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import CanopenBus, DirectBus, EthercatBus, SeveralBuses, parts
-from config.schema.root import Config
-from drivers.canopen.master import CanopenFieldbus
-from drivers.direct import DirectFieldbus
-from drivers.ethercat.deterministic import DeterministicMaster
-from drivers.ethercat.master import EthercatFieldbus
-from drivers.ethercat.ring import injected_ring
-from drivers.ethercat.soem import SoemMaster
-from drivers.ethercat.wire import Wire
-from drivers.fieldbus import Fieldbus, FrameTap
-from drivers.process_image import ProcessImage
-from drivers.several import SeveralFieldbuses
-from runtime import clock
-from runtime.scheduler import Pacing
-from runtime.steering import SteeredPacing
-from sim.ethercat.ring import Ring
-from sim.lab import Lab
-from tools.errors import ToolError
+from tonus.config.schema.bus import CanopenBus, DirectBus, EthercatBus, SeveralBuses, parts
+from tonus.config.schema.root import Config
+from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.direct import DirectFieldbus
+from tonus.drivers.ethercat.deterministic import DeterministicMaster
+from tonus.drivers.ethercat.master import EthercatFieldbus
+from tonus.drivers.ethercat.ring import injected_ring
+from tonus.drivers.ethercat.soem import SoemMaster
+from tonus.drivers.ethercat.wire import Wire
+from tonus.drivers.fieldbus import Fieldbus, FrameTap
+from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.several import SeveralFieldbuses
+from tonus.runtime import clock
+from tonus.runtime.scheduler import Pacing
+from tonus.runtime.steering import SteeredPacing
+from tonus.sim.ethercat.ring import Ring
+from tonus.sim.lab import Lab
+from tonus.tools.errors import ToolError
 
 
 def channels(config: Config) -> list[str]:

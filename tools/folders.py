@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from tools.errors import ToolError
+from tonus.tools.errors import ToolError
 
 
 def make_folder(folder: Path, remedy: str = "choose another with --out") -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from runtime import clock
-from runtime.scheduler import VirtualPacing
+from tonus.runtime import clock
+from tonus.runtime.scheduler import VirtualPacing
 
 _NS = 1e-9
 

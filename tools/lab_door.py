@@ -7,8 +7,8 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from config.places import LAB_DOOR, runtime_dir
-from tools.errors import ToolError
+from tonus.config.places import LAB_DOOR, runtime_dir
+from tonus.tools.errors import ToolError
 
 REPLY_BYTES = 1 << 20
 PATIENCE_S = 5.0

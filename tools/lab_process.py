@@ -1,6 +1,6 @@
 """The lab as a process of its own, for runs in real time.
 
-    python -m tools.lab_process JOB
+    python -m tonus.tools.lab_process JOB
 
 JOB is a JSON file that `start_lab` writes. The process says "ready" on standard output when its
 sockets are open, and ends when its standard input closes: with the daemon that started it.
@@ -21,20 +21,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from config.places import runtime_dir
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from runtime import clock
-from runtime.realtime import freeze_collector, prepare
-from sim.errors import LabError
-from sim.lab import Lab, TruthSink
-from sim.server import serve
-from tools import output
-from tools.errors import ToolError
-from tools.truth import TruthRing
+from tonus.config.places import runtime_dir
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.runtime import clock
+from tonus.runtime.realtime import freeze_collector, prepare
+from tonus.sim.errors import LabError
+from tonus.sim.lab import Lab, TruthSink
+from tonus.sim.server import serve
+from tonus.tools import output
+from tonus.tools.errors import ToolError
+from tonus.tools.truth import TruthRing
 
 _READY = b"ready"
-_COMMAND = (sys.executable, "-m", "tools.lab_process")
+_COMMAND = (sys.executable, "-m", "tonus.tools.lab_process")
 _PIECE = 4096
 
 

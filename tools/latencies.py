@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from runtime.latencies import Latencies
-from tools.summary import Summary
+from tonus.runtime.latencies import Latencies
+from tonus.tools.summary import Summary
 
 
 def buckets(latencies: Latencies) -> dict[str, list[list[float]]]:

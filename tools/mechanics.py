@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from config import Config, Scenario
-from config.schema.lab import Load
-from config.schema.robot import Robot, Workspace
-from runtime.controllers.linear import NoLinearLawError
-from runtime.margin import tension_loop_margins
-from runtime.reference import trajectory
-from runtime.task_margin import margins
-from tools.feasibility import Feasibility, Poses, against, feasibility, poses, workspace_poses
+from tonus.config import Config, Scenario
+from tonus.config.schema.lab import Load
+from tonus.config.schema.robot import Robot, Workspace
+from tonus.runtime.controllers.linear import NoLinearLawError
+from tonus.runtime.margin import tension_loop_margins
+from tonus.runtime.reference import trajectory
+from tonus.runtime.task_margin import margins
+from tonus.tools.feasibility import Feasibility, Poses, against, feasibility, poses, workspace_poses
 
 Array = NDArray[np.float64]
 

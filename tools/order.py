@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from drivers.fieldbus import Progress
-from runtime.daemon import Outcome
-from runtime.latencies import Latencies
-from runtime.realtime import Grant
-from runtime.scheduler import Pacing
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.drivers.fieldbus import Progress
+from tonus.runtime.daemon import Outcome
+from tonus.runtime.latencies import Latencies
+from tonus.runtime.realtime import Grant
+from tonus.runtime.scheduler import Pacing
 
 
 @dataclass(frozen=True)

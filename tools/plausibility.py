@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from config import Config
-from config.loader import load_plausible
-from config.schema.plausible import Bound
-from tools.mechanics import Finding
+from tonus.config import Config
+from tonus.config.loader import load_plausible
+from tonus.config.schema.plausible import Bound
+from tonus.tools.mechanics import Finding
 
 
 def plausibility(config: Config) -> Iterator[Finding]:

@@ -10,10 +10,10 @@ from typing import Any
 
 import yaml
 
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from runtime.signals import SCHEMA_VERSION
-from tools import fieldbuses
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.runtime.signals import SCHEMA_VERSION
+from tonus.tools import fieldbuses
 
 _LIBRARIES = ("clarabel", "filterpy", "mcap", "numba", "numpy", "python-can", "scipy", "tonus")
 

@@ -1,7 +1,7 @@
 """Keeps a recorder alive: starts it, and again when it dies; what it had not written by then still
 stands in the rings. A process of its own, since starting one from the daemon would cost it a tick.
 
-    python -m tools.recorder_keeper PRIORITY RING_DIR COMMAND...
+    python -m tonus.tools.recorder_keeper PRIORITY RING_DIR COMMAND...
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from runtime.ring import RingReader
-from tools import output
+from tonus.runtime.ring import RingReader
+from tonus.tools import output
 
 INCOMPLETE = 3
 """exit code of a recorder that ended while the disk had no room"""

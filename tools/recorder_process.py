@@ -1,7 +1,7 @@
-"""The recorder as a process of its own, for runs in real time; `tools.recorder_keeper` starts it,
-and again when it dies.
+"""The recorder as a process of its own, for runs in real time; `tonus.tools.recorder_keeper` starts
+it, and again when it dies.
 
-    python -m tools.recorder_process RING_DIR OUT JOB
+    python -m tonus.tools.recorder_process RING_DIR OUT JOB
 
 JOB is a JSON file that `start` writes. The daemon holds the other end of this process's standard
 input: the byte "q" asks for the end of the recording, and a closed pipe without it means that the
@@ -24,18 +24,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from config.schema.control import Recording
-from config.schema.realtime import Processors
-from runtime.realtime import prepare
-from runtime.recorder import Recorder, Watch
-from runtime.ring import RingReader
-from runtime.taps import Level
-from runtime.viewer import Scene
-from tools import output
-from tools.cli.live import Live
-from tools.errors import ToolError
-from tools.event_lines import EventLines, for_journal
-from tools.recorder_keeper import INCOMPLETE
+from tonus.config.schema.control import Recording
+from tonus.config.schema.realtime import Processors
+from tonus.runtime.realtime import prepare
+from tonus.runtime.recorder import Recorder, Watch
+from tonus.runtime.ring import RingReader
+from tonus.runtime.taps import Level
+from tonus.runtime.viewer import Scene
+from tonus.tools import output
+from tonus.tools.cli.live import Live
+from tonus.tools.errors import ToolError
+from tonus.tools.event_lines import EventLines, for_journal
+from tonus.tools.recorder_keeper import INCOMPLETE
 
 JOB = "recorder.json"
 """what a recorder is to do, beside its rings"""
@@ -109,10 +109,24 @@ def start(
     }
     path = ring_dir / JOB
     path.write_text(json.dumps(job, sort_keys=True), encoding="utf-8")
-    command = [sys.executable, "-m", "tools.recorder_process", str(ring_dir), str(out), str(path)]
+    command = [
+        sys.executable,
+        "-m",
+        "tonus.tools.recorder_process",
+        str(ring_dir),
+        str(out),
+        str(path),
+    ]
     # A group of its own: Ctrl-C is for the daemon, which then decides when the recording ends.
     process = subprocess.Popen(
-        [sys.executable, "-m", "tools.recorder_keeper", str(priority), str(ring_dir), *command],
+        [
+            sys.executable,
+            "-m",
+            "tonus.tools.recorder_keeper",
+            str(priority),
+            str(ring_dir),
+            *command,
+        ],
         stdin=subprocess.PIPE,
         process_group=0,
     )

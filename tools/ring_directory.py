@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from config.places import runtime_dir
-from drivers.fieldbus import Progress
-from runtime.errors import DaemonError
-from tools.errors import ToolError
-from tools.folders import make_folder
-from tools.recorder_process import salvage
+from tonus.config.places import runtime_dir
+from tonus.drivers.fieldbus import Progress
+from tonus.runtime.errors import DaemonError
+from tonus.tools.errors import ToolError
+from tonus.tools.folders import make_folder
+from tonus.tools.recorder_process import salvage
 
 
 @contextmanager

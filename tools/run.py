@@ -14,45 +14,45 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
-from config.places import runtime_dir
-from config.schema.bus import DirectBus, parts
-from drivers.fieldbus import Fieldbus, FrameTap
-from drivers.process_image import ProcessImage
-from drivers.tracker import TrackerInput, TrackerSource, UdpTracker
-from runtime import clock
-from runtime.control_door import ControlDoor
-from runtime.control_socket import ControlSocket, ControlSocketError
-from runtime.daemon import Daemon, Outcome
-from runtime.firewall import Firewall
-from runtime.guarded_tap import GuardedTap
-from runtime.latencies import Latencies
-from runtime.notify import Notifier
-from runtime.operator import Console, Script
-from runtime.realtime import Hygiene, compared, demand, settled, stolen_jiffies
-from runtime.recorder import Recorder
-from runtime.rehearsal import rehearse
-from runtime.ring import RingWriter
-from runtime.scheduler import Pacing, TimerPacing, VirtualPacing
-from runtime.signals import CYCLE, TOPICS
-from runtime.states import State
-from runtime.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
-from runtime.topics import to_json
-from runtime.viewer import Scene
-from sim.lab import Lab
-from tools import fieldbuses, output, provenance
-from tools.cli.live import Live
-from tools.doctor import doctor
-from tools.errors import ToolError
-from tools.event_lines import EventLines, for_journal
-from tools.folders import make_folder
-from tools.idle_pacing import IdlePacing
-from tools.lab_process import LabProcess, start_lab
-from tools.order import Order, Result
-from tools.recorder_process import RecorderProcess, start
-from tools.repeat import every
-from tools.ring_directory import ring_directory
-from tools.run_folder import LOG, RunFolder
-from tools.truth import TruthRing
+from tonus.config.places import runtime_dir
+from tonus.config.schema.bus import DirectBus, parts
+from tonus.drivers.fieldbus import Fieldbus, FrameTap
+from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.tracker import TrackerInput, TrackerSource, UdpTracker
+from tonus.runtime import clock
+from tonus.runtime.control_door import ControlDoor
+from tonus.runtime.control_socket import ControlSocket, ControlSocketError
+from tonus.runtime.daemon import Daemon, Outcome
+from tonus.runtime.firewall import Firewall
+from tonus.runtime.guarded_tap import GuardedTap
+from tonus.runtime.latencies import Latencies
+from tonus.runtime.notify import Notifier
+from tonus.runtime.operator import Console, Script
+from tonus.runtime.realtime import Hygiene, compared, demand, settled, stolen_jiffies
+from tonus.runtime.recorder import Recorder
+from tonus.runtime.rehearsal import rehearse
+from tonus.runtime.ring import RingWriter
+from tonus.runtime.scheduler import Pacing, TimerPacing, VirtualPacing
+from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.states import State
+from tonus.runtime.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
+from tonus.runtime.topics import to_json
+from tonus.runtime.viewer import Scene
+from tonus.sim.lab import Lab
+from tonus.tools import fieldbuses, output, provenance
+from tonus.tools.cli.live import Live
+from tonus.tools.doctor import doctor
+from tonus.tools.errors import ToolError
+from tonus.tools.event_lines import EventLines, for_journal
+from tonus.tools.folders import make_folder
+from tonus.tools.idle_pacing import IdlePacing
+from tonus.tools.lab_process import LabProcess, start_lab
+from tonus.tools.order import Order, Result
+from tonus.tools.recorder_process import RecorderProcess, start
+from tonus.tools.repeat import every
+from tonus.tools.ring_directory import ring_directory
+from tonus.tools.run_folder import LOG, RunFolder
+from tonus.tools.truth import TruthRing
 
 __all__ = ["Order", "Result", "run"]
 

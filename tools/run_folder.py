@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from runtime.clock import wall_stamp
-from tools.errors import ToolError
-from tools.folders import make_folder
+from tonus.runtime.clock import wall_stamp
+from tonus.tools.errors import ToolError
+from tonus.tools.folders import make_folder
 
 OUT = Path("out")
 """the folder of all runs, where none is asked for"""

@@ -7,11 +7,11 @@ import os
 import re
 from pathlib import Path
 
-from config.document import read
-from config.loader import HERE, load, locate
-from tools.draft import write_whole
-from tools.errors import ToolError
-from tools.folders import make_folder
+from tonus.config.document import read
+from tonus.config.loader import HERE, load, locate
+from tonus.tools.draft import write_whole
+from tonus.tools.errors import ToolError
+from tonus.tools.folders import make_folder
 
 MAIN, WITHOUT_FRAMES = "robot.yaml", "direct.yaml"
 _SHOWN = "config"

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.states import Fault, State
-from tools.log import Log
+from tonus.runtime.states import Fault, State
+from tonus.tools.log import Log
 
 Array = NDArray[np.float64]
 Summary = dict[str, Any]

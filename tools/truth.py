@@ -1,4 +1,4 @@
-"""The lab's truth as a topic: the table of `sim.truth` put into a ring of its own."""
+"""The lab's truth as a topic: the table of `tonus.sim.truth` put into a ring of its own."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.ring import RingWriter
-from runtime.topics import Field, Topic, to_json
-from sim.truth import TRUTH, TRUTH_FIELDS
+from tonus.runtime.ring import RingWriter
+from tonus.runtime.topics import Field, Topic, to_json
+from tonus.sim.truth import TRUTH, TRUTH_FIELDS
 
 TOPIC = Topic(
     "/tonus/truth",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from config.schema.base import NonNegative, Positive, Section, Share
+from tonus.config.schema.base import NonNegative, Positive, Section, Share
 
 
 class FreeFall(Section):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Finite, Number, Section
+from tonus.config.schema.base import Finite, Number, Section
 
 Signal = Literal[
     "wakeup_us",

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from config.schema.base import Count, Fraction, NodeId, NonNegative, Positive, Section
-from config.schema.robot import CABLES
+from tonus.config.schema.base import Count, Fraction, NodeId, NonNegative, Positive, Section
+from tonus.config.schema.robot import CABLES
 
 CONTACT_CELL = CABLES
 """Row of the contact port's cell: the ninth, behind the eight cable cells."""
@@ -70,7 +70,7 @@ class Drive(Device):
     rpdo: tuple[MappingEntry, ...]
     master_timeout_ms: Count | None = None
     """heartbeat consumer 0x1016: the drive leaves Operation Enabled when the daemon is silent;
-    null: as `tolerance` has it (`config.timeouts`)"""
+    null: as `tolerance` has it (`tonus.config.timeouts`)"""
     interpolation_ms: Annotated[int, Field(ge=0, le=100)]
     """0x60C2: 0 for none and no RPDO timeout, else the period of the tick"""
     on_communication_error: Annotated[int, Field(ge=0, le=2)]

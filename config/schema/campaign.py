@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from config.faults import KINDS
-from config.schema.base import Count, Finite, Fraction, NonNegative, Positive, Section
-from config.schema.control import ControllerName
+from tonus.config.faults import KINDS
+from tonus.config.schema.base import Count, Finite, Fraction, NonNegative, Positive, Section
+from tonus.config.schema.control import ControllerName
 
 BusName = Literal["direct", "can", "ethercat"]
 Struck = Literal["REFERENCING", "PRETENSION", "HOLD", "ACTIVE", "SAFE_STOP", "DESCENT"]

@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Count, Fraction, NonNegative, Positive, Section
-from config.schema.bus import CELLS
-from config.schema.robot import Rates, Tension
+from tonus.config.schema.base import Count, Fraction, NonNegative, Positive, Section
+from tonus.config.schema.bus import CELLS
+from tonus.config.schema.robot import Rates, Tension
 
 
 class Filters(Section):
@@ -81,8 +81,8 @@ class StiffnessLaw(Section):
     smoothing_hz: Positive
     """first-order low-pass of what the law reads: noise of the estimate is no reason to stiffen"""
     rise_rate: Positive
-    """N/m/s: how fast the stiffness may grow at most; `runtime.passivity` computes the bound below
-    it"""
+    """N/m/s: how fast the stiffness may grow at most; `tonus.runtime.passivity` computes the bound
+    below it"""
 
     @model_validator(mode="after")
     def _ordered(self) -> StiffnessLaw:
@@ -204,7 +204,7 @@ class ConstantTension(Section):
 
 
 class Distribution(Section):
-    """One box-bounded quadratic programme, `runtime.distribution`."""
+    """One box-bounded quadratic programme, `tonus.runtime.distribution`."""
 
     wrench_weight: Positive
     deficit_limit: Positive
@@ -295,7 +295,7 @@ class Sequence(Section):
 
 class Stop(Section):
     """A stop without a path to keep: in descent with the cables that are left, or passive, each
-    drum by itself (`runtime.guard`)."""
+    drum by itself (`tonus.runtime.guard`)."""
 
     moment_length: Positive
     """m by which moments are divided in a descent: long, so that forces come before level"""
@@ -362,7 +362,7 @@ class Stop(Section):
 
 
 class Isolation(Section):
-    """When a measurement contradicts the others (`runtime.isolation`)."""
+    """When a measurement contradicts the others (`tonus.runtime.isolation`)."""
 
     length_jump: Positive
     """m from one tick to the next that no platform makes: cable, drum, cell or encoder"""
@@ -405,7 +405,7 @@ class Freshness(Section):
     """a measurement older than this carries no torque"""
     stale_stop_ticks: Count
     """ticks without a fresh measurement until the controlled stop; left out, it is what
-    `config.schema.place` says"""
+    `tonus.config.schema.place` says"""
 
 
 class Envelope(Section):

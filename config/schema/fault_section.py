@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field
 
-from config.schema.base import NonNegative, Section
+from tonus.config.schema.base import NonNegative, Section
 
 LONGEST_S = 1e6
 """What adds to a time in ns without rounding; more than eleven days."""

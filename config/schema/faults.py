@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
-from config.schema.base import Count, Finite, Fraction, NodeId, Positive
-from config.schema.fault_section import LONGEST_S, FaultSection
-from config.schema.robot_faults import (
+from tonus.config.schema.base import Count, Finite, Fraction, NodeId, Positive
+from tonus.config.schema.fault_section import LONGEST_S, FaultSection
+from tonus.config.schema.robot_faults import (
     CableCut,
     CellFrozen,
     CellGain,

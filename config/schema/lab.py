@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import (
+from tonus.config.schema.base import (
     Count,
     Direction,
     Finite,
@@ -18,7 +18,7 @@ from config.schema.base import (
     Share,
     Vector3,
 )
-from config.schema.faults import Fault
+from tonus.config.schema.faults import Fault
 
 Spread = Annotated[Number, Field(ge=0, lt=1)]
 """A true value is drawn once per seed, evenly within this share of the nominal one either way."""

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from config.schema.base import NonNegative, Positive, Section, Vector3
-from config.schema.robot import CABLES
+from tonus.config.schema.base import NonNegative, Positive, Section, Vector3
+from tonus.config.schema.robot import CABLES
 
 
 class Stop(Section):

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from config.schema.base import Count, NonNegative, Positive, Section
+from tonus.config.schema.base import Count, NonNegative, Positive, Section
 
 Mode = Annotated[str, Field(pattern=r"^0[0-7]{3}$")]
 Name = Annotated[str, Field(min_length=1)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from config.document import Key, dotted
+from tonus.config.document import Key, dotted
 
 RelaxedKey = Literal[
     "realtime.policy",

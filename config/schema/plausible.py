@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Positive, Section
+from tonus.config.schema.base import Positive, Section
 
 
 class Bound(Section):

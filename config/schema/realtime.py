@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from config.schema.base import Count, NonNegative, Positive, Section, no_boolean
+from tonus.config.schema.base import Count, NonNegative, Positive, Section, no_boolean
 
 Policy = Literal["require", "prefer", "off"]
 Overrun = Literal["skip", "hold", "stop"]
@@ -45,7 +45,7 @@ class RealTime(Section):
 
     policy: Annotated[Policy, BeforeValidator(_off)]
     """require: no run without all of it; prefer: each refusal is reported; off: nothing is asked.
-    Like ``overrun`` and ``overrun_ticks`` left out it is what `config.schema.place` says"""
+    Like ``overrun`` and ``overrun_ticks`` left out it is what `tonus.config.schema.place` says"""
     daemon_priority: Priority
     """SCHED_FIFO, 0 for none"""
     lab_priority: Priority

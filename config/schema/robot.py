@@ -6,7 +6,15 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Count, Finite, Fraction, NonNegative, Positive, Section, Vector3
+from tonus.config.schema.base import (
+    Count,
+    Finite,
+    Fraction,
+    NonNegative,
+    Positive,
+    Section,
+    Vector3,
+)
 
 CABLES = 8
 EightPoints = Annotated[tuple[Vector3, ...], Field(min_length=CABLES, max_length=CABLES)]

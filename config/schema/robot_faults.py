@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from config.schema.base import Finite, NonNegative, Number, Positive, no_boolean
-from config.schema.fault_section import LONGEST_S, FaultSection
+from tonus.config.schema.base import Finite, NonNegative, Number, Positive, no_boolean
+from tonus.config.schema.fault_section import LONGEST_S, FaultSection
 
 Index = Annotated[int, BeforeValidator(no_boolean), Field(ge=0)]
 _Newton = Annotated[Finite, Field(ge=-1000.0, le=1000.0)]

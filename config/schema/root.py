@@ -6,15 +6,15 @@ from typing import Any
 
 from pydantic import model_validator
 
-from config.schema.base import Section
-from config.schema.bus import Bus, Tracker
-from config.schema.control import Control, Recording
-from config.schema.lab import Lab
-from config.schema.operation import Operation
-from config.schema.place import RelaxedKey, with_defaults
-from config.schema.realtime import RealTime
-from config.schema.robot import Response, Robot
-from config.schema.tolerance import Tolerance
+from tonus.config.schema.base import Section
+from tonus.config.schema.bus import Bus, Tracker
+from tonus.config.schema.control import Control, Recording
+from tonus.config.schema.lab import Lab
+from tonus.config.schema.operation import Operation
+from tonus.config.schema.place import RelaxedKey, with_defaults
+from tonus.config.schema.realtime import RealTime
+from tonus.config.schema.robot import Response, Robot
+from tonus.config.schema.tolerance import Tolerance
 
 
 class Config(Section):
@@ -32,8 +32,9 @@ class Config(Section):
     """the scenario that runs when none is named"""
     lab: Lab | None = None
     relaxed: tuple[RelaxedKey, ...] = ()
-    """what a configuration without a lab is to take from one (`config.schema.place`): each named
-    key gets the lab's default where it is left out, and may state a value less safe than a robot's
+    """what a configuration without a lab is to take from one (`tonus.config.schema.place`): each
+    named key gets the lab's default where it is left out, and may state a value less safe than a
+    robot's
     """
 
     @model_validator(mode="before")

@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Direction, NonNegative, Positive, Section, Vector3
-from config.schema.fault_section import LONGEST_S
-from config.schema.lab import LabScript
+from tonus.config.schema.base import Direction, NonNegative, Positive, Section, Vector3
+from tonus.config.schema.fault_section import LONGEST_S
+from tonus.config.schema.lab import LabScript
 
 
 class Hold(Section):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from config.schema.base import Count, Section
+from tonus.config.schema.base import Count, Section
 
 
 class LostFrames(Section):
@@ -27,7 +27,7 @@ class Tolerance(Section):
     lost: LostFrames = LostFrames()
     jitter_ms: Count
     """how much later than its period a heartbeat, an output or a pose may be: the host's stalls,
-    the grid of the ticks, arbitration. Without it the value of `config.schema.place`"""
+    the grid of the ticks, arbitration. Without it the value of `tonus.config.schema.place`"""
     late_ticks: Count = 1
     """ticks by which a measurement may be late beside the lost ones"""
 

@@ -6,9 +6,9 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from config.schema.base import Count, NonNegative, Positive, Section
-from config.schema.control import ControllerName
-from config.schema.scenario import Scenario
+from tonus.config.schema.base import Count, NonNegative, Positive, Section
+from tonus.config.schema.control import ControllerName
+from tonus.config.schema.scenario import Scenario
 
 
 class Range(Section):

@@ -9,8 +9,8 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import CanopenBus
-from drivers.canopen.frames import (
+from tonus.config.schema.bus import CanopenBus
+from tonus.drivers.canopen.frames import (
     ERROR,
     EXTENDED,
     IDENTIFIER,
@@ -19,13 +19,13 @@ from drivers.canopen.frames import (
     data_of,
     frames_of,
 )
-from drivers.canopen.health import Health
-from drivers.canopen.identifiers import SYNC
-from drivers.canopen.reception import Reception
-from drivers.canopen.stamps import Stamps
-from drivers.canopen.syncs import FRAME_BITS, INTERFRAME_BITS, Arrival, Syncs
-from drivers.events import EventLog
-from drivers.fieldbus import FrameTap
+from tonus.drivers.canopen.health import Health
+from tonus.drivers.canopen.identifiers import SYNC
+from tonus.drivers.canopen.reception import Reception
+from tonus.drivers.canopen.stamps import Stamps
+from tonus.drivers.canopen.syncs import FRAME_BITS, INTERFRAME_BITS, Arrival, Syncs
+from tonus.drivers.events import EventLog
+from tonus.drivers.fieldbus import FrameTap
 
 Handler = Callable[[bytes], None]
 Clock = Callable[[], int]

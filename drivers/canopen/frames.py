@@ -18,7 +18,7 @@ import numpy as np
 from can.interfaces.socketcan import SocketcanBus
 from numpy.typing import NDArray
 
-from drivers.fieldbus import RAW_FRAME
+from tonus.drivers.fieldbus import RAW_FRAME
 
 EXTENDED = 1 << 31
 REMOTE = 1 << 30

@@ -6,7 +6,7 @@ from enum import IntEnum
 
 import can
 
-from drivers.events import EventLog
+from tonus.drivers.events import EventLog
 
 # SocketCAN (linux/can/error.h): classes in the identifier, the controller's state in byte 1.
 _CONTROLLER = 0x004

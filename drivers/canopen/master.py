@@ -9,33 +9,33 @@ from typing import Any
 
 import can
 
-from config.schema.bus import CanopenBus
-from config.schema.robot import CABLES
-from config.schema.root import Config
-from config.timeouts import master_timeout_ms
-from drivers import epos4, force_cell
-from drivers.canopen.channel import Channel
-from drivers.canopen.identifiers import HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
-from drivers.canopen.nmt import Command, NmtState
-from drivers.canopen.node import Node, Role
-from drivers.canopen.pdo import Mapping
-from drivers.canopen.process_data import (
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.root import Config
+from tonus.config.timeouts import master_timeout_ms
+from tonus.drivers import epos4, force_cell
+from tonus.drivers.canopen.channel import Channel
+from tonus.drivers.canopen.identifiers import HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
+from tonus.drivers.canopen.nmt import Command, NmtState
+from tonus.drivers.canopen.node import Node, Role
+from tonus.drivers.canopen.pdo import Mapping
+from tonus.drivers.canopen.process_data import (
     Encode,
     Refusal,
     cell_fields,
     drive_encoder,
     drive_fields,
 )
-from drivers.canopen.reception import Field
-from drivers.canopen.recovery import Recovery
-from drivers.canopen.supervision import Supervision, Watched
-from drivers.canopen.syncs import Arrival
-from drivers.errors import BringUpError, DriverError, SdoError
-from drivers.events import EventLog
-from drivers.exchange import NOT_YET, Exchange
-from drivers.fieldbus import BusEvent, FrameTap, Progress
-from drivers.process_image import ProcessImage
-from drivers.setting import Setting
+from tonus.drivers.canopen.reception import Field
+from tonus.drivers.canopen.recovery import Recovery
+from tonus.drivers.canopen.supervision import Supervision, Watched
+from tonus.drivers.canopen.syncs import Arrival
+from tonus.drivers.errors import BringUpError, DriverError, SdoError
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import NOT_YET, Exchange
+from tonus.drivers.fieldbus import BusEvent, FrameTap, Progress
+from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.setting import Setting
 
 OpenBus = Callable[[str], can.BusABC]
 Clock = Callable[[], int]

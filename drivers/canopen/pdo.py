@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
-from drivers.canopen.abort_codes import NO_SUCH_OBJECT
-from drivers.canopen.identifiers import PDO_SPACING, RPDO1, TPDO1
-from drivers.errors import DriverError, SdoAbortError
-from drivers.setting import ObjectAccess
+from tonus.drivers.canopen.abort_codes import NO_SUCH_OBJECT
+from tonus.drivers.canopen.identifiers import PDO_SPACING, RPDO1, TPDO1
+from tonus.drivers.errors import DriverError, SdoAbortError
+from tonus.drivers.setting import ObjectAccess
 
 INVALID = 1 << 31
 NO_REMOTE_REQUEST = 1 << 30

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from drivers import epos4, force_cell
-from drivers.canopen.pdo import Mapping, PdoError
-from drivers.canopen.reception import Field, mapped, tick_field
-from drivers.events import EventLog
-from drivers.exchange import Exchange
+from tonus.drivers import epos4, force_cell
+from tonus.drivers.canopen.pdo import Mapping, PdoError
+from tonus.drivers.canopen.reception import Field, mapped, tick_field
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import Exchange
 
 Encode = Callable[[int, int], bytes]
 """(controlword, target torque in per mille) to the data of an RPDO."""

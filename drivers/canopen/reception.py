@@ -15,10 +15,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from drivers.canopen.pdo import Kind, Mapping
-from drivers.canopen.syncs import ANSWER, HISTORY, Syncs, word_of
-from drivers.exchange import NOT_YET, Exchange
-from drivers.fieldbus import RAW_FRAME
+from tonus.drivers.canopen.pdo import Kind, Mapping
+from tonus.drivers.canopen.syncs import ANSWER, HISTORY, Syncs, word_of
+from tonus.drivers.exchange import NOT_YET, Exchange
+from tonus.drivers.fieldbus import RAW_FRAME
 
 _IDENTIFIERS = 1 << 11
 _NODES = 127

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 
-from drivers.canopen.nmt import Command
-from drivers.canopen.supervision import Supervision, Watched
-from drivers.cia402 import decode
-from drivers.epos4_errors import Cure, cure
-from drivers.errors import DriverError
-from drivers.events import EventLog
-from drivers.exchange import Exchange
-from drivers.process_image import AxisState
+from tonus.drivers.canopen.nmt import Command
+from tonus.drivers.canopen.supervision import Supervision, Watched
+from tonus.drivers.cia402 import decode
+from tonus.drivers.epos4_errors import Cure, cure
+from tonus.drivers.errors import DriverError
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import Exchange
+from tonus.drivers.process_image import AxisState
 
 _IN_FAULT = (AxisState.FAULT, AxisState.FAULT_REACTION_ACTIVE)
 

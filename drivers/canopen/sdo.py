@@ -6,8 +6,8 @@ import asyncio
 import struct
 from collections.abc import Callable
 
-from drivers.canopen import abort_codes
-from drivers.errors import SdoAbortError, SdoError, SdoTimeoutError
+from tonus.drivers.canopen import abort_codes
+from tonus.drivers.errors import SdoAbortError, SdoError, SdoTimeoutError
 
 Send = Callable[[bytes], None]
 """Sends the eight bytes of a request to the node's server."""

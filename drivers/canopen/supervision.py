@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from config.schema.bus import Master
-from config.schema.tolerance import Tolerance
-from config.timeouts import node_timeout_ms
-from drivers.canopen import emcy
-from drivers.canopen.identifiers import EMCY, HEARTBEAT
-from drivers.canopen.nmt import NmtState
-from drivers.canopen.node import Node
-from drivers.canopen.syncs import Arrival
-from drivers.epos4_errors import Cure, cure
-from drivers.events import EventLog
-from drivers.exchange import Exchange
+from tonus.config.schema.bus import Master
+from tonus.config.schema.tolerance import Tolerance
+from tonus.config.timeouts import node_timeout_ms
+from tonus.drivers.canopen import emcy
+from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT
+from tonus.drivers.canopen.nmt import NmtState
+from tonus.drivers.canopen.node import Node
+from tonus.drivers.canopen.syncs import Arrival
+from tonus.drivers.epos4_errors import Cure, cure
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import Exchange
 
 _RESETS = (Cure.COMMUNICATION_RESET, Cure.DEVICE_RESET)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from config.schema.bus import Master
-from drivers.events import EventLog
-from drivers.exchange import NOT_YET
+from tonus.config.schema.bus import Master
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import NOT_YET
 
 HISTORY = 64
 """SYNCs remembered; more than `Master.late_ticks` may ask for."""

@@ -11,9 +11,9 @@ import struct
 from collections.abc import Callable
 from typing import Protocol
 
-from drivers.canopen import abort_codes
-from drivers.errors import SdoAbortError, SdoError, SdoTimeoutError
-from drivers.ethercat.frames import Answer, Command, Datagram
+from tonus.drivers.canopen import abort_codes
+from tonus.drivers.errors import SdoAbortError, SdoError, SdoTimeoutError
+from tonus.drivers.ethercat.frames import Answer, Command, Datagram
 
 _HEADER = struct.Struct("<HHBB")  # length, address, channel and priority, type and counter
 _ERROR_TYPE, _COE_TYPE = 0, 3

@@ -12,12 +12,12 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from config.schema.bus import EthercatBus
-from drivers.errors import BringUpError
-from drivers.ethercat import sii
-from drivers.ethercat.al import ERROR, AlState, name, words
-from drivers.ethercat.coe import Mailbox, Objects
-from drivers.ethercat.frames import (
+from tonus.config.schema.bus import EthercatBus
+from tonus.drivers.errors import BringUpError
+from tonus.drivers.ethercat import sii
+from tonus.drivers.ethercat.al import ERROR, AlState, name, words
+from tonus.drivers.ethercat.coe import Mailbox, Objects
+from tonus.drivers.ethercat.frames import (
     FIRST_DATAGRAM,
     HEADER_BYTES,
     Answer,
@@ -29,10 +29,10 @@ from drivers.ethercat.frames import (
     position,
     station,
 )
-from drivers.ethercat.port import FrameExchange, FramePort, InjectedPort
-from drivers.ethercat.status import AL_CONTROL, StateAccess, StatusFrames
-from drivers.ethercat.wire import FIRST_STATION, Found, Sizes
-from drivers.setting import ObjectAccess
+from tonus.drivers.ethercat.port import FrameExchange, FramePort, InjectedPort
+from tonus.drivers.ethercat.status import AL_CONTROL, StateAccess, StatusFrames
+from tonus.drivers.ethercat.wire import FIRST_STATION, Found, Sizes
+from tonus.drivers.setting import ObjectAccess
 
 _TYPE, _STATION, _AL_STATUS, _AL_CODE = 0x0000, 0x0010, 0x0130, 0x0134
 _DL_STATUS, _FEATURES = 0x0110, 0x0008

@@ -13,24 +13,24 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from config.schema.bus import DistributedClocks, EthercatBus
-from config.schema.robot import CABLES
-from config.schema.root import Config
-from config.timeouts import watchdog_ms
-from drivers import epos4
-from drivers.canopen import emcy
-from drivers.errors import BringUpError, DriverError
-from drivers.ethercat.al import ERROR, AlState
-from drivers.ethercat.phase import Phase
-from drivers.ethercat.recovery import Recovery
-from drivers.ethercat.slave import Slave, decoder, encoder, slaves
-from drivers.ethercat.status import SlaveStatus
-from drivers.ethercat.watch import Watch
-from drivers.ethercat.wire import Found, Wire
-from drivers.events import EventLog
-from drivers.exchange import Exchange
-from drivers.fieldbus import BusEvent, Progress
-from drivers.process_image import ProcessImage
+from tonus.config.schema.bus import DistributedClocks, EthercatBus
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.root import Config
+from tonus.config.timeouts import watchdog_ms
+from tonus.drivers import epos4
+from tonus.drivers.canopen import emcy
+from tonus.drivers.errors import BringUpError, DriverError
+from tonus.drivers.ethercat.al import ERROR, AlState
+from tonus.drivers.ethercat.phase import Phase
+from tonus.drivers.ethercat.recovery import Recovery
+from tonus.drivers.ethercat.slave import Slave, decoder, encoder, slaves
+from tonus.drivers.ethercat.status import SlaveStatus
+from tonus.drivers.ethercat.watch import Watch
+from tonus.drivers.ethercat.wire import Found, Wire
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import Exchange
+from tonus.drivers.fieldbus import BusEvent, Progress
+from tonus.drivers.process_image import ProcessImage
 
 Clock = Callable[[], int]
 OpenWire = Callable[[EthercatBus, Clock], Wire]

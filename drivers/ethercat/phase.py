@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from config.schema.bus import DistributedClocks
+from tonus.config.schema.bus import DistributedClocks
 
 _FITS_TICKS = 4
 """The reference clock in a frame may be off by so much: a frame can leave late, and indices repeat

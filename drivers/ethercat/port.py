@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from drivers.errors import BringUpError
-from drivers.ethercat.frames import ETHERTYPE, INDEX_AT
+from tonus.drivers.errors import BringUpError
+from tonus.drivers.ethercat.frames import ETHERTYPE, INDEX_AT
 
 FrameExchange = Callable[[bytes, int], bytes | None]
 """(Ethernet frame, time in ns of the loop's clock) to what came back of it, None for nothing."""

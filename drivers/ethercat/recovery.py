@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
-from config.schema.bus import EthercatBus
-from drivers.errors import DriverError
-from drivers.ethercat.watch import Watch, Watched
-from drivers.ethercat.wire import Wire
-from drivers.events import EventLog
+from tonus.config.schema.bus import EthercatBus
+from tonus.drivers.errors import DriverError
+from tonus.drivers.ethercat.watch import Watch, Watched
+from tonus.drivers.ethercat.wire import Wire
+from tonus.drivers.events import EventLog
 
 _AGAIN_S = 3e-3
 """Between two attempts at one slave."""

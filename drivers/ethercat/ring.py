@@ -13,8 +13,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.ethercat.frames import COUNTER_BYTES, FIRST_DATAGRAM, HEADER_BYTES, INDEX_AT
-from drivers.ethercat.port import FrameCrossing, FramePort
+from tonus.drivers.ethercat.frames import COUNTER_BYTES, FIRST_DATAGRAM, HEADER_BYTES, INDEX_AT
+from tonus.drivers.ethercat.port import FrameCrossing, FramePort
 
 _SOURCE_AT = 11
 """Last byte of the sender's address: it tells the copies apart."""

@@ -6,8 +6,8 @@ import asyncio
 import struct
 from dataclasses import dataclass, field
 
-from drivers.errors import BringUpError
-from drivers.ethercat.coe import Registers
+from tonus.drivers.errors import BringUpError
+from tonus.drivers.ethercat.coe import Registers
 
 _CONTROL, _DATA = 0x0502, 0x0508
 _READ_COMMAND = 0x0100

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from config.schema.bus import EthercatBus, Identity
-from config.schema.robot import Robot
-from drivers import epos4, force_cell
-from drivers.canopen.pdo import Mapping, PdoError
-from drivers.canopen.process_data import Encode, drive_encoder
-from drivers.errors import DriverError
-from drivers.ethercat.wire import Found, Sizes
-from drivers.exchange import Exchange
-from drivers.setting import ObjectAccess, Setting, apply
+from tonus.config.schema.bus import EthercatBus, Identity
+from tonus.config.schema.robot import Robot
+from tonus.drivers import epos4, force_cell
+from tonus.drivers.canopen.pdo import Mapping, PdoError
+from tonus.drivers.canopen.process_data import Encode, drive_encoder
+from tonus.drivers.errors import DriverError
+from tonus.drivers.ethercat.wire import Found, Sizes
+from tonus.drivers.exchange import Exchange
+from tonus.drivers.setting import ObjectAccess, Setting, apply
 
 Decode = Callable[[bytes], None]
 ERROR_CODE = 0x603F0010

@@ -20,17 +20,17 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
-from config.schema.bus import EthercatBus
-from drivers.canopen.abort_codes import NO_SUCH_OBJECT
-from drivers.errors import BringUpError, SdoAbortError, SdoError, SdoTimeoutError
-from drivers.ethercat.al import AlState, name
-from drivers.ethercat.deterministic import DeterministicMaster
-from drivers.ethercat.port import FramePort, PacketPort, packet_sockets, select
-from drivers.ethercat.ring import RingPort
-from drivers.ethercat.slave import RX_ASSIGNMENT, TX_ASSIGNMENT
-from drivers.ethercat.status import StateAccess, StatusFrames
-from drivers.ethercat.wire import FIRST_STATION, Found, Sizes
-from drivers.setting import ObjectAccess
+from tonus.config.schema.bus import EthercatBus
+from tonus.drivers.canopen.abort_codes import NO_SUCH_OBJECT
+from tonus.drivers.errors import BringUpError, SdoAbortError, SdoError, SdoTimeoutError
+from tonus.drivers.ethercat.al import AlState, name
+from tonus.drivers.ethercat.deterministic import DeterministicMaster
+from tonus.drivers.ethercat.port import FramePort, PacketPort, packet_sockets, select
+from tonus.drivers.ethercat.ring import RingPort
+from tonus.drivers.ethercat.slave import RX_ASSIGNMENT, TX_ASSIGNMENT
+from tonus.drivers.ethercat.status import StateAccess, StatusFrames
+from tonus.drivers.ethercat.wire import FIRST_STATION, Found, Sizes
+from tonus.drivers.setting import ObjectAccess
 
 Result = TypeVar("Result")
 

@@ -6,10 +6,10 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.ethercat import al
-from drivers.ethercat.al import ERROR, AlState
-from drivers.ethercat.frames import MAXIMUM_DATA, Command, Datagram, build, parse, station
-from drivers.ethercat.port import OURS, FramePort
+from tonus.drivers.ethercat import al
+from tonus.drivers.ethercat.al import ERROR, AlState
+from tonus.drivers.ethercat.frames import MAXIMUM_DATA, Command, Datagram, build, parse, station
+from tonus.drivers.ethercat.port import OURS, FramePort
 
 AL_CONTROL = 0x0120
 _AL_STATUS = 0x0130
@@ -102,8 +102,8 @@ class StatusFrames:
 
 
 class StateAccess:
-    """The part of a `drivers.ethercat.wire.Wire` that asks for states and sets them, once it is
-    known of whom."""
+    """The part of a `tonus.drivers.ethercat.wire.Wire` that asks for states and sets them, once it
+    is known of whom."""
 
     def __init__(self) -> None:
         self.states: StatusFrames | None = None

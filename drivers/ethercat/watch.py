@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from config.schema.bus import EthercatBus
-from drivers.ethercat.al import ERROR, AlState
-from drivers.ethercat.slave import Slave
-from drivers.ethercat.status import SlaveStatus
-from drivers.ethercat.wire import Wire
-from drivers.events import EventLog
-from drivers.exchange import Exchange
+from tonus.config.schema.bus import EthercatBus
+from tonus.drivers.ethercat.al import ERROR, AlState
+from tonus.drivers.ethercat.slave import Slave
+from tonus.drivers.ethercat.status import SlaveStatus
+from tonus.drivers.ethercat.wire import Wire
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import Exchange
 
 _NEXT = {AlState.PREOP: AlState.SAFEOP, AlState.SAFEOP: AlState.OP}
 

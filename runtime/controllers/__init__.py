@@ -4,14 +4,14 @@ All share estimator, stiffness limiter, tension distribution and (but for `eq9_l
 loop, so that a comparison compares controllers and nothing else.
 """
 
-from runtime.controllers.base import Controller, Motion
-from runtime.controllers.bio import Bio, BioIntegral, BioObserver
-from runtime.controllers.cable_length import PidLength
-from runtime.controllers.constant_tension import ConstantTension
-from runtime.controllers.contact_force import ContactForce
-from runtime.controllers.impedance import Pd, PdMatched
-from runtime.controllers.literal import Eq9Literal
-from runtime.controllers.pid import Pid
+from tonus.runtime.controllers.base import Controller, Motion
+from tonus.runtime.controllers.bio import Bio, BioIntegral, BioObserver
+from tonus.runtime.controllers.cable_length import PidLength
+from tonus.runtime.controllers.constant_tension import ConstantTension
+from tonus.runtime.controllers.contact_force import ContactForce
+from tonus.runtime.controllers.impedance import Pd, PdMatched
+from tonus.runtime.controllers.literal import Eq9Literal
+from tonus.runtime.controllers.pid import Pid
 
 CONTROLLERS: dict[str, type[Controller]] = {
     "bio": Bio,

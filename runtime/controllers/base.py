@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.control import Control, TensionLoop
-from config.schema.robot import Robot
-from runtime.compiled import platform_wrench, spring
-from runtime.controllers.linear import LinearLaw, NoLinearLawError
-from runtime.passivity import damping
-from runtime.stiffness import LawTerms
+from tonus.config.schema.control import Control, TensionLoop
+from tonus.config.schema.robot import Robot
+from tonus.runtime.compiled import platform_wrench, spring
+from tonus.runtime.controllers.linear import LinearLaw, NoLinearLawError
+from tonus.runtime.passivity import damping
+from tonus.runtime.stiffness import LawTerms
 
 Array = NDArray[np.float64]
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from config.schema.control import Control
-from config.schema.robot import Robot
-from runtime.controllers.base import Array, Controller, Motion, norm, share
-from runtime.controllers.integral import Integral
-from runtime.controllers.linear import LinearLaw
-from runtime.stiffness import Law
+from tonus.config.schema.control import Control
+from tonus.config.schema.robot import Robot
+from tonus.runtime.controllers.base import Array, Controller, Motion, norm, share
+from tonus.runtime.controllers.integral import Integral
+from tonus.runtime.controllers.linear import LinearLaw
+from tonus.runtime.stiffness import Law
 
 
 class Bio(Controller):

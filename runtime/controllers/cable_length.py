@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from config.schema.control import Control, TensionLoop
-from config.schema.robot import CABLES, Robot
-from runtime.controllers.base import LEVEL, Array, Controller, Motion
-from runtime.controllers.linear import LinearLaw
-from runtime.distribution import closed_form
-from runtime.kinematics import Kinematics
+from tonus.config.schema.control import Control, TensionLoop
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.runtime.controllers.base import LEVEL, Array, Controller, Motion
+from tonus.runtime.controllers.linear import LinearLaw
+from tonus.runtime.distribution import closed_form
+from tonus.runtime.kinematics import Kinematics
 
 
 class PidLength(Controller):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from config.schema.control import Control, TensionLoop
-from config.schema.robot import Robot
-from runtime.controllers.base import NOTHING, Array, Controller, Motion
-from runtime.controllers.linear import LinearLaw
-from runtime.kinematics import Kinematics
+from tonus.config.schema.control import Control, TensionLoop
+from tonus.config.schema.robot import Robot
+from tonus.runtime.controllers.base import NOTHING, Array, Controller, Motion
+from tonus.runtime.controllers.linear import LinearLaw
+from tonus.runtime.kinematics import Kinematics
 
 
 class ConstantTension(Controller):

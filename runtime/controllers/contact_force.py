@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from config.schema.control import Control
-from config.schema.robot import Robot
-from runtime.controllers.base import Array, Motion, norm
-from runtime.controllers.impedance import Pd
-from runtime.controllers.linear import LinearLaw
+from tonus.config.schema.control import Control
+from tonus.config.schema.robot import Robot
+from tonus.runtime.controllers.base import Array, Motion, norm
+from tonus.runtime.controllers.impedance import Pd
+from tonus.runtime.controllers.linear import LinearLaw
 
 
 class ContactForce(Pd):

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from config.schema.control import Control
-from config.schema.robot import Robot
-from runtime.controllers.base import Controller, Motion
-from runtime.controllers.linear import LinearLaw
+from tonus.config.schema.control import Control
+from tonus.config.schema.robot import Robot
+from tonus.runtime.controllers.base import Controller, Motion
+from tonus.runtime.controllers.linear import LinearLaw
 
 
 class Pd(Controller):

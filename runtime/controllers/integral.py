@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from config.schema.control import Integral as Settings
-from runtime.controllers.base import Array, Motion, norm
+from tonus.config.schema.control import Integral as Settings
+from tonus.runtime.controllers.base import Array, Motion, norm
 
 
 class Integral:

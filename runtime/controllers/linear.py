@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from runtime.errors import DaemonError
+from tonus.runtime.errors import DaemonError
 
 
 class NoLinearLawError(DaemonError):

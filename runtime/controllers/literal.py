@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from config.schema.control import TensionLoop
-from runtime.controllers.bio import Bio
+from tonus.config.schema.control import TensionLoop
+from tonus.runtime.controllers.bio import Bio
 
 
 class Eq9Literal(Bio):
     """`bio` over eq. (9) word for word while ACTIVE: torque proportional to the tension error,
     without feed-forward, damping or integral. Half a per cent of error needs a gain of 199; with
-    two ticks of delay such a loop oscillates (`runtime.margin`). For the lab only."""
+    two ticks of delay such a loop oscillates (`tonus.runtime.margin`). For the lab only."""
 
     @property
     def tension_loop(self) -> TensionLoop:

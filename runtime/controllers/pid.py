@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from config.schema.control import Control
-from config.schema.robot import Robot
-from runtime.controllers.base import Array, Controller, Motion
-from runtime.controllers.integral import Integral
-from runtime.controllers.linear import LinearLaw
+from tonus.config.schema.control import Control
+from tonus.config.schema.robot import Robot
+from tonus.runtime.controllers.base import Array, Controller, Motion
+from tonus.runtime.controllers.integral import Integral
+from tonus.runtime.controllers.linear import LinearLaw
 
 
 class Pid(Controller):

@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 import can
 
-from sim.can.bus import Channel
-from sim.can.frame import ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame
-from sim.can.registry import Advancing
-from sim.errors import LabError
+from tonus.sim.can.bus import Channel
+from tonus.sim.can.frame import ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame
+from tonus.sim.can.registry import Advancing
+from tonus.sim.errors import LabError
 
 _LISTEN_S = 0.1
 """How long a bus without a file descriptor is listened to before a look whether to go on."""

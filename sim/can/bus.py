@@ -1,7 +1,7 @@
 """One CAN channel in time: queues, arbitration, one frame at a time, delivery.
 
-Here every frame is sound and acknowledged; `sim.can.faulty` adds what happens to the others. A
-channel knows no clock. `run` brings it to a given time and stops early where a frame reaches a
+Here every frame is sound and acknowledged; `tonus.sim.can.faulty` adds what happens to the others.
+A channel knows no clock. `run` brings it to a given time and stops early where a frame reaches a
 receiver whose answer may concern others (a SYNC samples the plant, which all channels share): that
 frame waits in ``wide_ns`` until the lab delivers it in the order of time over all channels.
 Everything else, which is most of the traffic, stays within the channel and is done at once.
@@ -20,10 +20,10 @@ from enum import Enum
 from heapq import heappop, heappush
 from math import ceil
 
-from sim.can.confinement import Counters
-from sim.can.frame import Frame
-from sim.can.latency import Latency
-from sim.can.timing import (
+from tonus.sim.can.confinement import Counters
+from tonus.sim.can.frame import Frame
+from tonus.sim.can.latency import Latency
+from tonus.sim.can.timing import (
     INTERFRAME_BITS,
     LONGEST_FRAME_BITS,
     frame_bits,

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.can.bus import NEVER, Channel, Notice, Port
-from sim.can.confinement import ErrorState
-from sim.can.error_frames import Violation, report
-from sim.can.frame import Frame
-from sim.can.timing import INTERFRAME_BITS, frame_bits
+from tonus.sim.can.bus import NEVER, Channel, Notice, Port
+from tonus.sim.can.confinement import ErrorState
+from tonus.sim.can.error_frames import Violation, report
+from tonus.sim.can.frame import Frame
+from tonus.sim.can.timing import INTERFRAME_BITS, frame_bits
 
 FLAG_BITS = 6
 DELIMITER_BITS = 8

@@ -12,7 +12,7 @@ from can.broadcastmanager import (
     RestartableCyclicTaskABC,
 )
 
-from sim.devices.timers import Timers
+from tonus.sim.devices.timers import Timers
 
 _SECOND_NS = 1_000_000_000
 Modifier = Callable[[can.Message], None]

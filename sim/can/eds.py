@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sim.can.node import Node
-from sim.devices.objects import Entry, Kind, ObjectDictionary, Value
+from tonus.sim.can.node import Node
+from tonus.sim.devices.objects import Entry, Kind, ObjectDictionary, Value
 
 _VARIABLE, _RECORD = 0x7, 0x9
 _TYPES = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from sim.can.confinement import PASSIVE, WARNING, Counters, ErrorState
-from sim.can.frame import ERROR, Frame
+from tonus.sim.can.confinement import PASSIVE, WARNING, Counters, ErrorState
+from tonus.sim.can.frame import ERROR, Frame
 
 CONTROLLER = 0x004
 PROTOCOL = 0x008

@@ -7,13 +7,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from config.schema.faults import Babble, Corruption, Delay, Duplicate, Level, Loss
-from sim.can.bus import NEVER, Port
-from sim.can.confined import FLAG_BITS, ConfinedChannel, Failure
-from sim.can.error_frames import Violation
-from sim.can.frame import Frame
-from sim.can.frame_faults import Babbler, Copy, FrameFault
-from sim.can.timing import frame_bits
+from tonus.config.schema.faults import Babble, Corruption, Delay, Duplicate, Level, Loss
+from tonus.sim.can.bus import NEVER, Port
+from tonus.sim.can.confined import FLAG_BITS, ConfinedChannel, Failure
+from tonus.sim.can.error_frames import Violation
+from tonus.sim.can.frame import Frame
+from tonus.sim.can.frame_faults import Babbler, Copy, FrameFault
+from tonus.sim.can.timing import frame_bits
 
 _FIRST_DOMINANT_BITS = 14
 _DOMINANT_BITS = 8

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sim.can.bus import Port
+    from tonus.sim.can.bus import Port
 
 EXTENDED = 1 << 31
 REMOTE = 1 << 30

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from config.schema.faults import Corruption, Delay, Duplicate, Loss
-from sim.can.bus import Port
-from sim.can.frame import REMOTE, Frame
+from tonus.config.schema.faults import Corruption, Delay, Duplicate, Loss
+from tonus.sim.can.bus import Port
+from tonus.sim.can.frame import REMOTE, Frame
 
 
 class Draws(Protocol):

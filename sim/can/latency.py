@@ -79,7 +79,7 @@ class Latency:
         del self._of[:], self._spans_ns[:]
 
     def summary(self) -> dict[int, Summary]:
-        """By identifier with the flags of `sim.can.timing`."""
+        """By identifier with the flags of `tonus.sim.can.timing`."""
         self._sort()
         return {name: self._summary(self._rows[name]) for name in sorted(self._rows)}
 

@@ -6,10 +6,10 @@ import struct
 from collections.abc import Callable
 from enum import IntEnum
 
-from sim.can.bus import Narrow, Notice, Wide
-from sim.can.faulty import FaultyChannel
-from sim.can.frame import REMOTE, Frame
-from sim.can.pdo import (
+from tonus.sim.can.bus import Narrow, Notice, Wide
+from tonus.sim.can.faulty import FaultyChannel
+from tonus.sim.can.frame import REMOTE, Frame
+from tonus.sim.can.pdo import (
     COUNT,
     RPDO_MAPPING,
     RPDO_PARAMETERS,
@@ -19,12 +19,12 @@ from sim.can.pdo import (
     ReceivePdo,
     TransmitPdo,
 )
-from sim.can.sdo_server import SdoServer
-from sim.devices.device import Device
-from sim.devices.epos4_errors import CAN_PASSIVE, HEARTBEAT_LOST, PDO_LENGTH
-from sim.devices.objects import Entry, Kind
-from sim.devices.timers import Timers
-from sim.errors import LabError
+from tonus.sim.can.sdo_server import SdoServer
+from tonus.sim.devices.device import Device
+from tonus.sim.devices.epos4_errors import CAN_PASSIVE, HEARTBEAT_LOST, PDO_LENGTH
+from tonus.sim.devices.objects import Entry, Kind
+from tonus.sim.devices.timers import Timers
+from tonus.sim.errors import LabError
 
 NMT = 0x000
 SYNC = 0x080

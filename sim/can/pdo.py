@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 
-from sim.can.frame import Frame, arbitration_key
-from sim.devices.device import Device, PdoDefault, Reader, Writer
-from sim.devices.objects import (
+from tonus.sim.can.frame import Frame, arbitration_key
+from tonus.sim.devices.device import Device, PdoDefault, Reader, Writer
+from tonus.sim.devices.objects import (
     INCOMPATIBLE,
     NMT_STATE,
     NOT_MAPPABLE,

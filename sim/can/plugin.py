@@ -4,7 +4,8 @@ A channel of a lab in this process is used directly; otherwise a running lab is 
 socket. In this process time is the lab's, so nothing can be waited for: a blocking `recv` raises,
 and cyclic messages are sent by the lab's time.
 
-Error frames are laid out as SocketCAN's (`sim.can.error_frames`) and pass every filter, as there.
+Error frames are laid out as SocketCAN's (`tonus.sim.can.error_frames`) and pass every filter, as
+there.
 
 Who is pressed for time does without messages: `TonusBus.receive_frames` and `TonusBus.send_frame`.
 """
@@ -22,12 +23,20 @@ import numpy as np
 from can.typechecking import CanFilters
 from numpy.typing import NDArray
 
-from config.places import runtime_dir
-from sim.can import error_frames, packet, registry
-from sim.can.confinement import ErrorState
-from sim.can.cyclic import LabCyclicTask, Modifier
-from sim.can.frame import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame, arbitration_key
-from sim.can.packet import RawFrame
+from tonus.config.places import runtime_dir
+from tonus.sim.can import error_frames, packet, registry
+from tonus.sim.can.confinement import ErrorState
+from tonus.sim.can.cyclic import LabCyclicTask, Modifier
+from tonus.sim.can.frame import (
+    BASE_ID,
+    ERROR,
+    EXTENDED,
+    EXTENDED_ID,
+    REMOTE,
+    Frame,
+    arbitration_key,
+)
+from tonus.sim.can.packet import RawFrame
 
 _SEND_BUFFER = 16384
 """Bytes a socket holds of frames the lab has not taken yet: some forty, the host counts its own

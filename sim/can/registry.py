@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from sim.devices.timers import Callback
-from sim.errors import LabError
+from tonus.sim.devices.timers import Callback
+from tonus.sim.errors import LabError
 
 if TYPE_CHECKING:
-    from sim.can.faulty import FaultyChannel
+    from tonus.sim.can.faulty import FaultyChannel
 
 
 class Advancing(Protocol):

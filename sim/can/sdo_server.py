@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from sim.devices.objects import (
+from tonus.sim.devices.objects import (
     COMMAND,
     READ_ONLY,
     TIMEOUT,
@@ -18,7 +18,7 @@ from sim.devices.objects import (
     AbortError,
     ObjectDictionary,
 )
-from sim.devices.timers import Timers
+from tonus.sim.devices.timers import Timers
 
 _HEADER = struct.Struct("<BHB")
 _HEADER_AND_WORD = struct.Struct("<BHBI")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from sim.devices.objects import ObjectDictionary
+from tonus.sim.devices.objects import ObjectDictionary
 
 Reader = Callable[[], float]
 Writer = Callable[[int], None]

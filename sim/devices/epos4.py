@@ -2,16 +2,16 @@
 
 Cyclic synchronous torque: the target torque (0x6071 plus 0x60B2, per mille of the rated torque)
 becomes a current reference within what may flow; the current loop itself is the plant's. In all
-other modes the drive's own loops move the motor (`sim.devices.motion`). The speed is the encoder's
-true one, whatever 0x3010:1 says.
+other modes the drive's own loops move the motor (`tonus.sim.devices.motion`). The speed is the
+encoder's true one, whatever 0x3010:1 says.
 """
 
 from __future__ import annotations
 
-from config.schema.lab import PowerStage
-from sim.devices.cia402 import POWERED, Command, Machine, State
-from sim.devices.device import ErrorSink, Reader, Writer
-from sim.devices.epos4_errors import (
+from tonus.config.schema.lab import PowerStage
+from tonus.sim.devices.cia402 import POWERED, Command, Machine, State
+from tonus.sim.devices.device import ErrorSink, Reader, Writer
+from tonus.sim.devices.epos4_errors import (
     CORRUPT_PARAMETERS,
     ERRORS,
     NEGATIVE_LIMIT,
@@ -20,7 +20,7 @@ from sim.devices.epos4_errors import (
     TORQUE_OFF,
     Recovery,
 )
-from sim.devices.epos4_objects import (
+from tonus.sim.devices.epos4_objects import (
     POWER_OFF_ONLY,
     RECEIVE_PDOS,
     SENSORS,
@@ -28,16 +28,16 @@ from sim.devices.epos4_objects import (
     dictionary,
     has_sensors,
 )
-from sim.devices.epos4_values import connect, scale_speeds
-from sim.devices.error_memory import ErrorMemory
-from sim.devices.objects import INTERNAL, PASSWORD, WRONG_STATE, AbortError
-from sim.devices.output import CYCLIC_POSITION, CYCLIC_TORQUE, CYCLIC_VELOCITY, HOMING, Output
-from sim.devices.samples import POSITION, TORQUE, Samples
-from sim.devices.servo import RPM
-from sim.devices.set_points import SetPoints
-from sim.devices.store import connect_store
-from sim.devices.terminals import Function, Terminals
-from sim.devices.timers import Timers
+from tonus.sim.devices.epos4_values import connect, scale_speeds
+from tonus.sim.devices.error_memory import ErrorMemory
+from tonus.sim.devices.objects import INTERNAL, PASSWORD, WRONG_STATE, AbortError
+from tonus.sim.devices.output import CYCLIC_POSITION, CYCLIC_TORQUE, CYCLIC_VELOCITY, HOMING, Output
+from tonus.sim.devices.samples import POSITION, TORQUE, Samples
+from tonus.sim.devices.servo import RPM
+from tonus.sim.devices.set_points import SetPoints
+from tonus.sim.devices.store import connect_store
+from tonus.sim.devices.terminals import Function, Terminals
+from tonus.sim.devices.timers import Timers
 
 VOLTAGE_ENABLED = 0x0010
 WARNING = 0x0080

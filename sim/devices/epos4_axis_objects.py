@@ -6,7 +6,7 @@ nothing of the robot has them: dual loop and observer, SSI and sin/cos sensors, 
 
 from __future__ import annotations
 
-from sim.devices.objects import ALL, Kind, Row
+from tonus.sim.devices.objects import ALL, Kind, Row
 
 _U8, _U16, _U32, _I16, _I32 = Kind.U8, Kind.U16, Kind.U32, Kind.I16, Kind.I32
 ROWS: tuple[Row, ...] = (

@@ -5,10 +5,10 @@ Communication objects (0x1005, 0x1014 and up) belong to the bus and are added by
 
 from __future__ import annotations
 
-from sim.devices import epos4_axis_objects as axis
-from sim.devices import epos4_profile_objects as profile
-from sim.devices.device import PdoDefault
-from sim.devices.objects import Entry, Kind, ObjectDictionary, Row
+from tonus.sim.devices import epos4_axis_objects as axis
+from tonus.sim.devices import epos4_profile_objects as profile
+from tonus.sim.devices.device import PdoDefault
+from tonus.sim.devices.objects import Entry, Kind, ObjectDictionary, Row
 
 VENDOR = 0x000000FB
 PRODUCT = 0x65510000

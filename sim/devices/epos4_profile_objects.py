@@ -6,7 +6,7 @@ Compact 50/8, firmware 0170. 0x6076 is read only here: the maker's text has it c
 
 from __future__ import annotations
 
-from sim.devices.objects import ALL, Kind, Row
+from tonus.sim.devices.objects import ALL, Kind, Row
 
 _U8, _U16, _U32, _I8, _I16, _I32 = Kind.U8, Kind.U16, Kind.U32, Kind.I8, Kind.I16, Kind.I32
 MODES = (1, 3, 6, 8, 9, 10)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.devices.epos4_profile_objects import ROWS
-from sim.devices.guard import Guard
-from sim.devices.objects import Kind, ObjectDictionary, Value
-from sim.devices.samples import POSITION, TORQUE, Samples
-from sim.devices.servo import Servo
-from sim.devices.timers import Timers
+from tonus.sim.devices.epos4_profile_objects import ROWS
+from tonus.sim.devices.guard import Guard
+from tonus.sim.devices.objects import Kind, ObjectDictionary, Value
+from tonus.sim.devices.samples import POSITION, TORQUE, Samples
+from tonus.sim.devices.servo import Servo
+from tonus.sim.devices.timers import Timers
 
 _SPEEDS = {
     (row[0], row[1]): (row[6], row[7])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.devices.epos4_errors import ERRORS, Recovery
-from sim.devices.epos4_objects import HISTORY
-from sim.devices.objects import RANGE, AbortError, ObjectDictionary
+from tonus.sim.devices.epos4_errors import ERRORS, Recovery
+from tonus.sim.devices.epos4_objects import HISTORY
+from tonus.sim.devices.objects import RANGE, AbortError, ObjectDictionary
 
 
 class ErrorMemory:

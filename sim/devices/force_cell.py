@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from config.schema.lab import CellNoise
-from sim.devices.device import ErrorSink, PdoDefault, Reader, Writer
-from sim.devices.objects import (
+from tonus.config.schema.lab import CellNoise
+from tonus.sim.devices.device import ErrorSink, PdoDefault, Reader, Writer
+from tonus.sim.devices.objects import (
     INCOMPATIBLE,
     RANGE,
     READ_ONLY,
@@ -22,9 +22,9 @@ from sim.devices.objects import (
     ObjectDictionary,
     Value,
 )
-from sim.devices.samples import CELL, Samples
-from sim.devices.store import connect_store
-from sim.devices.timers import Timers
+from tonus.sim.devices.samples import CELL, Samples
+from tonus.sim.devices.store import connect_store
+from tonus.sim.devices.timers import Timers
 
 DEVICE_TYPE = 0x00020194
 VENDOR = 0x0000FFFF

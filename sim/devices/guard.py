@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from config.schema.lab import PowerStage
-from sim.devices.epos4_errors import (
+from tonus.config.schema.lab import PowerStage
+from tonus.sim.devices.epos4_errors import (
     MOTOR_OVERHEATED,
     OVERHEATED,
     OVERVOLTAGE,
     SOFTWARE_LIMIT,
     UNDERVOLTAGE,
 )
-from sim.devices.samples import Measured
-from sim.devices.servo import PERIOD_NS, Servo
-from sim.devices.thermal import Thermal
-from sim.devices.timers import Timers
+from tonus.sim.devices.samples import Measured
+from tonus.sim.devices.servo import PERIOD_NS, Servo
+from tonus.sim.devices.thermal import Thermal
+from tonus.sim.devices.timers import Timers
 
 _SLOW_NS = 10_000_000
 _NEAR = 0.5

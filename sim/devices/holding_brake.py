@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.devices.objects import ObjectDictionary
-from sim.devices.samples import Measured
-from sim.devices.timers import Timers
+from tonus.sim.devices.objects import ObjectDictionary
+from tonus.sim.devices.samples import Measured
+from tonus.sim.devices.timers import Timers
 
 OPEN, CLOSED = 0, 1
 _MS_NS = 1_000_000

@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from sim.devices.motion import HALT, TARGET_REACHED
-from sim.devices.profile import Trapezoid
-from sim.devices.servo import PERIOD, Servo
-from sim.devices.terminals import Function, Terminals
+from tonus.sim.devices.motion import HALT, TARGET_REACHED
+from tonus.sim.devices.profile import Trapezoid
+from tonus.sim.devices.servo import PERIOD, Servo
+from tonus.sim.devices.terminals import Function, Terminals
 
 START = 0x0010
 ATTAINED = 0x1000

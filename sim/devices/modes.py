@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim.devices.epos4_errors import FOLLOWING, SOFTWARE_LIMIT
-from sim.devices.motion import FOLLOWS_COMMAND, HALT, TARGET_REACHED, UNLIMITED
-from sim.devices.profile import Trapezoid
-from sim.devices.servo import PERIOD, PERIOD_NS, Servo
+from tonus.sim.devices.epos4_errors import FOLLOWING, SOFTWARE_LIMIT
+from tonus.sim.devices.motion import FOLLOWS_COMMAND, HALT, TARGET_REACHED, UNLIMITED
+from tonus.sim.devices.profile import Trapezoid
+from tonus.sim.devices.servo import PERIOD, PERIOD_NS, Servo
 
 NEW_SET_POINT = 0x0010
 IMMEDIATELY = 0x0020

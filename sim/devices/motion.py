@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from sim.devices.profile import Trapezoid
-from sim.devices.samples import Measured
-from sim.devices.servo import PERIOD, PERIOD_NS, RPM, Servo
-from sim.devices.timers import Timers
+from tonus.sim.devices.profile import Trapezoid
+from tonus.sim.devices.samples import Measured
+from tonus.sim.devices.servo import PERIOD, PERIOD_NS, RPM, Servo
+from tonus.sim.devices.timers import Timers
 
 TARGET_REACHED = 0x0400
 FOLLOWS_COMMAND = 0x1000

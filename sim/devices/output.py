@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from config.schema.lab import PowerStage
-from sim.devices.guard import Guard
-from sim.devices.holding_brake import HoldingBrake
-from sim.devices.homing import Homing
-from sim.devices.modes import CyclicPosition, CyclicVelocity, ProfilePosition, ProfileVelocity
-from sim.devices.motion import FOLLOWS_COMMAND, Braking, Motion, Task
-from sim.devices.objects import ObjectDictionary
-from sim.devices.samples import Samples
-from sim.devices.servo import Servo
-from sim.devices.terminals import Terminals
-from sim.devices.timers import Timers
+from tonus.config.schema.lab import PowerStage
+from tonus.sim.devices.guard import Guard
+from tonus.sim.devices.holding_brake import HoldingBrake
+from tonus.sim.devices.homing import Homing
+from tonus.sim.devices.modes import CyclicPosition, CyclicVelocity, ProfilePosition, ProfileVelocity
+from tonus.sim.devices.motion import FOLLOWS_COMMAND, Braking, Motion, Task
+from tonus.sim.devices.objects import ObjectDictionary
+from tonus.sim.devices.samples import Samples
+from tonus.sim.devices.servo import Servo
+from tonus.sim.devices.terminals import Terminals
+from tonus.sim.devices.timers import Timers
 
 PROFILE_POSITION = 1
 PROFILE_VELOCITY = 3

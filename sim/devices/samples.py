@@ -14,10 +14,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from config.schema.bus import CELLS
-from config.schema.lab import CellNoise
-from config.schema.robot import CABLES, Motor
-from sim.plant.streams import Stream, generator
+from tonus.config.schema.bus import CELLS
+from tonus.config.schema.lab import CellNoise
+from tonus.config.schema.robot import CABLES, Motor
+from tonus.sim.plant.streams import Stream, generator
 
 Floats = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from math import pi
 
-from sim.devices.objects import ObjectDictionary
-from sim.devices.samples import Samples
+from tonus.sim.devices.objects import ObjectDictionary
+from tonus.sim.devices.samples import Samples
 
 PERIOD_NS = 400_000
 """The EPOS4's position and speed loops run at 2.5 kHz."""

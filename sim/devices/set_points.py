@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.devices.modes import Interpolation
-from sim.devices.timers import Timers
+from tonus.sim.devices.modes import Interpolation
+from tonus.sim.devices.timers import Timers
 
 _MISSING = 2
 """Periods without a PDO that are a time-out: one did not come."""

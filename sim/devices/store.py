@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.devices.objects import CANNOT_STORE, HARDWARE, AbortError, ObjectDictionary
+from tonus.sim.devices.objects import CANNOT_STORE, HARDWARE, AbortError, ObjectDictionary
 
 SAVE = 0x65766173
 LOAD = 0x64616F6C

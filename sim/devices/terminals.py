@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from sim.devices.epos4_objects import UNUSED
-from sim.devices.objects import ObjectDictionary
+from tonus.sim.devices.epos4_objects import UNUSED
+from tonus.sim.devices.objects import ObjectDictionary
 
 INPUTS = 8
 """Digital inputs 1 to 4, then high-speed inputs 1 to 4, as in 0x3142."""

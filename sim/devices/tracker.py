@@ -25,9 +25,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import Tracker as TrackerConfig
-from config.schema.lab import Occlusion, TrackerNoise, TrackerShift
-from sim.plant.streams import Stream, generator
+from tonus.config.schema.bus import Tracker as TrackerConfig
+from tonus.config.schema.lab import Occlusion, TrackerNoise, TrackerShift
+from tonus.sim.plant.streams import Stream, generator
 
 DATAGRAM = struct.Struct("<4sHHIIq3d4df")
 MAGIC = b"TNTK"

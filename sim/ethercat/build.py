@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from config.schema.bus import EthercatBus
-from config.schema.lab import Lab as LabConfig
-from sim.devices.device import Device
-from sim.devices.epos4 import Epos4
-from sim.devices.force_cell import ForceCell
-from sim.devices.timers import Timers
-from sim.errors import LabError
-from sim.ethercat.identity import EPOS4, Kind, amplifier
-from sim.ethercat.segment import Lab, Segment
-from sim.ethercat.slave import Slave
-from sim.plant.streams import Stream, generator
+from tonus.config.schema.bus import EthercatBus
+from tonus.config.schema.lab import Lab as LabConfig
+from tonus.sim.devices.device import Device
+from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.force_cell import ForceCell
+from tonus.sim.devices.timers import Timers
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat.identity import EPOS4, Kind, amplifier
+from tonus.sim.ethercat.segment import Lab, Segment
+from tonus.sim.ethercat.slave import Slave
+from tonus.sim.plant.streams import Stream, generator
 
 _PPM = 1e-6
 _ORIGINS_NS = 10_000_000_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from sim.devices.objects import (
+from tonus.sim.devices.objects import (
     COMMAND,
     LENGTH_LOW,
     NO_SUBINDEX,
@@ -17,7 +17,7 @@ from sim.devices.objects import (
     Kind,
     ObjectDictionary,
 )
-from sim.ethercat import information
+from tonus.sim.ethercat import information
 
 COMPLETE_ACCESS = 0x06010004
 """The EPOS4's list of abort codes has it: the object cannot be accessed as a whole."""

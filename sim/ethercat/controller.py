@@ -9,8 +9,8 @@ from __future__ import annotations
 import struct
 from typing import NamedTuple, Protocol
 
-from sim.ethercat import registers as reg
-from sim.ethercat.eeprom import Eeprom
+from tonus.sim.ethercat import registers as reg
+from tonus.sim.ethercat.eeprom import Eeprom
 
 _BUFFERED, _MAILBOX = 0, 2
 FULL = 0x08

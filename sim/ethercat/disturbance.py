@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import Protocol
 
-from config.schema.faults import Corruption, Delay, Duplicate, Loss
+from tonus.config.schema.faults import Corruption, Delay, Duplicate, Loss
 
 _READ, _WRITE = 1, 2
 FrameFault = Loss | Corruption | Delay | Duplicate

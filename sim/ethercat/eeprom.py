@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from sim.ethercat import registers as reg
+from tonus.sim.ethercat import registers as reg
 
 _WRITE_ENABLE = 0x01
 _EIGHT_BYTES = 0x40

@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
-from config.schema.lab import LabScript
-from config.schema.root import Config
-from sim.devices.objects import Entry, ObjectDictionary
-from sim.devices.objects import Kind as DataKind
-from sim.errors import LabError
-from sim.ethercat.process_data import RECEIVE_MAPPING, TRANSMIT_MAPPING
-from sim.ethercat.sii import managers
-from sim.ethercat.slave import Slave
-from sim.lab import Lab
+from tonus.config.schema.lab import LabScript
+from tonus.config.schema.root import Config
+from tonus.sim.devices.objects import Entry, ObjectDictionary
+from tonus.sim.devices.objects import Kind as DataKind
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat.process_data import RECEIVE_MAPPING, TRANSMIT_MAPPING
+from tonus.sim.ethercat.sii import managers
+from tonus.sim.ethercat.slave import Slave
+from tonus.sim.lab import Lab
 
 _TYPES = {
     DataKind.U8: "USINT",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from config.schema.faults import (
+from tonus.config.schema.faults import (
     Babble,
     CableBreak,
     CellBreak,
@@ -30,15 +30,15 @@ from config.schema.faults import (
     WatchdogExpiry,
     WrongIdentity,
 )
-from config.schema.robot_faults import OfRobot
-from sim.devices.epos4 import Epos4
-from sim.devices.epos4_errors import ERRORS
-from sim.devices.force_cell import ForceCell
-from sim.errors import LabError
-from sim.ethercat.disturbance import Draws, Played
-from sim.ethercat.segment import Segment
-from sim.ethercat.slave import Slave
-from sim.ethercat.states import State
+from tonus.config.schema.robot_faults import OfRobot
+from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.epos4_errors import ERRORS
+from tonus.sim.devices.force_cell import ForceCell
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat.disturbance import Draws, Played
+from tonus.sim.ethercat.segment import Segment
+from tonus.sim.ethercat.slave import Slave
+from tonus.sim.ethercat.states import State
 
 ONLY_HERE = (
     PowerLoss

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from sim.devices.objects import AbortError, Entry, Kind, ObjectDictionary
+from tonus.sim.devices.objects import AbortError, Entry, Kind, ObjectDictionary
 
 _SERVICE = 8
 _LIST, _OBJECT, _ENTRY, _ERROR = 1, 3, 5, 7

@@ -13,9 +13,9 @@ import socket
 import struct
 from collections.abc import Callable
 
-from sim.errors import LabError
-from sim.ethercat.frames import ETHERTYPE
-from sim.ethercat.segment import Segment
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat.frames import ETHERTYPE
+from tonus.sim.ethercat.segment import Segment
 
 _FRAME_BYTES = 2048
 _BATCH = 16

@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from sim.devices.device import Device, PdoDefault, Reader, Writer
-from sim.devices.objects import (
+from tonus.sim.devices.device import Device, PdoDefault, Reader, Writer
+from tonus.sim.devices.objects import (
     NOT_MAPPABLE,
     PDO_LENGTH,
     SUB0_FIRST,
@@ -15,7 +15,7 @@ from sim.devices.objects import (
     Entry,
     Kind,
 )
-from sim.ethercat.identity import Kind as SlaveKind
+from tonus.sim.ethercat.identity import Kind as SlaveKind
 
 RECEIVE_MAPPING = 0x1600
 TRANSMIT_MAPPING = 0x1A00

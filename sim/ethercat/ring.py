@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.ethercat.segment import Segment
+from tonus.sim.ethercat.segment import Segment
 
 
 class Ring:

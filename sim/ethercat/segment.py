@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from sim.devices.timers import Callback
-from sim.ethercat import registers as reg
-from sim.ethercat.cable import Cable
-from sim.ethercat.controller import READ, WRITE
-from sim.ethercat.disturbance import Disturbance, Fate
-from sim.ethercat.frames import (
+from tonus.sim.devices.timers import Callback
+from tonus.sim.ethercat import registers as reg
+from tonus.sim.ethercat.cable import Cable
+from tonus.sim.ethercat.controller import READ, WRITE
+from tonus.sim.ethercat.disturbance import Disturbance, Fate
+from tonus.sim.ethercat.frames import (
     COUNTER_BYTES,
     DATAGRAM,
     HEAD_BYTES,
@@ -26,8 +26,8 @@ from sim.ethercat.frames import (
     Command,
     is_ethercat,
 )
-from sim.ethercat.plan import Plan, compile_plan
-from sim.ethercat.slave import Slave
+from tonus.sim.ethercat.plan import Plan, compile_plan
+from tonus.sim.ethercat.slave import Slave
 
 _COUNTER = struct.Struct("<H")
 _TIME = struct.Struct("<Q")
@@ -43,7 +43,7 @@ _PLANS = 64
 
 
 class Lab(Protocol):
-    """What a segment needs of its lab; see `sim.lab.Lab`."""
+    """What a segment needs of its lab; see `tonus.sim.lab.Lab`."""
 
     @property
     def now_ns(self) -> int: ...

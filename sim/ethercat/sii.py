@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from sim.ethercat.identity import Kind
+from tonus.sim.ethercat.identity import Kind
 
 WORDS = 0x0400
 """Size of the image: 2 KiB; a master may read no more than 4 KiB."""

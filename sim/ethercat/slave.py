@@ -5,20 +5,20 @@ from __future__ import annotations
 import struct
 from typing import Protocol
 
-from sim.devices.device import Device
-from sim.devices.objects import AbortError
-from sim.devices.timers import Timers
-from sim.errors import LabError
-from sim.ethercat import registers as reg
-from sim.ethercat.clock import SHORTEST_NS, DistributedClock, SyncUnit
-from sim.ethercat.coe import Coe, emergency
-from sim.ethercat.controller import Controller, Manager
-from sim.ethercat.eeprom import Eeprom
-from sim.ethercat.identity import Kind
-from sim.ethercat.mailbox import Mailbox
-from sim.ethercat.process_data import ProcessData
-from sim.ethercat.sii import INPUTS, MAILBOX_IN, MAILBOX_OUT, OUTPUTS, image
-from sim.ethercat.states import (
+from tonus.sim.devices.device import Device
+from tonus.sim.devices.objects import AbortError
+from tonus.sim.devices.timers import Timers
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat import registers as reg
+from tonus.sim.ethercat.clock import SHORTEST_NS, DistributedClock, SyncUnit
+from tonus.sim.ethercat.coe import Coe, emergency
+from tonus.sim.ethercat.controller import Controller, Manager
+from tonus.sim.ethercat.eeprom import Eeprom
+from tonus.sim.ethercat.identity import Kind
+from tonus.sim.ethercat.mailbox import Mailbox
+from tonus.sim.ethercat.process_data import ProcessData
+from tonus.sim.ethercat.sii import INPUTS, MAILBOX_IN, MAILBOX_OUT, OUTPUTS, image
+from tonus.sim.ethercat.states import (
     NO_ERROR,
     NO_SYNC,
     SYNC_LOST,
@@ -28,7 +28,7 @@ from sim.ethercat.states import (
     State,
     next_standing,
 )
-from sim.ethercat.watchdog import Watchdog
+from tonus.sim.ethercat.watchdog import Watchdog
 
 PDO_ERROR = 0x8280
 COMMUNICATION_ERROR = 0x8180

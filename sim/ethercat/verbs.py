@@ -11,15 +11,15 @@ from typing import Annotated, Any, Literal, Protocol, get_args
 
 from pydantic import Field
 
-from config.schema.base import Fraction, Section
-from config.schema.faults import Babble, StuckBus
-from sim.devices.epos4 import Epos4
-from sim.devices.epos4_errors import ERRORS
-from sim.errors import LabError
-from sim.ethercat.faults import ONLY_HERE
-from sim.ethercat.segment import Segment
-from sim.ethercat.slave import Slave
-from sim.ethercat.states import State
+from tonus.config.schema.base import Fraction, Section
+from tonus.config.schema.faults import Babble, StuckBus
+from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.epos4_errors import ERRORS
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat.faults import ONLY_HERE
+from tonus.sim.ethercat.segment import Segment
+from tonus.sim.ethercat.slave import Slave
+from tonus.sim.ethercat.states import State
 
 Reply = dict[str, Any]
 _Whole = Annotated[int, Field(ge=0)]

@@ -9,7 +9,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from sim.errors import LabError
+from tonus.sim.errors import LabError
 
 _INTERFACES = Path("/sys/class/net")
 _PATIENCE_S = 10.0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.devices.timers import Timers
-from sim.ethercat import registers as reg
-from sim.ethercat.controller import Controller
+from tonus.sim.devices.timers import Timers
+from tonus.sim.ethercat import registers as reg
+from tonus.sim.ethercat.controller import Controller
 
 _OUT = 2
 _STATUS = reg.WATCHDOG_STATUS

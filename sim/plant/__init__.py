@@ -3,8 +3,8 @@
 `Plant` is the door. Everything is in SI units; no device, bus or clock is known here.
 """
 
-from sim.plant.energy import Energy
-from sim.plant.plant import Plant
-from sim.plant.streams import Stream, generator
+from tonus.sim.plant.energy import Energy
+from tonus.sim.plant.plant import Plant
+from tonus.sim.plant.streams import Stream, generator
 
 __all__ = ["Energy", "Plant", "Stream", "generator"]

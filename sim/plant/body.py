@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, sin, sqrt
 from typing import Any
 
-from sim.plant.compiled import inner
+from tonus.sim.plant.compiled import inner
 
 
 @inner

@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import atan2, cos, expm1, log1p, sin, sqrt
 from typing import Any
 
-from sim.plant.compiled import inner
+from tonus.sim.plant.compiled import inner
 
 
 @inner

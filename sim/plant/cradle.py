@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Any
 
-from sim.plant.compiled import inner
+from tonus.sim.plant.compiled import inner
 
 
 @inner
@@ -29,7 +29,7 @@ def _stick(s: Any, p: Any, c: int, place: tuple[float, float], push: float) -> N
     """Move a corner's foot so far that the spring between both stays in the friction circle.
 
     What the foot slides is lost: by the mean of the force before and after, as the platform's work
-    over the step is (see `sim.plant.kernel`), and never less than nothing.
+    over the step is (see `tonus.sim.plant.kernel`), and never less than nothing.
     """
     if s.standing[c] == 0.0:
         s.standing[c] = 1.0

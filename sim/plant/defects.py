@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import CELLS
+from tonus.config.schema.bus import CELLS
 
 _SECOND_NS = 1_000_000_000
 _Place = tuple[str, int]

@@ -9,8 +9,8 @@ from __future__ import annotations
 from math import exp
 from typing import Any
 
-from sim.plant.cables import stored
-from sim.plant.compiled import inner
+from tonus.sim.plant.cables import stored
+from tonus.sim.plant.compiled import inner
 
 
 @inner

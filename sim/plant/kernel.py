@@ -9,12 +9,12 @@ from __future__ import annotations
 from math import exp
 from typing import Any
 
-from sim.plant.body import drift_body, orient, set_orientation, spin
-from sim.plant.cables import pull_cables, stored, tip_speed
-from sim.plant.compiled import inner, outermost
-from sim.plant.contacts import press, relax
-from sim.plant.cradle import rest
-from sim.plant.drums import drift_drums, follow_currents, kick_drums, predict_drums, teeth
+from tonus.sim.plant.body import drift_body, orient, set_orientation, spin
+from tonus.sim.plant.cables import pull_cables, stored, tip_speed
+from tonus.sim.plant.compiled import inner, outermost
+from tonus.sim.plant.contacts import press, relax
+from tonus.sim.plant.cradle import rest
+from tonus.sim.plant.drums import drift_drums, follow_currents, kick_drums, predict_drums, teeth
 
 
 @inner

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from config.schema.robot import CABLES
-from sim.plant.compiled import sources
-from sim.truth import TRUTH_FIELDS
+from tonus.config.schema.robot import CABLES
+from tonus.sim.plant.compiled import sources
+from tonus.sim.truth import TRUTH_FIELDS
 
 _FLOAT = "<f8"
 _PER_CABLE = (_FLOAT, (CABLES,))
@@ -138,7 +138,7 @@ PARAMETERS = np.dtype(
         grip_damping=_FLOAT,
         grip_origin=_VECTOR,  # m, where it took hold
         opening=_FLOAT,  # share of the step before the first drift: 1/2, or 1 (see kernel.advance)
-        # Never read: see `sim.plant.compiled`.
+        # Never read: see `tonus.sim.plant.compiled`.
         **{f"sources_{sources(Path(__file__).parent)}": _FLOAT},
     )
 )

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.lab import Backlash, Displacement, Lab, Load, Phantom, Stiffening
-from config.schema.robot import CABLES, Robot
-from sim.errors import LabError
-from sim.plant.layout import PARAMETERS
+from tonus.config.schema.lab import Backlash, Displacement, Lab, Load, Phantom, Stiffening
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.sim.errors import LabError
+from tonus.sim.plant.layout import PARAMETERS
 
 Floats = NDArray[np.float64]
 _COARSEST = 0.5

@@ -11,18 +11,18 @@ from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from config import Config, load
-from config.schema.control import Distribution
-from drivers.process_image import AxisState, ProcessImage
-from runtime.clock import Stopwatch
-from runtime.cycle import ControlCycle
-from runtime.distribution import TensionDistribution
-from runtime.estimator import PoseEstimator
-from runtime.kinematics import Kinematics
-from runtime.signals import CycleRecord
-from runtime.states import Operator, State
 from tests.bench.measure import Figure, against, microseconds
 from tests.loop import QUICK, ClosedLoop, configured
+from tonus.config import Config, load
+from tonus.config.schema.control import Distribution
+from tonus.drivers.process_image import AxisState, ProcessImage
+from tonus.runtime.clock import Stopwatch
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.distribution import TensionDistribution
+from tonus.runtime.estimator import PoseEstimator
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.signals import CycleRecord
+from tonus.runtime.states import Operator, State
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def control() -> list[Figure]:
             lambda: kinematics.evaluate(position, quaternion),
             "the same in numpy",
             lambda: _geometry_in_numpy(kinematics, position),
-            "why runtime.kinematics is compiled",
+            "why tonus.runtime.kinematics is compiled",
         )
     ]
     kinematics.evaluate(position, quaternion)

@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from config import load
-from config.schema.root import Config
-from drivers.errors import DriverError
-from drivers.ethercat.master import EthercatFieldbus
-from drivers.ethercat.soem import SoemMaster
-from drivers.process_image import ProcessImage
-from runtime import clock
-from runtime.realtime import freeze_collector, prepare, thaw_collector
-from runtime.scheduler import Scheduler, TimerPacing
 from tests.bench.measure import Figure
+from tonus.config import load
+from tonus.config.schema.root import Config
+from tonus.drivers.errors import DriverError
+from tonus.drivers.ethercat.master import EthercatFieldbus
+from tonus.drivers.ethercat.soem import SoemMaster
+from tonus.drivers.process_image import ProcessImage
+from tonus.runtime import clock
+from tonus.runtime.realtime import freeze_collector, prepare, thaw_collector
+from tonus.runtime.scheduler import Scheduler, TimerPacing
 
 TICKS = 5000
 TIMEOUT_US = 900
@@ -42,7 +42,7 @@ def ethercat() -> list[Figure]:
         path = Path(folder, "segment.yaml")
         path.write_text(yaml.safe_dump(config.model_dump(mode="json")))
         lab = subprocess.Popen(
-            [sys.executable, "-m", "tools.cli", "lab", str(path)],
+            [sys.executable, "-m", "tonus.tools.cli", "lab", str(path)],
             env={**os.environ, "TONUS_RUNTIME_DIR": folder, "PYTHONUNBUFFERED": "1"},
             stdout=subprocess.PIPE,
             text=True,

@@ -12,15 +12,15 @@ import canopen
 import numpy as np
 from canopen.objectdictionary import ODRecord, ODVariable, datatypes
 
-from config import load
-from config.schema.bus import CanopenBus
-from config.schema.root import Config
-from sim.can import registry
-from sim.can.faulty import FaultyChannel
-from sim.can.plugin import TonusBus
-from sim.can.timing import frame_bits
-from sim.lab import Lab
 from tests.bench.measure import Figure, microseconds
+from tonus.config import load
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.root import Config
+from tonus.sim.can import registry
+from tonus.sim.can.faulty import FaultyChannel
+from tonus.sim.can.plugin import TonusBus
+from tonus.sim.can.timing import frame_bits
+from tonus.sim.lab import Lab
 
 RECEIVERS = 9
 FRAMES = 4000

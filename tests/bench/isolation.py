@@ -11,10 +11,10 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from config.loader import HERE
 from tests.bench.pages import Marks, today
 from tests.isolated import BROKEN, Broken, play
 from tests.torn import Stopped, Torn
+from tonus.config.loader import HERE
 
 HOME = (0.0, 0.0, 0.0)
 CABLES = (0, 5)

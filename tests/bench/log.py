@@ -12,14 +12,14 @@ import numpy as np
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from config import load
-from runtime.mcap_file import Index, McapFile
 from tests.bench.measure import Figure
-from tools.log import open as open_log
-from tools.log.chunks import content, read, runs, scan, unpack
-from tools.log.replay import replay
-from tools.report.page import report
-from tools.run import Order, run
+from tonus.config import load
+from tonus.runtime.mcap_file import Index, McapFile
+from tonus.tools.log import open as open_log
+from tonus.tools.log.chunks import content, read, runs, scan, unpack
+from tonus.tools.log.replay import replay
+from tonus.tools.report.page import report
+from tonus.tools.run import Order, run
 
 CYCLES = 600_000
 SAMPLE = 100_000

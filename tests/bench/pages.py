@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from runtime.clock import wall_stamp
+from tonus.runtime.clock import wall_stamp
 
 
 def today() -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.log import open as open_log
+from tonus.tools.log import open as open_log
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def play(
     Raises RuntimeError with the daemon's words if it did not come to a run.
     """
     with _folders() as (runtime, out):
-        command = [sys.executable, "-m", "tools.cli", "run", CONFIG, "--scenario", SCENARIO]
+        command = [sys.executable, "-m", "tonus.tools.cli", "run", CONFIG, "--scenario", SCENARIO]
         daemon = subprocess.Popen(
             [*command, "--duration", str(seconds), "--out", str(out), "--json"],
             env={**os.environ, "TONUS_RUNTIME_DIR": str(runtime)},

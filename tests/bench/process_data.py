@@ -15,15 +15,15 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from config import load
-from config.schema.bus import CanopenBus
-from drivers.canopen.channel import Channel
-from drivers.events import EventLog
-from drivers.exchange import Exchange
-from drivers.process_image import AxisCommand, ProcessImage
-from runtime.clock import Stopwatch
-from sim.can import packet
 from tests.bench.measure import Figure, microseconds
+from tonus.config import load
+from tonus.config.schema.bus import CanopenBus
+from tonus.drivers.canopen.channel import Channel
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import Exchange
+from tonus.drivers.process_image import AxisCommand, ProcessImage
+from tonus.runtime.clock import Stopwatch
+from tonus.sim.can import packet
 
 ROUNDS = 3000
 ANSWERS = (0x181, 0x182, 0x191, 0x192, 0x193)

@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from config import load
-from runtime.clock import Stopwatch
-from runtime.histogram import Histogram
-from runtime.realtime import Hygiene, stolen_jiffies
 from tests.bench.measure import Figure
 from tests.bench.played import CONFIG, Played, p99_9, play, together
-from tools.doctor.wakeup import bare, cyclictest
-from tools.report import style
+from tonus.config import load
+from tonus.runtime.clock import Stopwatch
+from tonus.runtime.histogram import Histogram
+from tonus.runtime.realtime import Hygiene, stolen_jiffies
+from tonus.tools.doctor.wakeup import bare, cyclictest
+from tonus.tools.report import style
 
 Array = NDArray[np.float64]
 _STRETCH_S = 30.0

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import patch
 
-from sim.devices.epos4 import Epos4
-from sim.devices.timers import Callback
-from sim.ethercat.frames import Command, Datagram, build, parse, physical
-from sim.ethercat.identity import EPOS4
-from sim.ethercat.segment import Segment
-from sim.ethercat.slave import Slave
 from tests.bench.measure import Figure, microseconds
+from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.timers import Callback
+from tonus.sim.ethercat.frames import Command, Datagram, build, parse, physical
+from tonus.sim.ethercat.identity import EPOS4
+from tonus.sim.ethercat.segment import Segment
+from tonus.sim.ethercat.slave import Slave
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # where the tests' own helpers lie
 from ethercat_bench import LOGICAL, STATION, SegmentBench
@@ -98,7 +98,7 @@ def both_ways() -> tuple[float, float]:
     frame = build([Datagram(Command.LRW, LOGICAL, bytes(_BYTES * 8))])
     _, straight = _drives(8)
     _, by_parts = _drives(8)
-    with patch("sim.ethercat.plan._straighten", lambda _: None):
+    with patch("tonus.sim.ethercat.plan._straighten", lambda _: None):
         by_parts.answer(frame, 0)  # it remembers how
     rounds = [
         [microseconds(lambda made=made: made.answer(frame, 0), 200, 1) for made in both]

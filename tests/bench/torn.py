@@ -17,10 +17,10 @@ import yaml
 from matplotlib.figure import Figure as Picture
 from rich.console import Console
 
-from config.loader import HERE, load_bounds
 from tests.bench.pages import Marks, today
 from tests.torn import CABLES, GRID, LATER, MOTIONS, Motion, Stopped, Torn
-from tools.report import style
+from tonus.config.loader import HERE, load_bounds
+from tonus.tools.report import style
 
 _DOCS = HERE.parent / "docs"
 _UPPER = 4

@@ -6,9 +6,9 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from config import load
 from tests.bench.measure import Figure
-from tools.run import Order, run
+from tonus.config import load
+from tonus.tools.run import Order, run
 
 SECONDS = 10.0
 

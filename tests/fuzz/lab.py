@@ -14,11 +14,11 @@ from typing import Self
 import can
 import numpy as np
 
-from sim.can.node import Nmt
-from sim.devices.cia402 import State
-from sim.devices.epos4 import Epos4
 from tests.fuzz.shots import LOAD, Shot, Storm, Targets
 from tests.lab_bench import Bench
+from tonus.sim.can.node import Nmt
+from tonus.sim.devices.cia402 import State
+from tonus.sim.devices.epos4 import Epos4
 
 DRIVE, CELL = 0x00020192, 0x00020194
 CHECK_EVERY = 1000

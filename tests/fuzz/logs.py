@@ -9,9 +9,9 @@ from pathlib import Path
 
 from click.testing import CliRunner
 
-from config.errors import ConfigError
-from tools.cli.log import log as command
-from tools.errors import ToolError
+from tonus.config.errors import ConfigError
+from tonus.tools.cli.log import log as command
+from tonus.tools.errors import ToolError
 
 Damage = Callable[[bytes, random.Random], bytes]
 SEGMENTS = ("run.mcap", "run.2.mcap", "run.3.mcap")

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sim.ethercat.frames import Command, Datagram, build, physical
-from sim.ethercat.registers import MEMORY_END
-from sim.ethercat.states import State
 from tests.ethercat_bench import MS, OP, STATION, US, SegmentBench
+from tonus.sim.ethercat.frames import Command, Datagram, build, physical
+from tonus.sim.ethercat.registers import MEMORY_END
+from tonus.sim.ethercat.states import State
 
 CHECK_EVERY = 1000
 GROWTH = 30_000

@@ -18,10 +18,10 @@ from unittest.mock import patch
 
 import numpy as np
 
-from runtime.mcap_file import Block, McapFile
-from runtime.signals import SCHEMA_VERSION
 from tests.fuzz.logs import DAMAGES, SEGMENTS, read, readers
-from tools.log.chunks import content, runs, scan
+from tonus.runtime.mcap_file import Block, McapFile
+from tonus.runtime.signals import SCHEMA_VERSION
+from tonus.tools.log.chunks import content, runs, scan
 
 GOLDEN = Path(__file__).parents[1] / "replay" / "golden"
 CHUNKS = 12
@@ -94,7 +94,7 @@ def storm(
         files = source(Path(place))
         chosen = zip(range(count), cases(files, seed), strict=False)
         for number, (what, damaged) in chosen:
-            undrawn = patch("tools.report.page._image", return_value="")
+            undrawn = patch("tonus.tools.report.page._image", return_value="")
             try:
                 with nullcontext() if number % drawn == 0 else undrawn:
                     found = read(damaged, Path(place) / "case", names)

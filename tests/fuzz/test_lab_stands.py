@@ -6,10 +6,10 @@ import itertools
 
 import pytest
 
-from sim.can.frame import Frame
-from sim.can.node import Node
 from tests.fuzz.lab import attack, shortest, targets
 from tests.fuzz.shots import Shot, Storm, Targets
+from tonus.sim.can.frame import Frame
+from tonus.sim.can.node import Node
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,12 @@ from collections.abc import Awaitable, Callable
 
 import can
 
-from config import load
-from drivers.canopen.master import CanopenFieldbus
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
-from runtime.clock import VirtualTimeLoop
-from sim.lab import Lab
 from tests.unit.fake_can import Tap
+from tonus.config import load
+from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.clock import VirtualTimeLoop
+from tonus.sim.lab import Lab
 
 CONFIG, SCENARIO = load("config/can.yaml", scenario="hold")
 PERIOD_S = CONFIG.control.rates.period

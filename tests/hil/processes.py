@@ -15,14 +15,14 @@ import pytest
 import yaml
 from loop import QUICK
 
-from config.loader import HERE
-from runtime import clock
-from runtime.ring import RingReader
-from tools.log import Log
-from tools.log import open as open_log
+from tonus.config.loader import HERE
+from tonus.runtime import clock
+from tonus.runtime.ring import RingReader
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
 
-TONUS = [sys.executable, "-m", "tools.cli"]
-RECORDING = ("tools.recorder_keeper", "tools.recorder_process")
+TONUS = [sys.executable, "-m", "tonus.tools.cli"]
+RECORDING = ("tonus.tools.recorder_keeper", "tonus.tools.recorder_process")
 STEAL_PERCENT = 1.0
 """As `tonus run` says it of a run."""
 _STEP_S = 0.02

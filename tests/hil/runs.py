@@ -7,10 +7,10 @@ from typing import Any
 
 from loop import QUICK
 
-from config import Config, Scenario, load
-from tools.log import Log
-from tools.log import open as open_log
-from tools.run import Order, Result, run
+from tonus.config import Config, Scenario, load
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.run import Order, Result, run
 
 
 def configured(

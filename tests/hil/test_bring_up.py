@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from hil.can_bench import CONFIG, Bench, enabled, on_lab
 
-from drivers.errors import BringUpError
-from drivers.process_image import AxisCommand, AxisState
+from tonus.drivers.errors import BringUpError
+from tonus.drivers.process_image import AxisCommand, AxisState
 
 
 def test_all_drives_are_brought_to_operation_enabled_and_back() -> None:

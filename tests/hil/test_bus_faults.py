@@ -13,19 +13,19 @@ from hil.can_bench import CONFIG, PERIOD_S, Bench, enabled, on_lab
 from hil.runs import configured
 from hil.test_events import Heard
 
-from config.schema.bus import CanopenBus
-from config.timeouts import master_timeout_ms
-from drivers.canopen.master import CanopenFieldbus
-from drivers.fieldbus import BusEvent
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
-from drivers.tracker import TrackerInput
-from runtime import clock
-from runtime.daemon import Daemon, Outcome
-from runtime.operator import Commander
-from runtime.scheduler import VirtualPacing
-from runtime.sequence import Sequence
-from runtime.states import Operator, State
-from sim.lab import Lab
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.timeouts import master_timeout_ms
+from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.fieldbus import BusEvent
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.drivers.tracker import TrackerInput
+from tonus.runtime import clock
+from tonus.runtime.daemon import Daemon, Outcome
+from tonus.runtime.operator import Commander
+from tonus.runtime.scheduler import VirtualPacing
+from tonus.runtime.sequence import Sequence
+from tonus.runtime.states import Operator, State
+from tonus.sim.lab import Lab
 
 FRESH = CONFIG.control.freshness.measurement_ticks
 assert isinstance(CONFIG.fieldbus, CanopenBus)

@@ -8,14 +8,14 @@ import can
 import numpy as np
 from hil.runs import configured, virtual
 
-from config.schema.bus import CanopenBus
-from config.timeouts import master_timeout_ms
-from drivers.canopen.master import CanopenFieldbus
-from drivers.process_image import ProcessImage
-from runtime import clock
-from runtime.states import Fault, State
-from sim.lab import Lab
-from tools.log import Log
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.timeouts import master_timeout_ms
+from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.process_image import ProcessImage
+from tonus.runtime import clock
+from tonus.runtime.states import Fault, State
+from tonus.sim.lab import Lab
+from tonus.tools.log import Log
 
 DRIVES, CELLS = (1, 2), (17, 18)
 

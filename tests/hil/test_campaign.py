@@ -12,15 +12,15 @@ from typing import Any
 
 import pytest
 
-from config.loader import load_scenario, load_study
-from config.schema.scenario import Scenario
-from tools.campaign.draw import begins, grouped, undisturbed
-from tools.campaign.episode import Episode, Setup
-from tools.campaign.invariants import within_bounds
-from tools.campaign.judge import digest
-from tools.campaign.observed import Observed
-from tools.campaign.play import play
-from tools.campaign.players import Players
+from tonus.config.loader import load_scenario, load_study
+from tonus.config.schema.scenario import Scenario
+from tonus.tools.campaign.draw import begins, grouped, undisturbed
+from tonus.tools.campaign.episode import Episode, Setup
+from tonus.tools.campaign.invariants import within_bounds
+from tonus.tools.campaign.judge import digest
+from tonus.tools.campaign.observed import Observed
+from tonus.tools.campaign.play import play
+from tonus.tools.campaign.players import Players
 
 STUDY = load_study("faults")
 FAULTS: dict[str, dict[str, Any]] = {
@@ -112,7 +112,7 @@ def test_without_a_fault_no_bound_is_broken(controller: str, name: str) -> None:
 
 def test_the_command_goes_on_where_it_was_left(tmp_path: Path) -> None:
     def command(*options: str) -> subprocess.CompletedProcess[str]:
-        line = [sys.executable, "-m", "tools.cli", "campaign", "faults", "--bus", "can"]
+        line = [sys.executable, "-m", "tonus.tools.cli", "campaign", "faults", "--bus", "can"]
         line += ["--out", str(tmp_path), "--minimise", "0", *options]
         return subprocess.run(line, capture_output=True, text=True, check=False)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from config.loader import load_study
-from tools.campaign.campaign import played
-from tools.campaign.draw import episodes
+from tonus.config.loader import load_study
+from tonus.tools.campaign.campaign import played
+from tonus.tools.campaign.draw import episodes
 
 STUDY = load_study("faults")
 EPISODES = int(os.environ.get("TONUS_EPISODES", "20"))

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from config.loader import load_study
-from tools.campaign import regression
-from tools.campaign.invariants import within_bounds
-from tools.campaign.play import play
+from tonus.config.loader import load_study
+from tonus.tools.campaign import regression
+from tonus.tools.campaign.invariants import within_bounds
+from tonus.tools.campaign.play import play
 
 STUDY = load_study("faults")
 KEPT = sorted(Path(__file__).with_name("regressions").glob(f"*{regression.SUFFIX}"))

@@ -25,7 +25,7 @@ def _start(out: Path, runtime: Path, seed: int = 3) -> subprocess.Popen[bytes]:
     config, _ = configured()
     path = out / "quick.yaml"
     path.write_text(yaml.safe_dump(config.model_dump(mode="json")))
-    command = [sys.executable, "-m", "tools.cli", "run", str(path), "--virtual", "--json"]
+    command = [sys.executable, "-m", "tonus.tools.cli", "run", str(path), "--virtual", "--json"]
     arguments = ["--duration", SECONDS, "--seed", str(seed), "--out", str(out)]
     environment = {**os.environ, "TONUS_RUNTIME_DIR": str(runtime)}
     return subprocess.Popen([*command, *arguments], env=environment, stdout=subprocess.DEVNULL)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from hil.runs import configured, virtual
 
-from runtime.signals import TOPICS
-from sim.can.timing import frame_bits
-from tools.log import Log
+from tonus.runtime.signals import TOPICS
+from tonus.sim.can.timing import frame_bits
+from tonus.tools.log import Log
 
 SYNC = 0x080
 START_NS = 2_000_000_000

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hil.runs import configured, virtual
 
-from runtime.states import State
-from tools.log import Log
+from tonus.runtime.states import State
+from tonus.tools.log import Log
 
 START_NS = 1_000_000_000
 """The runs tick from here, whatever their bring-up takes."""

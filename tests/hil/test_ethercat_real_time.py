@@ -20,12 +20,12 @@ import yaml
 from hil.processes import attempts
 from loop import QUICK
 
-from config import load
-from runtime.realtime import stolen_jiffies
-from tools.errors import ToolError
-from tools.lab_door import ask
-from tools.log import Log
-from tools.log import open as open_log
+from tonus.config import load
+from tonus.runtime.realtime import stolen_jiffies
+from tonus.tools.errors import ToolError
+from tonus.tools.lab_door import ask
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
 
 pytest.importorskip("pysoem", reason="pysoem is not installed: the extra ethercat")
 pytestmark = pytest.mark.realtime
@@ -62,7 +62,7 @@ def _configuration(folder: Path) -> Path:
 
 def _run(path: Path, folder: Path, runtime: Path) -> str:
     """What the run said. Some frames are lost in it, one at a time."""
-    command = [sys.executable, "-m", "tools.cli", "run", str(path), "--scenario", "hold"]
+    command = [sys.executable, "-m", "tonus.tools.cli", "run", str(path), "--scenario", "hold"]
     command += ["--duration", str(SECONDS), "--out", str(folder)]
     over = threading.Event()
 

@@ -6,18 +6,18 @@ from dataclasses import dataclass, field
 
 from hil.runs import configured
 
-from drivers.direct import DirectFieldbus
-from drivers.process_image import ProcessImage
-from drivers.tracker import TrackerInput
-from runtime import clock
-from runtime.daemon import Daemon, Outcome
-from runtime.operator import Script
-from runtime.scheduler import VirtualPacing
-from runtime.sequence import Sequence
-from runtime.states import Operator, State
-from runtime.taps import Level
-from sim.devices.tracker import DATAGRAM
-from sim.lab import Lab
+from tonus.drivers.direct import DirectFieldbus
+from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.tracker import TrackerInput
+from tonus.runtime import clock
+from tonus.runtime.daemon import Daemon, Outcome
+from tonus.runtime.operator import Script
+from tonus.runtime.scheduler import VirtualPacing
+from tonus.runtime.sequence import Sequence
+from tonus.runtime.states import Operator, State
+from tonus.runtime.taps import Level
+from tonus.sim.devices.tracker import DATAGRAM
+from tonus.sim.lab import Lab
 
 
 @dataclass

@@ -14,8 +14,8 @@ import pytest
 import yaml
 from runs import configured, virtual
 
-from runtime.states import State
-from tools.cli.main import main
+from tonus.runtime.states import State
+from tonus.tools.cli.main import main
 
 GIVEN: dict[str, Any] = {
     "lab.plant.stiffness_scale": 1.12,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from config.loader import load_bounds
 from tests.isolated import BROKEN, play
 from tests.torn import Torn
+from tonus.config.loader import load_bounds
 
 CHOSEN = (
     ("cable_cut", ""),

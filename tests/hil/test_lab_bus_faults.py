@@ -10,9 +10,9 @@ import can
 import pytest
 from hil.can_bench import CONFIG, PERIOD_S, Bench, enabled, on_lab
 
-from config.schema.faults import FAULT
-from drivers.events import EVENTS
-from drivers.process_image import AxisState
+from tonus.config.schema.faults import FAULT
+from tonus.drivers.events import EVENTS
+from tonus.drivers.process_image import AxisState
 
 LIMIT_S = (CONFIG.control.freshness.measurement_ticks + 2) * PERIOD_S
 """between two ends on the wire: the measurement's age, the tick in which it was made, and the way

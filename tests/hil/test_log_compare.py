@@ -10,18 +10,18 @@ import pytest
 from click.testing import CliRunner
 from hil.runs import configured, virtual
 
-from config import load
-from config.schema.scenario import Scenario
-from runtime.states import State
-from tools.cli.log_compare import compare
-from tools.log import Log
-from tools.log import open as open_log
-from tools.paper.case import Kind
-from tools.paper.printed import OURS
-from tools.paper.table import number
-from tools.report.compare import _as_played, kind_of, load_of
-from tools.report.compare import compare as put_side_by_side
-from tools.report.differences import differences
+from tonus.config import load
+from tonus.config.schema.scenario import Scenario
+from tonus.runtime.states import State
+from tonus.tools.cli.log_compare import compare
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.printed import OURS
+from tonus.tools.paper.table import number
+from tonus.tools.report.compare import _as_played, kind_of, load_of
+from tonus.tools.report.compare import compare as put_side_by_side
+from tonus.tools.report.differences import differences
 
 RUNS = (("bio", 1), ("bio", 2), ("pid", 1))
 FADE, PERIOD = 0.5, 0.5
@@ -82,7 +82,7 @@ def test_tracking_is_that_of_the_truth(logs: dict[tuple[str, int], Log]) -> None
 def test_without_truth_the_measurements_stand_in_and_that_is_said(
     logs: dict[tuple[str, int], Log], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tools.report.compare.TRUTH", "/tonus/no_truth")
+    monkeypatch.setattr("tonus.tools.report.compare.TRUTH", "/tonus/no_truth")
     table, (judged,) = put_side_by_side([open_log(logs["bio", 1].path)])
     assert judged.against == "the robot's own measurements"
     assert "position_rmse" in judged.row.indicators

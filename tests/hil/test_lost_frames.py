@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 from hil.runs import configured, virtual
 
-from config import Scenario, load
-from config.document import dotted
-from config.schema.place import DEFAULTS
-from runtime.states import Fault, State
-from sim.devices.tracker import Tracker
-from tools.log import Log
-from tools.run import Result
+from tonus.config import Scenario, load
+from tonus.config.document import dotted
+from tonus.config.schema.place import DEFAULTS
+from tonus.runtime.states import Fault, State
+from tonus.sim.devices.tracker import Tracker
+from tonus.tools.log import Log
+from tonus.tools.run import Result
 
 FIRST_S, APART_S = 2.6, 0.1373
 """after the drives were enabled: in ACTIVE; apart by no multiple of any period"""

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hil.runs import configured, virtual
 
-from config import Config
-from runtime.states import Fault, State
-from tools.log import Log
-from tools.summary import summarise, truth_at_cycles
+from tonus.config import Config
+from tonus.runtime.states import Fault, State
+from tonus.tools.log import Log
+from tonus.tools.summary import summarise, truth_at_cycles
 
 
 @pytest.fixture(scope="module")

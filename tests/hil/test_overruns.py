@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from runs import configured
 
-from config import load
-from config.schema.realtime import Overrun, RealTime
-from runtime.clock import now_ns
-from runtime.overruns import Overruns
-from runtime.states import Operator, State
-from tools.log import Log
-from tools.log import open as open_log
-from tools.log.replay import replay
-from tools.run import Order, Result, run
+from tonus.config import load
+from tonus.config.schema.realtime import Overrun, RealTime
+from tonus.runtime.clock import now_ns
+from tonus.runtime.overruns import Overruns
+from tonus.runtime.states import Operator, State
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.log.replay import replay
+from tonus.tools.run import Order, Result, run
 
 LATE_AT_NS = 2_800_000_000
 LATE_NS = 4_300_000

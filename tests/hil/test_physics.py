@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from loop import QUICK, ClosedLoop, Trace, configured, contact_of, rms
 
-from config.schema.scenario import Scenario
-from runtime.states import State
+from tonus.config.schema.scenario import Scenario
+from tonus.runtime.states import State
 
 CONFIG, _ = configured("hold")
 TENSION, LAW = CONFIG.control.tension, CONFIG.control.stiffness

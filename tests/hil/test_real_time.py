@@ -17,16 +17,16 @@ import yaml
 from hil.processes import attempts, taken_by_the_host
 from loop import QUICK
 
-from config.document import dotted
-from config.loader import HERE
-from config.schema.place import DEFAULTS
-from runtime.ring import RingReader
-from tools.log import open as open_log
-from tools.log.replay import replay
+from tonus.config.document import dotted
+from tonus.config.loader import HERE
+from tonus.config.schema.place import DEFAULTS
+from tonus.runtime.ring import RingReader
+from tonus.tools.log import open as open_log
+from tonus.tools.log.replay import replay
 
 pytestmark = pytest.mark.realtime
 
-TONUS = [sys.executable, "-m", "tools.cli"]
+TONUS = [sys.executable, "-m", "tonus.tools.cli"]
 ROOT = HERE.parent
 
 

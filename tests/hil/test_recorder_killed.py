@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from hil.processes import attempts, taken_by_the_host
 
-from tools.log import open as open_log
-from tools.log.several import segments
+from tonus.tools.log import open as open_log
+from tonus.tools.log.several import segments
 
 pytestmark = pytest.mark.realtime
 
@@ -33,14 +33,14 @@ def recorders(ring_dir_of: int) -> list[int]:
             except OSError:
                 continue
             ours = any(re.search(rb"run-%d(/|$)" % ring_dir_of, word) for word in words)
-            if ours and words[1:3] == [b"-m", b"tools.recorder_process"]:
+            if ours and words[1:3] == [b"-m", b"tonus.tools.recorder_process"]:
                 found.append(int(entry.name))
     return found
 
 
 def run_and_kill(out: Path, runtime: Path) -> tuple[int, str]:
     """How many recorders were killed, and what the run said."""
-    command = [sys.executable, "-m", "tools.cli", "run", "config/can.yaml", "--duration", "4"]
+    command = [sys.executable, "-m", "tonus.tools.cli", "run", "config/can.yaml", "--duration", "4"]
     environment = {**os.environ, "TONUS_RUNTIME_DIR": str(runtime)}
     with subprocess.Popen(
         [*command, "--out", str(out)],

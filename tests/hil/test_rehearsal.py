@@ -11,15 +11,15 @@ import pytest
 PLAY = """
 import sys
 from numba.core.dispatcher import Dispatcher
-from runtime.rehearsal import rehearse
-from runtime.states import State
+from tonus.runtime.rehearsal import rehearse
+from tonus.runtime.states import State
 from tests.loop import QUICK, ClosedLoop, configured
 
 
 def compiled():
     found = {}
     for name, module in list(sys.modules.items()):
-        if name.startswith("runtime."):
+        if name.startswith("tonus.runtime."):
             for each in vars(module).values():
                 if isinstance(each, Dispatcher):
                     found[f"{each.__module__}.{each.__name__}"] = len(each.signatures)

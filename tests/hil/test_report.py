@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from runs import configured, virtual
 
-from tools.errors import ToolError
-from tools.log import open as open_log
-from tools.report.figures import Cloud
-from tools.report.page import report
-from tools.report.panels import position_error
-from tools.report.story import Story
-from tools.report.thin import thin
-from tools.summary import Indicators, summarise
+from tonus.tools.errors import ToolError
+from tonus.tools.log import open as open_log
+from tonus.tools.report.figures import Cloud
+from tonus.tools.report.page import report
+from tonus.tools.report.panels import position_error
+from tonus.tools.report.story import Story
+from tonus.tools.report.thin import thin
+from tonus.tools.summary import Indicators, summarise
 
 SECTIONS = ["time", "envelope", "spectra", "timing", "events", "settings"]
 
@@ -104,7 +104,7 @@ def test_a_run_in_pieces_comes_to_what_the_whole_one_comes_to(
 ) -> None:
     whole = Story(open_log(quiet))
     (at_once,) = whole.pieces()
-    monkeypatch.setattr("tools.report.story._PIECE", 700)
+    monkeypatch.setattr("tonus.tools.report.story._PIECE", 700)
     story, indicators = Story(open_log(quiet)), Indicators()
     cloud, errors = Cloud(story), []
     for piece in story.pieces():

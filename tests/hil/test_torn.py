@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from config.loader import load_bounds
 from tests.torn import CABLES, Place, Torn
+from tonus.config.loader import load_bounds
 
 TENSION = 1.2 * 200.0
 """N: `tension` of config/bounds.yaml, of T_max"""

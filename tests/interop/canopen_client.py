@@ -13,10 +13,10 @@ import canopen
 from canopen.profiles.p402 import BaseNode402
 from canopen.sdo import SdoAbortedError
 
-import sim.devices
+import tonus.sim.devices
 
 Networks = dict[str, canopen.Network]
-EDS = Path(sim.devices.__path__[0]) / "epos4.eds"
+EDS = Path(tonus.sim.devices.__path__[0]) / "epos4.eds"
 CST = "CYCLIC SYNCHRONOUS TORQUE"
 PATIENCE_S = 3.0
 """for an answer of a lab whose host has other work as well"""

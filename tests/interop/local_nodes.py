@@ -20,7 +20,7 @@ from canopen.objectdictionary import (
     ODVariable,
 )
 
-from config import Config, load
+from tonus.config import Config, load
 
 
 def variable(

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-COMMAND = (sys.executable, "-m", "tools.cli", "lab", "config/can.yaml")
+COMMAND = (sys.executable, "-m", "tonus.tools.cli", "lab", "config/can.yaml")
 DRIVES = {"can0": (1, 2), "can1": (3, 4), "can2": (5, 6), "can3": (7, 8)}
 CELLS = {"can0": (17, 18), "can1": (19, 20), "can2": (21, 22), "can3": (23, 24, 25)}
 

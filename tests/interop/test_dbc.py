@@ -11,8 +11,8 @@ from cantools.database.can import Database
 from click.testing import CliRunner
 from hil.runs import configured, virtual
 
-from drivers.process_image import AxisState
-from tools.cli.export import export
+from tonus.drivers.process_image import AxisState
+from tonus.tools.cli.export import export
 
 
 def test_the_frames_of_a_run_decode_to_what_control_saw(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ NOBODY = 65534
 
 def start(directory: Path, *arguments: str) -> subprocess.Popen[str]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "tools.cli", "lab", "config/can.yaml", *arguments],
+        [sys.executable, "-m", "tonus.tools.cli", "lab", "config/can.yaml", *arguments],
         env={**os.environ, "TONUS_RUNTIME_DIR": str(directory), "PYTHONUNBUFFERED": "1"},
         stdout=subprocess.PIPE,
         text=True,
@@ -124,7 +124,7 @@ def test_a_cable_pulled_by_command_is_seen_on_the_bus(
 
     def command(*arguments: str) -> str:
         done = subprocess.run(
-            [sys.executable, "-m", "tools.cli", "fault", *arguments],
+            [sys.executable, "-m", "tonus.tools.cli", "fault", *arguments],
             capture_output=True,
             text=True,
             check=True,

@@ -16,8 +16,8 @@ import can
 import pytest
 from running_lab import COMMAND, environment, start
 
-from sim.can.plugin import TonusBus
-from sim.can.timing import frame_bits
+from tonus.sim.can.plugin import TonusBus
+from tonus.sim.can.timing import frame_bits
 
 pytestmark = pytest.mark.realtime
 

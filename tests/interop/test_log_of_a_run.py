@@ -14,10 +14,10 @@ from hil.runs import configured, virtual
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from runtime.signals import TOPICS
-from tools.cli.export import export as export_command
-from tools.log import Log
-from tools.log.export import export
+from tonus.runtime.signals import TOPICS
+from tonus.tools.cli.export import export as export_command
+from tonus.tools.log import Log
+from tonus.tools.log.export import export
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from interop.local_nodes import Cell, Drive, epos4, force_cell, local_nodes, robot_on
 
-from drivers.canopen.master import CanopenFieldbus
-from drivers.fieldbus import BusEvent
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
-from runtime.clock import RealTimeLoop
+from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.fieldbus import BusEvent
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.clock import RealTimeLoop
 
 PAUSE_S = 0.004
 """wall time between two ticks: the nodes answer from threads of their own"""

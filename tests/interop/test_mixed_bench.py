@@ -15,14 +15,14 @@ import can
 import canopen
 import pytest
 
-from config import load
-from sim.can.bridge import Bridge
-from sim.errors import LabError
-from sim.lab import Lab
-from sim.server import serve
+from tonus.config import load
+from tonus.sim.can.bridge import Bridge
+from tonus.sim.errors import LabError
+from tonus.sim.lab import Lab
+from tonus.sim.server import serve
 
 pytestmark = pytest.mark.realtime
-TONUS = (sys.executable, "-m", "tools.cli")
+TONUS = (sys.executable, "-m", "tonus.tools.cli")
 EVERYONE_RESETS = can.Message(arbitration_id=0, is_extended_id=False, data=b"\x82\x00")
 
 

@@ -30,8 +30,8 @@ from unit.plant_setup import (
     without_cradle,
 )
 
-from config.schema.lab import Load
-from sim.plant import Plant
+from tonus.config.schema.lab import Load
+from tonus.sim.plant import Plant
 
 mujoco: Any = pytest.importorskip("mujoco")
 

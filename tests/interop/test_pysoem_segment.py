@@ -73,7 +73,7 @@ class Bench:
             "PYTHONUNBUFFERED": "1",
         }
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "tools.cli", "lab", str(config)],
+            [sys.executable, "-m", "tonus.tools.cli", "lab", str(config)],
             env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

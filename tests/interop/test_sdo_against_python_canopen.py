@@ -18,14 +18,14 @@ from canopen.objectdictionary import (
 )
 from interop.local_nodes import dictionary, epos4, force_cell, local_nodes, robot_on
 
-from config import Config
-from drivers.canopen.channel import Channel
-from drivers.canopen.master import CanopenFieldbus
-from drivers.canopen.sdo import SdoClient
-from drivers.errors import BringUpError, SdoAbortError, SdoError, SdoTimeoutError
-from drivers.events import EventLog
-from drivers.process_image import ProcessImage
-from runtime.clock import RealTimeLoop
+from tonus.config import Config
+from tonus.drivers.canopen.channel import Channel
+from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.canopen.sdo import SdoClient
+from tonus.drivers.errors import BringUpError, SdoAbortError, SdoError, SdoTimeoutError
+from tonus.drivers.events import EventLog
+from tonus.drivers.process_image import ProcessImage
+from tonus.runtime.clock import RealTimeLoop
 
 
 def served() -> ObjectDictionary:

@@ -20,8 +20,8 @@ from hypothesis.stateful import (
 from operated import NAMES, Operated
 from statue import CONTROL
 
-from drivers.process_image import AxisState, ProcessImage
-from runtime.states import ARMED, MOVES, State
+from tonus.drivers.process_image import AxisState, ProcessImage
+from tonus.runtime.states import ARMED, MOVES, State
 
 REACHES = {(state, move.to) for (state, _), move in MOVES.items()}
 STALE = CONTROL.freshness.stale_stop_ticks

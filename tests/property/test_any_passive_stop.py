@@ -30,11 +30,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from config import load
-from config.loader import HERE
-from config.schema.robot import CABLES
-from runtime.guard import Guard
-from sim.plant import Plant
+from tonus.config import load
+from tonus.config.loader import HERE
+from tonus.config.schema.robot import CABLES
+from tonus.runtime.guard import Guard
+from tonus.sim.plant import Plant
 
 CONFIG, _ = load(str(HERE / "can.yaml"), scenario="hold")
 assert CONFIG.lab is not None

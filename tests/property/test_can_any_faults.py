@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lab_bench import Bench
 
-from config.schema.faults import FAULT
-from sim.can.confinement import ErrorState
+from tonus.config.schema.faults import FAULT
+from tonus.sim.can.confinement import ErrorState
 
 TICKS = 30
 _OF_FRAMES = {

@@ -9,12 +9,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.schema.faults import Corruption, Delay
-from sim.can.bus import NEVER, Notice, Port
-from sim.can.confinement import ErrorState
-from sim.can.faulty import FaultyChannel
-from sim.can.frame import ERROR, Frame
-from sim.can.frame_faults import FrameFault
+from tonus.config.schema.faults import Corruption, Delay
+from tonus.sim.can.bus import NEVER, Notice, Port
+from tonus.sim.can.confinement import ErrorState
+from tonus.sim.can.faulty import FaultyChannel
+from tonus.sim.can.frame import ERROR, Frame
+from tonus.sim.can.frame_faults import FrameFault
 
 US = 1000
 END_US = 400_000

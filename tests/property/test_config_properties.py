@@ -9,8 +9,8 @@ from pathlib import Path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config import Config, ConfigError, load
-from config.loader import HERE
+from tonus.config import Config, ConfigError, load
+from tonus.config.loader import HERE
 
 FILES = sorted(
     file.relative_to(HERE).as_posix()

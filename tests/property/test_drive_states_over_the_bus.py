@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from lab_bench import Bench
 
-from config.schema.faults import DriveError
+from tonus.config.schema.faults import DriveError
 
 CHANNEL, NODE = "can0", 1
 DISABLED, READY, ON, ENABLED = "switch on disabled", "ready", "switched on", "operation enabled"

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from unit.fake_can import FakeNode, Robot, ScriptedBus, in_virtual_time
 
-from drivers.errors import DriverError
-from drivers.events import CAPACITY, EVENTS
-from drivers.process_image import NEVER, AxisCommand, AxisState
+from tonus.drivers.errors import DriverError
+from tonus.drivers.events import CAPACITY, EVENTS
+from tonus.drivers.process_image import NEVER, AxisCommand, AxisState
 
 FRAMES = int(os.environ.get("TONUS_FUZZ_FRAMES", "10000"))
 PER_TICK = 72

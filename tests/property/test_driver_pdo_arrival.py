@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config import load
-from config.schema.bus import CanopenBus
-from drivers.canopen.syncs import HISTORY, Arrival, Syncs
-from drivers.events import EventLog
-from drivers.exchange import NOT_YET
+from tonus.config import load
+from tonus.config.schema.bus import CanopenBus
+from tonus.drivers.canopen.syncs import HISTORY, Arrival, Syncs
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import NOT_YET
 
 BUS = load("config/can.yaml")[0].fieldbus
 assert isinstance(BUS, CanopenBus)

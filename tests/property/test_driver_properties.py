@@ -9,13 +9,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config import load
-from drivers.canopen.emcy import parse as parse_emcy
-from drivers.canopen.nmt import NodeMonitor
-from drivers.events import EventLog
-from drivers.exchange import Exchange
-from drivers.process_image import AxisState, ProcessImage
-from drivers.tracker import DATAGRAM, TrackerInput
+from tonus.config import load
+from tonus.drivers.canopen.emcy import parse as parse_emcy
+from tonus.drivers.canopen.nmt import NodeMonitor
+from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import Exchange
+from tonus.drivers.process_image import AxisState, ProcessImage
+from tonus.drivers.tracker import DATAGRAM, TrackerInput
 
 CONFIG = load("config/can.yaml")[0]
 RATED = CONFIG.robot.motor.rated_torque * CONFIG.robot.gearbox.ratio

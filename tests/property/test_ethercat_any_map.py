@@ -9,7 +9,7 @@ from ethercat_bench import LOGICAL, SegmentBench
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from sim.ethercat.frames import Command, Datagram, build
+from tonus.sim.ethercat.frames import Command, Datagram, build
 
 SLAVES = (0, 1, 2)
 RAM = 0x2000
@@ -118,7 +118,7 @@ def test_straight_is_slave_by_slave(
     for command, offset, size in datagrams:
         given_data = data[:size]
         found = seen(straight, command, LOGICAL + offset, given_data)
-        with patch("sim.ethercat.plan._straighten", lambda _: None):
+        with patch("tonus.sim.ethercat.plan._straighten", lambda _: None):
             expected = seen(by_parts, command, LOGICAL + offset, given_data)
         assert found == expected
 

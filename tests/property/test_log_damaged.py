@@ -17,15 +17,15 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from synthetic_run import record
 
-from runtime.mcap_file import McapFile
-from tools.cli.log import log as command
-from tools.cli.log_info import describe
-from tools.errors import ToolError
-from tools.log import open as open_log
-from tools.log.chunks import scan
-from tools.log.export import export
-from tools.log.recover import recover
-from tools.log.replay import replay
+from tonus.runtime.mcap_file import McapFile
+from tonus.tools.cli.log import log as command
+from tonus.tools.cli.log_info import describe
+from tonus.tools.errors import ToolError
+from tonus.tools.log import open as open_log
+from tonus.tools.log.chunks import scan
+from tonus.tools.log.export import export
+from tonus.tools.log.recover import recover
+from tonus.tools.log.replay import replay
 
 QUIET = settings(
     max_examples=25,

@@ -7,8 +7,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from config import load
-from runtime.margin import tension_loop_margins
+from tonus.config import load
+from tonus.runtime.margin import tension_loop_margins
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT = CONFIG.robot

@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-import runtime.envelope
-import runtime.passivity
-import runtime.stiffness
-from config import load
-from runtime.signals import Bound, Grade
-from runtime.states import Fault
+import tonus.runtime.envelope
+import tonus.runtime.passivity
+import tonus.runtime.stiffness
+from tonus.config import load
+from tonus.runtime.signals import Bound, Grade
+from tonus.runtime.states import Fault
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, CONTROL = CONFIG.robot, CONFIG.control
@@ -80,7 +80,9 @@ def limiter_keeps_bounds_and_cap(module: ModuleType) -> None:
 
 def limiter_keeps_the_rate_bound(module: ModuleType) -> None:
     """K' + alpha D' <= 2 alpha K, with alpha from figures of its own."""
-    alpha = 2.0 * RATIO * math.sqrt(LAW.minimum * MASS) / runtime.passivity.felt_inertia(ROBOT)
+    alpha = (
+        2.0 * RATIO * math.sqrt(LAW.minimum * MASS) / tonus.runtime.passivity.felt_inertia(ROBOT)
+    )
     limiter = limiter_of(module)
     for _ in range(3000):
         before = limiter.value
@@ -231,7 +233,11 @@ class Mutation(NamedTuple):
     caught_by: Callable[[ModuleType], None]
 
 
-LAW_CODE, LIMITER, ENVELOPE = runtime.stiffness, runtime.passivity, runtime.envelope
+LAW_CODE, LIMITER, ENVELOPE = (
+    tonus.runtime.stiffness,
+    tonus.runtime.passivity,
+    tonus.runtime.envelope,
+)
 MUTATIONS = (
     Mutation(LAW_CODE, "c.velocity_gain", "c.force_gain", law_is_equation_3),
     Mutation(LAW_CODE, "velocity / c.velocity", "velocity * c.velocity", law_is_equation_3),

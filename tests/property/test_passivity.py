@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from config import load
-from config.schema.control import Passivity
-from runtime.passivity import Limiter, damping
+from tonus.config import load
+from tonus.config.schema.control import Passivity
+from tonus.runtime.passivity import Limiter, damping
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, LAW, TANK = CONFIG.robot, CONFIG.control.stiffness, CONFIG.control.passivity

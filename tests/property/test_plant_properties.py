@@ -9,9 +9,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config import load
-from config.schema.lab import Backlash, Phantom, Stiffening, Stribeck
-from sim.plant import Plant
+from tonus.config import load
+from tonus.config.schema.lab import Backlash, Phantom, Stiffening, Stribeck
+from tonus.sim.plant import Plant
 
 CONFIG, SCENARIO = load(str(Path(__file__).parents[2] / "config" / "can.yaml"), scenario="contact")
 amps = st.lists(st.floats(-3.0, 12.0), min_size=8, max_size=8)

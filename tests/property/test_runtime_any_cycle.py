@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from loop import not_finite
 from statue import CABLES, CELLS, CONFIG, CONTROL, Statue
 
-from drivers.process_image import AxisCommand, AxisState
-from runtime.states import ARMED, TRANSITIONS, Fault, Operator, State, StopMode
+from tonus.drivers.process_image import AxisCommand, AxisState
+from tonus.runtime.states import ARMED, TRANSITIONS, Fault, Operator, State, StopMode
 
 FRESH, STALE = CONTROL.freshness.measurement_ticks, CONTROL.freshness.stale_stop_ticks
 TENSION, LAW, PERIOD = CONTROL.tension, CONTROL.stiffness, CONTROL.rates.period

@@ -8,11 +8,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config import load
-from runtime.compiled import rotate
-from runtime.distribution import TensionDistribution
-from runtime.kinematics import Kinematics
-from runtime.signals import Solver
+from tonus.config import load
+from tonus.runtime.compiled import rotate
+from tonus.runtime.distribution import TensionDistribution
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.signals import Solver
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, CONTROL = CONFIG.robot, CONFIG.control

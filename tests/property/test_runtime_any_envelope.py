@@ -7,10 +7,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config import load
-from runtime.envelope import Envelope
-from runtime.signals import Bound, Grade
-from runtime.states import Fault
+from tonus.config import load
+from tonus.runtime.envelope import Envelope
+from tonus.runtime.signals import Bound, Grade
+from tonus.runtime.states import Fault
 
 CONFIG, _ = load("config/can.yaml")
 CONTROL, LAW = CONFIG.control, CONFIG.control.stiffness

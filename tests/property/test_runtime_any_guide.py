@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from config import load
-from config.schema.scenario import Path, Waypoint
-from runtime.guide import Guide
-from runtime.states import State
+from tonus.config import load
+from tonus.config.schema.scenario import Path, Waypoint
+from tonus.runtime.guide import Guide
+from tonus.runtime.states import State
 
 CONFIG, SCENARIO = load("config/can.yaml", scenario="sine_x")
 SEQUENCE, PERIOD = CONFIG.control.sequence, CONFIG.control.rates.period

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from config import load
-from runtime.compiled import rotation_between
-from runtime.kinematics import Kinematics
+from tonus.config import load
+from tonus.runtime.compiled import rotation_between
+from tonus.runtime.kinematics import Kinematics
 
 ROBOT = load("config/can.yaml")[0].robot
 BOX = ROBOT.workspace

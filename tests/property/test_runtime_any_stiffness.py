@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config import load
-from runtime.stiffness import Law
+from tonus.config import load
+from tonus.runtime.stiffness import Law
 
 LAW = load("config/can.yaml")[0].control.stiffness
 size = st.floats(0.0, 1e300)

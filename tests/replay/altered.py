@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from runtime.mcap_file import Block, McapFile
-from tools.log.chunks import content, runs, scan
-from tools.log.schema import body_dtype
+from tonus.runtime.mcap_file import Block, McapFile
+from tonus.tools.log.chunks import content, runs, scan
+from tonus.tools.log.schema import body_dtype
 
 Edit = Callable[[str, np.ndarray, np.ndarray], np.ndarray]
 """Receives a topic, its messages of one chunk, to be changed in place, and their sequence numbers;

@@ -12,8 +12,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hil.runs import configured, virtual
 
-from runtime.controllers import CONTROLLERS
-from tools.log.replay import replay
+from tonus.runtime.controllers import CONTROLLERS
+from tonus.tools.log.replay import replay
 
 
 def main() -> int:

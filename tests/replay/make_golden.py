@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "hil"))
 
 from runs import configured, virtual
 
-from runtime.signals import SCHEMA_VERSION
-from tools.log import Log
+from tonus.runtime.signals import SCHEMA_VERSION
+from tonus.tools.log import Log
 
 GOLDEN = Path(__file__).parent / "golden"
 BEFORE, AFTER = 4, 8

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from hil.runs import configured
 
-from config.loader import load_scenario
-from runtime import clock
-from runtime.states import State
-from tools.control_client import ControlClient
-from tools.log import Log
-from tools.log import open as open_log
-from tools.log.replay import replay
-from tools.run import Order, run
+from tonus.config.loader import load_scenario
+from tonus.runtime import clock
+from tonus.runtime.states import State
+from tonus.tools.control_client import ControlClient
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.log.replay import replay
+from tonus.tools.run import Order, run
 
 NAMES = ("sine_x", "sine_z")
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hil.runs import configured, virtual
 
-from runtime.controllers import CONTROLLERS
-from runtime.controllers.base import Motion
-from runtime.controllers.impedance import Pd
-from tools.log.replay import replay
+from tonus.runtime.controllers import CONTROLLERS
+from tonus.runtime.controllers.base import Motion
+from tonus.runtime.controllers.impedance import Pd
+from tonus.tools.log.replay import replay
 
 
 class Memory:

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from runtime.signals import SCHEMA_VERSION
-from runtime.states import State
-from tools.cli.log_info import describe
-from tools.errors import ToolError
-from tools.log import open as open_log
-from tools.log.replay import replay
+from tonus.runtime.signals import SCHEMA_VERSION
+from tonus.runtime.states import State
+from tonus.tools.cli.log_info import describe
+from tonus.tools.errors import ToolError
+from tonus.tools.log import open as open_log
+from tonus.tools.log.replay import replay
 
 GOLDEN = Path(__file__).parent / "golden"
 

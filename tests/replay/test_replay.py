@@ -13,13 +13,13 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from replay.altered import altered
 
-from runtime.controllers import CONTROLLERS
-from runtime.states import Operator, State
-from tools.cli.log import log as log_command
-from tools.errors import ToolError
-from tools.log import Log
-from tools.log import open as open_log
-from tools.log.replay import replay
+from tonus.runtime.controllers import CONTROLLERS
+from tonus.runtime.states import Operator, State
+from tonus.tools.cli.log import log as log_command
+from tonus.tools.errors import ToolError
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.log.replay import replay
 
 SCENARIOS = sorted(path.stem for path in Path("config/scenarios").glob("*.yaml"))
 EVERY = [

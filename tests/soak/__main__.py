@@ -14,10 +14,10 @@ from typing import Self
 
 import numpy as np
 
-from config import load
-from runtime.states import Fault, State
-from tools.log import open as open_log
-from tools.run import Order, Result, run
+from tonus.config import load
+from tonus.runtime.states import Fault, State
+from tonus.tools.log import open as open_log
+from tonus.tools.run import Order, Result, run
 
 SAMPLE_S = 1.0
 WARM = 0.25

@@ -12,13 +12,13 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from config import Config, load
-from config.schema.bus import CanopenBus
-from drivers.canopen.frames import data_of
-from drivers.canopen.master import CanopenFieldbus
-from drivers.fieldbus import FrameTap
-from drivers.process_image import ProcessImage
-from runtime.clock import VirtualTimeLoop
+from tonus.config import Config, load
+from tonus.config.schema.bus import CanopenBus
+from tonus.drivers.canopen.frames import data_of
+from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.fieldbus import FrameTap
+from tonus.drivers.process_image import ProcessImage
+from tonus.runtime.clock import VirtualTimeLoop
 
 Result = TypeVar("Result")
 DRIVE_TPDO = struct.Struct("<Hih")

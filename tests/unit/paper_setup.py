@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config import load
-from config.schema.root import Config
-from config.schema.scenario import Path as Way
-from config.schema.scenario import Scenario, Waypoint
-from runtime.reference import trajectory
-from tools.paper.case import Case, Kind, Run
-from tools.paper.results import Results, Row, Traces
-from tools.paper.trial import Trial
+from tonus.config import load
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Path as Way
+from tonus.config.schema.scenario import Scenario, Waypoint
+from tonus.runtime.reference import trajectory
+from tonus.tools.paper.case import Case, Kind, Run
+from tonus.tools.paper.results import Results, Row, Traces
+from tonus.tools.paper.trial import Trial
 
 CONFIG: Config = load(str(Path(__file__).parents[2] / "config" / "direct.yaml"))[0]
 BASE = CONFIG.control.stiffness.base

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from config import load
-from config.schema.lab import Backlash, Lab, Phantom, Stiffening, Stribeck
-from config.schema.robot import Robot
-from sim.plant import Plant
+from tonus.config import load
+from tonus.config.schema.lab import Backlash, Lab, Phantom, Stiffening, Stribeck
+from tonus.config.schema.robot import Robot
+from tonus.sim.plant import Plant
 
 CONFIG, SCENARIO = load(
     str(Path(__file__).parents[2] / "config" / "can.yaml"), scenario="load_test"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from config import load
-from config.loader import load_least_stops
-from config.schema.least_stop import LeastStops, Stop, Tear
-from tools.campaign.allowance import allowance, optimum
+from tonus.config import load
+from tonus.config.loader import load_least_stops
+from tonus.config.schema.least_stop import LeastStops, Stop, Tear
+from tonus.tools.campaign.allowance import allowance, optimum
 
 GEOMETRY = load("config/direct.yaml")[0].robot.geometry
 STILL = (0.0, 0.0, 0.0)

@@ -9,19 +9,19 @@ from typing import Any, get_args
 import pytest
 from pydantic import ValidationError
 
-from config import ConfigError
-from config.faults import KINDS
-from config.loader import load_study
-from config.schema.campaign import BusName, Study
-from tools.campaign import regression
-from tools.campaign.coverage import Pairs
-from tools.campaign.draw import begins, episodes, grouped, undisturbed
-from tools.campaign.episode import Episode
-from tools.campaign.journal import Journal
-from tools.campaign.minimise import reduced
-from tools.campaign.places import places
-from tools.campaign.table import STATES, lines, table
-from tools.errors import ToolError
+from tonus.config import ConfigError
+from tonus.config.faults import KINDS
+from tonus.config.loader import load_study
+from tonus.config.schema.campaign import BusName, Study
+from tonus.tools.campaign import regression
+from tonus.tools.campaign.coverage import Pairs
+from tonus.tools.campaign.draw import begins, episodes, grouped, undisturbed
+from tonus.tools.campaign.episode import Episode
+from tonus.tools.campaign.journal import Journal
+from tonus.tools.campaign.minimise import reduced
+from tonus.tools.campaign.places import places
+from tonus.tools.campaign.table import STATES, lines, table
+from tonus.tools.errors import ToolError
 
 STUDY = load_study("faults")
 BUSES: tuple[BusName, ...] = get_args(BusName)
@@ -38,7 +38,7 @@ def test_every_kind_of_fault_is_drawn_or_excluded_with_a_reason() -> None:
 
 
 def test_every_controller_is_drawn_or_excluded_with_a_reason() -> None:
-    from runtime.controllers import CONTROLLERS
+    from tonus.runtime.controllers import CONTROLLERS
 
     assert set(STUDY.controllers) | set(STUDY.excluded_controllers) == set(CONTROLLERS)
 
@@ -117,7 +117,7 @@ def test_places_are_those_of_the_bus() -> None:
 
 
 def episodes_of_direct() -> Any:
-    from config import load
+    from tonus.config import load
 
     return load("config/direct.yaml")[0]
 

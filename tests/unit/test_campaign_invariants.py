@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from loop import QUICK, ClosedLoop, configured
 
-from config.loader import load_bounds
-from config.schema.faults import FAULT
-from runtime.states import Fault, Operator, State, StopMode
-from runtime.taps import Level
-from tools.campaign.invariants import INVARIANTS, Limits, within_bounds
-from tools.campaign.observed import End, Observed
-from tools.campaign.strikes import NS, Strike, strikes
-from tools.log.log import Event
+from tonus.config.loader import load_bounds
+from tonus.config.schema.faults import FAULT
+from tonus.runtime.states import Fault, Operator, State, StopMode
+from tonus.runtime.taps import Level
+from tonus.tools.campaign.invariants import INVARIANTS, Limits, within_bounds
+from tonus.tools.campaign.observed import End, Observed
+from tonus.tools.campaign.strikes import NS, Strike, strikes
+from tonus.tools.log.log import Event
 
 BOUNDS = load_bounds()
 GOOD_END = End(State.STANDBY, Fault.NONE, "scenario completed", 0)

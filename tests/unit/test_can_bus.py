@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from sim.can.bus import NEVER, Channel
-from sim.can.frame import Frame
-from sim.can.timing import frame_bits
+from tonus.sim.can.bus import NEVER, Channel
+from tonus.sim.can.frame import Frame
+from tonus.sim.can.timing import frame_bits
 
 US = 1000
 

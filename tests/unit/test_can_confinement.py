@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from config.schema.faults import Corruption, Duplicate, Loss
-from sim.can.bus import Notice, Port
-from sim.can.confinement import Counters, ErrorState
-from sim.can.faulty import FaultyChannel
-from sim.can.frame import ERROR, Frame
-from sim.can.frame_faults import FrameFault
-from sim.can.timing import frame_bits
+from tonus.config.schema.faults import Corruption, Duplicate, Loss
+from tonus.sim.can.bus import Notice, Port
+from tonus.sim.can.confinement import Counters, ErrorState
+from tonus.sim.can.faulty import FaultyChannel
+from tonus.sim.can.frame import ERROR, Frame
+from tonus.sim.can.frame_faults import FrameFault
+from tonus.sim.can.timing import frame_bits
 
 US = 1000
 MS = 1_000_000

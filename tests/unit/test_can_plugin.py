@@ -13,12 +13,12 @@ import can
 import pytest
 from lab_bench import Bench
 
-from config import load
-from config.schema.faults import FAULT
-from sim.can import packet
-from sim.can.plugin import LocalBus, SocketBus
-from sim.lab import Lab
-from sim.server import serve
+from tonus.config import load
+from tonus.config.schema.faults import FAULT
+from tonus.sim.can import packet
+from tonus.sim.can.plugin import LocalBus, SocketBus
+from tonus.sim.lab import Lab
+from tonus.sim.server import serve
 
 
 def message(identifier: int, data: bytes = b"", **over: Any) -> can.Message:

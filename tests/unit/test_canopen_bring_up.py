@@ -9,10 +9,10 @@ import can
 import pytest
 from fake_can import FakeNode, Robot, in_virtual_time, u32
 
-from config import load
-from drivers.canopen.master import CanopenFieldbus
-from drivers.errors import BringUpError, DriverError
-from drivers.process_image import ProcessImage
+from tonus.config import load
+from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.errors import BringUpError, DriverError
+from tonus.drivers.process_image import ProcessImage
 
 
 def brought_up() -> Robot:

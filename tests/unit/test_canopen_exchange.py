@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from fake_can import Robot, Tap, in_virtual_time
 
-from config import load
-from drivers.process_image import NEVER, AxisCommand, AxisState
+from tonus.config import load
+from tonus.drivers.process_image import NEVER, AxisCommand, AxisState
 
 INCREMENT = 2 * math.pi / (4096 * 49 / 4)
 

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.canopen.frames import (
+from tests.unit.fake_can import ScriptedBus
+from tonus.drivers.canopen.frames import (
     ERROR,
     EXTENDED,
     REMOTE,
@@ -24,8 +25,7 @@ from drivers.canopen.frames import (
     data_of,
     frames_of,
 )
-from drivers.fieldbus import RAW_FRAME
-from tests.unit.fake_can import ScriptedBus
+from tonus.drivers.fieldbus import RAW_FRAME
 
 
 def heard(frames: NDArray[np.void]) -> list[tuple[int, int, int, bool, bytes]]:
@@ -142,8 +142,8 @@ def test_socketcan_errors_are_python_cans() -> None:
 
 
 def test_the_labs_buses_need_no_messages() -> None:
-    from sim.can import packet
-    from sim.can.plugin import LocalBus, SocketBus
+    from tonus.sim.can import packet
+    from tonus.sim.can.plugin import LocalBus, SocketBus
 
     for kind in (LocalBus, SocketBus):
         assert issubclass(kind, Frames)

@@ -8,10 +8,10 @@ import can
 import pytest
 from fake_can import Robot, in_virtual_time
 
-from config import load
-from drivers.canopen.health import Condition, Health
-from drivers.events import EventLog
-from drivers.process_image import AxisState
+from tonus.config import load
+from tonus.drivers.canopen.health import Condition, Health
+from tonus.drivers.events import EventLog
+from tonus.drivers.process_image import AxisState
 
 CONFIG = load("config/can.yaml")[0]
 MASTER = CONFIG.fieldbus.master

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.canopen.stamps import WINDOW_NS, Stamps
+from tonus.drivers.canopen.stamps import WINDOW_NS, Stamps
 
 MS = 1_000_000
 HOUR = 3_600_000 * MS

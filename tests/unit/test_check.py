@@ -13,18 +13,18 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import linprog
 
-import tools.mechanics
-from config import Config, ConfigError, Scenario, load
-from config.loader import HERE, load_catalogue, load_plausible, load_scenario
-from config.schema.bus import CanopenBus
-from config.schema.plausible import Bound
-from config.timeouts import master_timeout_ms
-from runtime.margin import tension_loop_margins
-from tools.check import Finding, check
-from tools.cli.check import check as command
-from tools.feasibility import Poses, against, feasibility, poses, reserves, workspace_poses
-from tools.mechanics import DIRECTIONS
-from tools.plausibility import plausibility
+import tonus.tools.mechanics
+from tonus.config import Config, ConfigError, Scenario, load
+from tonus.config.loader import HERE, load_catalogue, load_plausible, load_scenario
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.plausible import Bound
+from tonus.config.timeouts import master_timeout_ms
+from tonus.runtime.margin import tension_loop_margins
+from tonus.tools.check import Finding, check
+from tonus.tools.cli.check import check as command
+from tonus.tools.feasibility import Poses, against, feasibility, poses, reserves, workspace_poses
+from tonus.tools.mechanics import DIRECTIONS
+from tonus.tools.plausibility import plausibility
 
 CONFIG, SCENARIO = load("config/can.yaml", scenario="load_test")
 WEIGHT = CONFIG.robot.platform.mass * CONFIG.robot.gravity
@@ -36,7 +36,7 @@ MARGINS = lru_cache(tension_loop_margins)
 @pytest.fixture(autouse=True)
 def _margins_of_one_loop_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are most of a check's time, and few of these tests change the loop."""
-    monkeypatch.setattr(tools.mechanics, "tension_loop_margins", MARGINS)
+    monkeypatch.setattr(tonus.tools.mechanics, "tension_loop_margins", MARGINS)
 
 
 def failed(overrides: dict[str, Any], scenario: Scenario = SCENARIO) -> dict[str, Finding]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from one_drive import OneDrive
 
-from sim.devices.cia402 import Machine, State
-from sim.devices.objects import RANGE, AbortError
+from tonus.sim.devices.cia402 import Machine, State
+from tonus.sim.devices.objects import RANGE, AbortError
 
 S = State
 SHUTDOWN, SWITCH_ON, ENABLE, VOLTAGE, QUICK = 0x06, 0x07, 0x0F, 0x00, 0x02

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.cia402 import Cia402Axis, decode
-from drivers.process_image import AxisCommand, AxisState
+from tonus.drivers.cia402 import Cia402Axis, decode
+from tonus.drivers.process_image import AxisCommand, AxisState
 
 S = AxisState
 # Bits 3 2 1 0 of the statusword, with bit 6, and bit 5 where it means something (CiA 402).

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.cli.main import main
+from tonus.tools.cli.main import main
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -75,7 +75,7 @@ def test_nowhere_to_keep_compiled_code_is_one_line_too() -> None:
         "import sys, numba.core.caching as caching\n"
         "caching.CacheImpl._locator_classes = []\n"
         "sys.argv[1:] = ['run', 'config/can.yaml', '--virtual']\n"
-        "from tools.cli.main import main\n"
+        "from tonus.tools.cli.main import main\n"
         "main()\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tools.cli import compiling
+from tonus.tools.cli import compiling
 
 
 @pytest.fixture

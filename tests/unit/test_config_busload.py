@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config import load
-from config.busload import channel_load, frame_bits, worst_frame_bits
-from config.schema.bus import CanopenBus
+from tonus.config import load
+from tonus.config.busload import channel_load, frame_bits, worst_frame_bits
+from tonus.config.schema.bus import CanopenBus
 
 CRC_POLYNOMIAL = 0x4599
 

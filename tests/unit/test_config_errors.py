@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from config import ConfigError, load
-from config.loader import HERE, load_scenario
+from tonus.config import ConfigError, load
+from tonus.config.loader import HERE, load_scenario
 
 CONFIG = "can.yaml"
 ROBOT = "robots/paper.yaml"
@@ -397,7 +397,7 @@ def test_on_the_command_line_it_is_one_line_and_exit_code_2(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    from tools.cli.main import main
+    from tonus.tools.cli.main import main
 
     next(case for case in CASES if case.name == name).edit(folder)
     monkeypatch.setattr(sys, "argv", ["tonus", "check", str(folder / CONFIG)])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from operated import Operated, told
 
-from runtime.controllers.base import Controller
-from runtime.states import Fault, State
+from tonus.runtime.controllers.base import Controller
+from tonus.runtime.states import Fault, State
 
 
 @pytest.fixture

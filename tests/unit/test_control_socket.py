@@ -16,14 +16,14 @@ from typing import Any
 import pytest
 from operated import Client, Operated, told
 
-from config.schema.operation import ControlSocket as Settings
-from drivers.process_image import AxisState, ProcessImage
-from runtime import control_socket
-from runtime.control_door import STATUS, VERBS
-from runtime.control_socket import ControlSocket, ControlSocketError, Peers
-from runtime.operator import Script
-from runtime.signals import Grade
-from runtime.states import Event, Fault, Operator, State
+from tonus.config.schema.operation import ControlSocket as Settings
+from tonus.drivers.process_image import AxisState, ProcessImage
+from tonus.runtime import control_socket
+from tonus.runtime.control_door import STATUS, VERBS
+from tonus.runtime.control_socket import ControlSocket, ControlSocketError, Peers
+from tonus.runtime.operator import Script
+from tonus.runtime.signals import Grade
+from tonus.runtime.states import Event, Fault, Operator, State
 
 SETTINGS = Settings()
 

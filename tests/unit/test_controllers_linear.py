@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from config import load
-from config.schema.robot import CABLES
-from runtime.controllers import CONTROLLERS, Motion
-from runtime.controllers.base import LEVEL, Controller
-from runtime.controllers.bio import Bio
-from runtime.controllers.linear import NoLinearLawError
-from runtime.task_margin import margins
-from tools.check import check
+from tonus.config import load
+from tonus.config.schema.robot import CABLES
+from tonus.runtime.controllers import CONTROLLERS, Motion
+from tonus.runtime.controllers.base import LEVEL, Controller
+from tonus.runtime.controllers.bio import Bio
+from tonus.runtime.controllers.linear import NoLinearLawError
+from tonus.runtime.task_margin import margins
+from tonus.tools.check import check
 
 CONFIG, SCENARIO = load("config/can.yaml")
 HOME, PERIOD = np.array(CONFIG.robot.home), CONFIG.control.rates.period

@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner, Result
 from operated import Operated
 
-from runtime.states import State
-from tools.cli.ctl import ctl
-from tools.errors import ToolError
+from tonus.runtime.states import State
+from tonus.tools.cli.ctl import ctl
+from tonus.tools.errors import ToolError
 
 
 class Live:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from fake_can import Robot, in_virtual_time
 
-from config import load
-from drivers.direct import DirectFieldbus
-from drivers.errors import BringUpError, SdoError
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.config import load
+from tonus.drivers.direct import DirectFieldbus
+from tonus.drivers.errors import BringUpError, SdoError
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 
 CONFIG = load("config/direct.yaml")[0]
 PERIOD_NS = 1_000_000

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tools.report import states
-from tools.report.signals import markdown
+from tonus.tools.report import states
+from tonus.tools.report.signals import markdown
 
 ROOT = Path(__file__).resolve().parents[2]
 

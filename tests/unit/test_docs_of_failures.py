@@ -6,12 +6,11 @@ import ast
 import re
 from pathlib import Path
 
-import runtime
-import tools
-from drivers.events import EVENTS
-from runtime import firewall
-from runtime.signals import Consistency
-from runtime.states import Fault
+from tonus import runtime, tools
+from tonus.drivers.events import EVENTS
+from tonus.runtime import firewall
+from tonus.runtime.signals import Consistency
+from tonus.runtime.states import Fault
 
 TESTS = Path(__file__).resolve().parents[1]
 PAGE = (TESTS.parent / "docs" / "fmea.md").read_text()

@@ -12,12 +12,12 @@ import yaml
 from click.testing import CliRunner
 from lab_bench import Bench
 
-from config import load
-from config.schema.scenario import Scenario
-from sim.door import Door
-from tools.check import check
-from tools.cli.fault import fault
-from tools.report.faults import tables
+from tonus.config import load
+from tonus.config.schema.scenario import Scenario
+from tonus.sim.door import Door
+from tonus.tools.check import check
+from tonus.tools.cli.fault import fault
+from tonus.tools.report.faults import tables
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "faults.md").read_text()
 SESSION = re.findall(r"^\$ tonus fault (.+)\n(.+)$", PAGE, re.MULTILINE)
@@ -39,7 +39,7 @@ def test_the_sessions_commands_say_what_stands_there(monkeypatch: pytest.MonkeyP
         def ask(request: dict[str, Any], path: Path | None) -> dict[str, Any]:
             return door.request(request)
 
-        monkeypatch.setattr("tools.cli.fault.ask", ask)
+        monkeypatch.setattr("tonus.tools.cli.fault.ask", ask)
         for command, said in SESSION:
             result = CliRunner().invoke(fault, shlex.split(command))
             assert result.exit_code == 0, result.output

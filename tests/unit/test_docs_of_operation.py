@@ -9,9 +9,9 @@ from pathlib import Path
 
 from click.testing import CliRunner
 
-from tools.cli.ctl import ctl
-from tools.cli.run import run
-from tools.report.operation import tables
+from tonus.tools.cli.ctl import ctl
+from tonus.tools.cli.run import run
+from tonus.tools.report.operation import tables
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "operation.md").read_text()

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from config import load
-from runtime.histogram import Histogram
-from runtime.realtime import Grant
-from tools.cli.doctor import doctor as command
-from tools.doctor import doctor, privileges, wakeup
-from tools.doctor.finding import Finding, Verdict, graded, worst
-from tools.errors import ToolError
+from tonus.config import load
+from tonus.runtime.histogram import Histogram
+from tonus.runtime.realtime import Grant
+from tonus.tools.cli.doctor import doctor as command
+from tonus.tools.doctor import doctor, privileges, wakeup
+from tonus.tools.doctor.finding import Finding, Verdict, graded, worst
+from tonus.tools.errors import ToolError
 
 CONFIG = load("config/can.yaml")[0]
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lab_bench import Bench
 
-from config.faults import KINDS
-from sim.devices.cia402 import State
-from sim.door import REQUEST_BYTES, Door
+from tonus.config.faults import KINDS
+from tonus.sim.devices.cia402 import State
+from tonus.sim.door import REQUEST_BYTES, Door
 
 
 @pytest.fixture

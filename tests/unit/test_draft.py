@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.draft import drafted, write_whole
+from tonus.tools.draft import drafted, write_whole
 
 
 def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from drivers.canopen import emcy
-from drivers.epos4_errors import ERRORS, Cure, Reaction, cure
-from sim.devices import epos4_errors as emulated
+from tonus.drivers.canopen import emcy
+from tonus.drivers.epos4_errors import ERRORS, Cure, Reaction, cure
+from tonus.sim.devices import epos4_errors as emulated
 
 LETTER = {
     Reaction.POWER_OFF: "D",

@@ -5,9 +5,9 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-import drivers
-from drivers.events import EVENTS
-from runtime import firewall
+from tonus import drivers
+from tonus.drivers.events import EVENTS
+from tonus.runtime import firewall
 
 DOCS = Path("docs/events.md")
 _TELLS = {"add", "counted", "begin"}

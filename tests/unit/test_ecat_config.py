@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from config import ConfigError, load
-from config.schema.bus import EthercatBus
-from drivers.errors import BringUpError
-from drivers.ethercat.soem import SoemMaster
-from tools.check_ethercat import check_ethercat
-from tools.check_losses import check_losses
+from tonus.config import ConfigError, load
+from tonus.config.schema.bus import EthercatBus
+from tonus.drivers.errors import BringUpError
+from tonus.drivers.ethercat.soem import SoemMaster
+from tonus.tools.check_ethercat import check_ethercat
+from tonus.tools.check_losses import check_losses
 
 
 @pytest.mark.parametrize(

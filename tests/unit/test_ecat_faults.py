@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from segment_bench import PERIOD_NS, SegmentBench, beside, run, until
 
-from drivers.ethercat.deterministic import DeterministicMaster
-from drivers.ethercat.frames import FIRST_DATAGRAM, Command
-from drivers.events import EVENTS
-from drivers.process_image import AxisState
-from sim.ethercat.states import State
+from tonus.drivers.ethercat.deterministic import DeterministicMaster
+from tonus.drivers.ethercat.frames import FIRST_DATAGRAM, Command
+from tonus.drivers.events import EVENTS
+from tonus.drivers.process_image import AxisState
+from tonus.sim.ethercat.states import State
 
 FRESH = 3
 TORQUE = 0.3

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from segment_bench import PERIOD_NS, SegmentBench, run
 
-from drivers.errors import BringUpError, DriverError, SdoAbortError
-from drivers.process_image import AxisCommand, AxisState
-from runtime import clock
-from runtime.scheduler import Scheduler, VirtualPacing
-from runtime.steering import SteeredPacing
-from sim.ethercat.states import State
+from tonus.drivers.errors import BringUpError, DriverError, SdoAbortError
+from tonus.drivers.process_image import AxisCommand, AxisState
+from tonus.runtime import clock
+from tonus.runtime.scheduler import Scheduler, VirtualPacing
+from tonus.runtime.steering import SteeredPacing
+from tonus.sim.ethercat.states import State
 
 
 def test_ten_slaves_reach_op_and_every_value_is_fresh() -> None:

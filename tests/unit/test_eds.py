@@ -10,12 +10,12 @@ import pytest
 from canopen.objectdictionary import ODVariable, datatypes
 from lab_bench import Bench
 
-from config import load
-from sim.can.node import Node
-from sim.data_sheets import sheets
-from sim.devices.device import Device
-from sim.devices.epos4 import Epos4
-from sim.devices.force_cell import ForceCell
+from tonus.config import load
+from tonus.sim.can.node import Node
+from tonus.sim.data_sheets import sheets
+from tonus.sim.devices.device import Device
+from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.force_cell import ForceCell
 
 NODE = 9
 FILES = ("epos4.eds", "force_cell.eds", "force_cell_4.eds")
@@ -33,7 +33,7 @@ READ_ONLY, WRITE_ONLY = 0x06010002, 0x06010001
 
 
 def variables(name: str) -> list[ODVariable]:
-    path = files("sim.devices") / name
+    path = files("tonus.sim.devices") / name
     dictionary = canopen.import_od(str(path), node_id=NODE)
     found = []
     for item in dictionary.values():
@@ -62,7 +62,7 @@ class Sheet:
 @pytest.mark.parametrize("name", FILES)
 def test_the_files_are_what_the_devices_are_now(name: str) -> None:
     made = sheets(load("config/can.yaml")[0])
-    shipped = (files("sim.devices") / name).read_text()
+    shipped = (files("tonus.sim.devices") / name).read_text()
     assert shipped == made[name], "the device has changed: write the files anew (tonus export eds)"
 
 
@@ -134,7 +134,7 @@ def test_every_limit_is_the_devices(name: str) -> None:
 
 
 def test_the_identifiers_follow_the_node() -> None:
-    dictionary = canopen.import_od(str(files("sim.devices") / "epos4.eds"), node_id=NODE)
+    dictionary = canopen.import_od(str(files("tonus.sim.devices") / "epos4.eds"), node_id=NODE)
     assert dictionary[0x1014].default == 0x80 + NODE
     assert dictionary[0x1400][1].default == 0x200 + NODE
     assert dictionary[0x1800][1].default == 0x40000180 + NODE
@@ -145,7 +145,7 @@ def test_the_identifiers_follow_the_node() -> None:
 
 def test_the_sheet_names_the_maker_and_its_bit_rates() -> None:
     information = canopen.import_od(
-        str(files("sim.devices") / "epos4.eds"), node_id=NODE
+        str(files("tonus.sim.devices") / "epos4.eds"), node_id=NODE
     ).device_information
     assert information.vendor_number == 0xFB
     assert information.product_number == 0x65510000
@@ -156,7 +156,7 @@ def test_the_sheet_names_the_maker_and_its_bit_rates() -> None:
 
 
 def test_mappable_objects_say_so() -> None:
-    dictionary = canopen.import_od(str(files("sim.devices") / "epos4.eds"), node_id=NODE)
+    dictionary = canopen.import_od(str(files("tonus.sim.devices") / "epos4.eds"), node_id=NODE)
     assert dictionary[0x6071].access_type == dictionary[0x607A].access_type == "rww"
     assert dictionary[0x6041].access_type == "ro"
     assert dictionary[0x6041].pdo_mappable

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from one_drive import ENABLE, OneDrive, servo, until
 
-from sim.devices.objects import RANGE, AbortError
+from tonus.sim.devices.objects import RANGE, AbortError
 
 HMM = 6
 NEW, HALT = 0x10, 0x100

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from one_drive import ENABLE, OneDrive, servo, until
 
-from sim.devices.cia402 import State
-from sim.devices.objects import AbortError
+from tonus.sim.devices.cia402 import State
+from tonus.sim.devices.objects import AbortError
 
 PPM, PVM, CSP, CSV, CST = 1, 3, 8, 9, 10
 NEW, IMMEDIATELY, RELATIVE, HALT, ENDLESS = 0x10, 0x20, 0x40, 0x100, 0x8000

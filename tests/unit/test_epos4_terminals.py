@@ -8,8 +8,8 @@ import pytest
 from lab_bench import Bench
 from one_drive import ENABLE, SHUTDOWN, OneDrive
 
-from sim.devices.cia402 import State
-from sim.devices.objects import (
+from tonus.sim.devices.cia402 import State
+from tonus.sim.devices.objects import (
     CANNOT_STORE,
     HARDWARE,
     INTERNAL,

@@ -17,9 +17,9 @@ from ethercat_bench import (
     SegmentBench,
 )
 
-from sim.devices.samples import POSITION
-from sim.ethercat.clock import DistributedClock
-from sim.ethercat.frames import Command, Datagram, physical
+from tonus.sim.devices.samples import POSITION
+from tonus.sim.ethercat.clock import DistributedClock
+from tonus.sim.ethercat.frames import Command, Datagram, physical
 
 ERROR = 0x10
 TIGHT = 10

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from ethercat_bench import SegmentBench
 
-from tools.cli.export import export as command
+from tonus.tools.cli.export import export as command
 
 
 def export(*arguments: str) -> tuple[int, str]:

@@ -10,11 +10,11 @@ import pytest
 from ethercat_bench import CHANNEL, MS, OP, PRE_OP, SAFE_OP, STATION, US, SegmentBench
 from lab_bench import Bench
 
-from config.schema.faults import FAULT, Loss, PowerLoss
-from config.schema.lab import LabScript
-from sim.door import Door
-from sim.errors import LabError
-from sim.ethercat.frames import Command, Datagram, build, parse, physical
+from tonus.config.schema.faults import FAULT, Loss, PowerLoss
+from tonus.config.schema.lab import LabScript
+from tonus.sim.door import Door
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat.frames import Command, Datagram, build, parse, physical
 
 ERROR = 0x10
 

@@ -7,8 +7,8 @@ import struct
 import pytest
 from ethercat_bench import LOGICAL, OP, STATION, SegmentBench
 
-from sim.ethercat.frames import Command, Datagram, build, parse, physical
-from sim.ethercat.sii import checksum
+from tonus.sim.ethercat.frames import Command, Datagram, build, parse, physical
+from tonus.sim.ethercat.sii import checksum
 
 RAM = 0x2000
 """process memory no sync manager guards"""

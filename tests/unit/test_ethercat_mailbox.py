@@ -7,8 +7,8 @@ import struct
 import pytest
 from ethercat_bench import INIT, PRE_OP, STATION, SegmentBench
 
-from sim.devices.objects import Entry, Kind
-from sim.ethercat.frames import Command
+from tonus.sim.devices.objects import Entry, Kind
+from tonus.sim.ethercat.frames import Command
 
 DRIVE, AMPLIFIER = 0, 8
 LONG = bytes(range(32, 127)) * 3

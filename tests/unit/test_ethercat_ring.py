@@ -8,11 +8,11 @@ from collections.abc import Callable
 import pytest
 from ethercat_bench import LOGICAL, STATION, SegmentBench
 
-from drivers.ethercat.frames import INDEX_AT
-from drivers.ethercat.ring import injected_ring
-from drivers.ethercat.status import StatusFrames
-from sim.ethercat.frames import Command, Datagram, build, parse
-from sim.ethercat.ring import Ring
+from tonus.drivers.ethercat.frames import INDEX_AT
+from tonus.drivers.ethercat.ring import injected_ring
+from tonus.drivers.ethercat.status import StatusFrames
+from tonus.sim.ethercat.frames import Command, Datagram, build, parse
+from tonus.sim.ethercat.ring import Ring
 
 SLAVES = 10
 STATIONS = [STATION + place for place in range(SLAVES)]

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from config import load
-from runtime import clock
-from sim import server
-from sim.lab import Lab
+from tonus.config import load
+from tonus.runtime import clock
+from tonus.sim import server
+from tonus.sim.lab import Lab
 
 
 class Port:

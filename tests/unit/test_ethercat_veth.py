@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sim.errors import LabError
-from sim.ethercat import veth
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat import veth
 
 
 @pytest.fixture

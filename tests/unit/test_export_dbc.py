@@ -8,10 +8,10 @@ import cantools.database
 import pytest
 from cantools.database.can import Database
 
-from config import load
-from config.schema.bus import CanopenBus
-from tools.errors import ToolError
-from tools.export import dbc, messages
+from tonus.config import load
+from tonus.config.schema.bus import CanopenBus
+from tonus.tools.errors import ToolError
+from tonus.tools.export import dbc, messages
 
 
 def exported(

@@ -7,7 +7,7 @@ from pathlib import Path
 import canopen
 from click.testing import CliRunner
 
-from tools.cli.export import export
+from tonus.tools.cli.export import export
 
 
 def test_each_kind_of_device_gets_a_file_that_python_canopen_imports(tmp_path: Path) -> None:

@@ -12,11 +12,11 @@ import pytest
 from click.testing import CliRunner, Result
 from lab_bench import Bench
 
-from config.faults import KINDS
-from config.schema.faults import FAULT
-from sim.door import Door
-from tools.cli.fault import fault
-from tools.errors import ToolError
+from tonus.config.faults import KINDS
+from tonus.config.schema.faults import FAULT
+from tonus.sim.door import Door
+from tonus.tools.cli.fault import fault
+from tonus.tools.errors import ToolError
 
 
 def call(*arguments: str) -> Result:
@@ -88,7 +88,7 @@ def test_what_a_command_sends_is_what_the_schema_takes(
         sent.append(FAULT.validate_python(request["fault"]))
         return {"ok": True, "time": 0.0, "at": 0.0}
 
-    monkeypatch.setattr("tools.cli.fault.ask", ask)
+    monkeypatch.setattr("tonus.tools.cli.fault.ask", ask)
     values = {"string": "can0", "integer": "1", "number": "1", "vector": "1 1 1"}
     for kind in KINDS.values():
         arguments = []

@@ -9,13 +9,13 @@ import pytest
 from lab_bench import MS
 from pydantic import ValidationError
 
-from config import load
-from config.schema.bus import CellNode
-from config.schema.faults import CellBreak
-from config.schema.lab import LabScript
-from config.schema.root import Config
-from sim.devices.objects import AbortError
-from sim.lab import Lab
+from tonus.config import load
+from tonus.config.schema.bus import CellNode
+from tonus.config.schema.faults import CellBreak
+from tonus.config.schema.lab import LabScript
+from tonus.config.schema.root import Config
+from tonus.sim.devices.objects import AbortError
+from tonus.sim.lab import Lab
 
 ZERO = 0x6F72657A
 BUSY, DONE, FAILED = 0x75, 0x66, 0x7265

@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from config import load
-from runtime.states import State
-from tools.identify.cables import identify_cables
-from tools.identify.record import Record
-from tools.log import Log
+from tonus.config import load
+from tonus.runtime.states import State
+from tonus.tools.identify.cables import identify_cables
+from tonus.tools.identify.record import Record
+from tonus.tools.log import Log
 
 Array = NDArray[np.float64]
 CONFIG, _ = load("config/direct.yaml")

@@ -11,14 +11,14 @@ import yaml
 from numpy.typing import NDArray
 from synthetic_run import MS, recording
 
-from config import load
-from runtime.recorder import Recorder
-from runtime.ring import RingWriter
-from runtime.signals import CYCLE, TOPICS
-from runtime.states import State
-from runtime.topics import to_json
-from tools.cli.main import main
-from tools.identify.record import read
+from tonus.config import load
+from tonus.runtime.recorder import Recorder
+from tonus.runtime.ring import RingWriter
+from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.states import State
+from tonus.runtime.topics import to_json
+from tonus.tools.cli.main import main
+from tonus.tools.identify.record import read
 
 TICKS = 3000
 CONFIG, _ = load("config/direct.yaml")

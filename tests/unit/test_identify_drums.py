@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from tools.identify.drums import Drum, fit_drum
+from tonus.tools.identify.drums import Drum, fit_drum
 
 Array = NDArray[np.float64]
 RADIUS = 0.02

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from tools.identify.estimate import Estimate, Fit, fit, mean_of
+from tonus.tools.identify.estimate import Estimate, Fit, fit, mean_of
 
 Array = NDArray[np.float64]
 TRUE = np.array([2.0, 0.3])

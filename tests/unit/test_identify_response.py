@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.signal import TransferFunction, lsim
 from scipy.spatial.transform import Rotation
 
-from config import load
-from runtime.states import State
-from tools.identify.record import Record
-from tools.identify.response import Response, loop_response, response_between
-from tools.log import Log
+from tonus.config import load
+from tonus.runtime.states import State
+from tonus.tools.identify.record import Record
+from tonus.tools.identify.response import Response, loop_response, response_between
+from tonus.tools.log import Log
 
 Array = NDArray[np.float64]
 CONFIG, _ = load("config/direct.yaml")

@@ -12,12 +12,12 @@ import pytest
 import yaml
 from rich.console import Console
 
-from tools.identify import Estimate, Identification
-from tools.identify.estimate import Fit
-from tools.identify.figure import draw
-from tools.identify.response import Line, Response
-from tools.identify.shown import show
-from tools.identify.written import rounded, to_json, to_yaml
+from tonus.tools.identify import Estimate, Identification
+from tonus.tools.identify.estimate import Fit
+from tonus.tools.identify.figure import draw
+from tonus.tools.identify.response import Line, Response
+from tonus.tools.identify.shown import show
+from tonus.tools.identify.written import rounded, to_json, to_yaml
 
 EA = Estimate(
     "axial_stiffness",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from config import load
-from runtime import clock
-from tools.idle_pacing import IdlePacing
+from tonus.config import load
+from tonus.runtime import clock
+from tonus.tools.idle_pacing import IdlePacing
 
 PERIOD_NS = 1_000_000
 

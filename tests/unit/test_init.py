@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from config import load
-from config.document import read
-from config.loader import HERE
-from tools.cli.check import check
-from tools.cli.init import init
-from tools.cli.run import run
-from tools.errors import ToolError
+from tonus.config import load
+from tonus.config.document import read
+from tonus.config.loader import HERE
+from tonus.tools.cli.check import check
+from tonus.tools.cli.init import init
+from tonus.tools.cli.run import run
+from tonus.tools.errors import ToolError
 
 COMPLETE = ("can", "direct", "ethercat", "mixed", "one_channel", "robot")
 

@@ -10,10 +10,10 @@ import can
 import pytest
 from lab_bench import Bench
 
-from config.schema.faults import FAULT
-from config.schema.lab import LabScript
-from sim.devices.cia402 import State
-from sim.errors import LabError
+from tonus.config.schema.faults import FAULT
+from tonus.config.schema.lab import LabScript
+from tonus.sim.devices.cia402 import State
+from tonus.sim.errors import LabError
 
 
 def inject(bench: Bench, kind: str, channel: str | None = "can0", **fields: Any) -> None:

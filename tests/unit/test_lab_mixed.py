@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from lab_bench import Bench
 
-from config.schema.lab import LabScript
-from sim.errors import LabError
+from tonus.config.schema.lab import LabScript
+from tonus.sim.errors import LabError
 
 NODES = frozenset({("can0", 1), ("can3", 25)})
 PULL = {"kind": "unplug", "channel": "can3", "node": 25, "at": 0.01}

@@ -8,11 +8,11 @@ import can
 import pytest
 from lab_bench import Bench
 
-from config.schema.faults import CellBreak, DriveError, Unplug
-from config.schema.lab import LabScript
-from sim.devices.cia402 import State
-from sim.errors import LabError
-from sim.lab import Lab
+from tonus.config.schema.faults import CellBreak, DriveError, Unplug
+from tonus.config.schema.lab import LabScript
+from tonus.sim.devices.cia402 import State
+from tonus.sim.errors import LabError
+from tonus.sim.lab import Lab
 
 
 def heartbeats(messages: list[can.Message], node: int) -> list[bytes]:

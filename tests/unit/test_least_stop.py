@@ -10,14 +10,14 @@ from plant_setup import CONFIG, LAB, ROBOT, UPRIGHT, balanced, frictionless, pla
 
 pytest.importorskip("casadi", reason="the least stop is computed with the extra bench")
 
-from config.schema.lab import Lab
-from config.schema.robot import Robot
 from tests.bench.least_stop.against_plant import speeds
 from tests.bench.least_stop.begin import case_of, damping, played, standing, still
 from tests.bench.least_stop.cases import Tear, solved_as
 from tests.bench.least_stop.hold import POSITIONS, Hold
 from tests.bench.least_stop.model import BODY, LEFT, Constants, Model
 from tests.bench.least_stop.problem import Problem, Solution
+from tonus.config.schema.lab import Lab
+from tonus.config.schema.robot import Robot
 
 TORN = 0
 MODEL = Model(Constants.of(ROBOT, LAB))

@@ -15,12 +15,12 @@ from click.testing import CliRunner
 from pyarrow import parquet
 from synthetic_run import MS, record
 
-from tools.cli.log import log as command
-from tools.errors import ToolError
-from tools.log import Log
-from tools.log import open as open_log
-from tools.log.export import export
-from tools.log.tables import to_arrow, to_pandas
+from tonus.tools.cli.log import log as command
+from tonus.tools.errors import ToolError
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.log.export import export
+from tonus.tools.log.tables import to_arrow, to_pandas
 
 TICKS = 300
 TOPICS = ["/can/can0", "/can/can1"]

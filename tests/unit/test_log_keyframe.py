@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop import QUICK, ClosedLoop, configured
 
-from runtime.cycle import ControlCycle
-from runtime.keyframe import Keyframe, KeyframeError, restore
-from runtime.states import State
-from runtime.taps import KEYFRAME_BYTES
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.keyframe import Keyframe, KeyframeError, restore
+from tonus.runtime.states import State
+from tonus.runtime.taps import KEYFRAME_BYTES
 
 
 class Run:
@@ -110,7 +110,7 @@ def test_dictionaries_and_what_they_share_come_back() -> None:
             self.array = np.zeros(2)
             self.by_state = {State.HOLD: self.array, State.OFF: (1.0, None)}
 
-    Kept.__module__ = "runtime.kept"
+    Kept.__module__ = "tonus.runtime.kept"
     kept = Kept()
     keyframe = Keyframe(kept)
     kept.array[:] = 7.0
@@ -126,6 +126,6 @@ def test_what_cannot_be_kept_is_said_when_the_first_is_asked_for() -> None:
         def __init__(self) -> None:
             self.file = np.random.default_rng(1)
 
-    Odd.__module__ = "runtime.odd"
+    Odd.__module__ = "tonus.runtime.odd"
     with pytest.raises(KeyframeError, match="cannot hold a Generator"):
         Keyframe(Odd())

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from runtime.signals import CYCLE
-from tools.cli.log_layout import layout
-from tools.log.layout import PAGES, VIEWERS, foxglove, plotjuggler
+from tonus.runtime.signals import CYCLE
+from tonus.tools.cli.log_layout import layout
+from tonus.tools.log.layout import PAGES, VIEWERS, foxglove, plotjuggler
 
 
 def known() -> set[str]:

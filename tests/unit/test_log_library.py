@@ -9,10 +9,10 @@ import pytest
 import synthetic_run
 from synthetic_run import MS, Rings, cycles, record, recording, truth
 
-from runtime.recorder import Recorder
-from tools.errors import ToolError
-from tools.log import Log
-from tools.log import open as open_log
+from tonus.runtime.recorder import Recorder
+from tonus.tools.errors import ToolError
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
 
 TICKS = 600
 

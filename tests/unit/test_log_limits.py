@@ -14,14 +14,14 @@ from click.testing import CliRunner
 from mcap.writer import CompressionType, Writer
 from synthetic_run import Rings, cycles, record, recording, truth
 
-from config.loader import HERE
-from runtime.recorder import Recorder
-from runtime.taps import Level
-from tools.cli.log import log as command
-from tools.cli.log_info import describe
-from tools.errors import ToolError
-from tools.log import log as log_module
-from tools.log import open as open_log
+from tonus.config.loader import HERE
+from tonus.runtime.recorder import Recorder
+from tonus.runtime.taps import Level
+from tonus.tools.cli.log import log as command
+from tonus.tools.cli.log_info import describe
+from tonus.tools.errors import ToolError
+from tonus.tools.log import log as log_module
+from tonus.tools.log import open as open_log
 
 BOMB_CHUNKS, BOMB_BYTES = 25, 80_000_000
 MEMORY = 2 << 30
@@ -53,7 +53,7 @@ def test_a_log_made_to_fill_memory_is_refused_in_bounded_memory(
         "export": ["--format", "csv", "--out", str(tmp_path / "tables")],
     }[verb]
     done = subprocess.run(
-        [sys.executable, "-m", "tools.cli", "log", verb, str(bomb), *options],
+        [sys.executable, "-m", "tonus.tools.cli", "log", verb, str(bomb), *options],
         cwd=HERE.parent,
         capture_output=True,
         text=True,

@@ -10,14 +10,14 @@ import pytest
 import synthetic_run
 from click.testing import CliRunner
 
-from config import ConfigError
-from config.loader import load_budget
-from config.schema.budget import Budget
-from tools.cli.log_timing import timing
-from tools.errors import ToolError
-from tools.log import Log
-from tools.log import open as open_log
-from tools.log.timing import histogram, judge
+from tonus.config import ConfigError
+from tonus.config.loader import load_budget
+from tonus.config.schema.budget import Budget
+from tonus.tools.cli.log_timing import timing
+from tonus.tools.errors import ToolError
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.log.timing import histogram, judge
 
 TICKS = 400
 RUNNING = slice(int(0.15 * TICKS), int(0.9 * TICKS))

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from synthetic_run import Rings, cycles, recording, truth
 
-from config.loader import HERE
-from tools.log import open as open_log
-from tools.recorder_process import start
+from tonus.config.loader import HERE
+from tonus.tools.log import open as open_log
+from tonus.tools.recorder_process import start
 
 TICKS = 500
 ROOT = HERE.parent
@@ -85,7 +85,7 @@ def test_a_recorder_records_whatever_becomes_of_what_it_prints(tmp_path: Path, w
 
 
 def tonus(*arguments: str, stdout: int | None, **options) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "tools.cli", *arguments]
+    command = [sys.executable, "-m", "tonus.tools.cli", *arguments]
     return subprocess.run(
         command, stdout=stdout, stderr=subprocess.PIPE, text=True, cwd=ROOT, check=False, **options
     )
@@ -120,14 +120,14 @@ def test_a_run_is_recorded_to_its_end_whatever_becomes_of_what_it_prints(
 
 def test_closed_output_is_not_taken_for_a_file(tmp_path: Path) -> None:
     """With descriptor 1 closed, the first file a program opens would have its number."""
-    command = f'exec "{sys.executable}" -m tools.cli check config/can.yaml >&- 2>&-'
+    command = f'exec "{sys.executable}" -m tonus.tools.cli check config/can.yaml >&- 2>&-'
     done = subprocess.run(["/bin/sh", "-c", command], cwd=ROOT, check=False)
     assert done.returncode == 0
 
 
 def test_names_beyond_a_terminals_letters_are_printed_all_the_same() -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "latin-1", "COLUMNS": "80"}
-    code = "from tools import output; output.install(); print('5 \\u00b5s \\u2264 \\u0394')"
+    code = "from tonus.tools import output; output.install(); print('5 \\u00b5s \\u2264 \\u0394')"
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, check=False
     )

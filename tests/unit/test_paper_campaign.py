@@ -18,13 +18,13 @@ import pytest
 from click.testing import CliRunner
 from loop import QUICK
 
-from config import load
-from config.loader import load_protocol
-from tools.cli.paper import paper
-from tools.errors import ToolError
-from tools.paper.campaign import TRIALS, Job, Progress, carry_out, fingerprint, prepare
-from tools.paper.case import Run
-from tools.paper.protocol import Programme
+from tonus.config import load
+from tonus.config.loader import load_protocol
+from tonus.tools.cli.paper import paper
+from tonus.tools.errors import ToolError
+from tonus.tools.paper.campaign import TRIALS, Job, Progress, carry_out, fingerprint, prepare
+from tonus.tools.paper.case import Run
+from tonus.tools.paper.protocol import Programme
 
 PROTOCOL = load_protocol()
 BRISK, _ = load("config/direct.yaml", overrides=QUICK)
@@ -95,7 +95,7 @@ import sys
 from pathlib import Path
 sys.path[:0] = sys.argv[2:]
 from test_paper_campaign import jobs
-from tools.paper.campaign import carry_out
+from tonus.tools.paper.campaign import carry_out
 if __name__ == "__main__":
     carry_out(jobs("bio") + jobs("pd", duration=1000.0), Path(sys.argv[1]), 2, lambda _: None)
 """

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from paper_setup import BASE, CONFIG, TENSION, sine, steps, still
 
-from config import load
-from config.schema.lab import LabScript
-from runtime.kinematics import Kinematics
-from runtime.signals import Grade
-from tools.paper import indicators as formula
-from tools.paper.case import Kind
-from tools.paper.forces import cable_wrench
-from tools.paper.metrics import measure, traces
+from tonus.config import load
+from tonus.config.schema.lab import LabScript
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.signals import Grade
+from tonus.tools.paper import indicators as formula
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.forces import cable_wrench
+from tonus.tools.paper.metrics import measure, traces
 
 CONFIGS = Path(__file__).parents[2] / "config"
 

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from loop import QUICK
 
-from config import Config, load
-from config.loader import load_protocol
-from config.schema.lab import LabScript
-from config.schema.scenario import Sine
-from runtime.states import State
-from sim.plant import Plant
-from tools.errors import ToolError
-from tools.paper.case import Kind, Run
-from tools.paper.conduct import SLOW_TICKS, conduct
-from tools.paper.plants import refuse, settle
-from tools.paper.protocol import Programme, plant_runs, robot_seconds, runs
-from tools.paper.trial import Trial
+from tonus.config import Config, load
+from tonus.config.loader import load_protocol
+from tonus.config.schema.lab import LabScript
+from tonus.config.schema.scenario import Sine
+from tonus.runtime.states import State
+from tonus.sim.plant import Plant
+from tonus.tools.errors import ToolError
+from tonus.tools.paper.case import Kind, Run
+from tonus.tools.paper.conduct import SLOW_TICKS, conduct
+from tonus.tools.paper.plants import refuse, settle
+from tonus.tools.paper.protocol import Programme, plant_runs, robot_seconds, runs
+from tonus.tools.paper.trial import Trial
 
 PROTOCOL = load_protocol()
 CONFIG, _ = load("config/direct.yaml")

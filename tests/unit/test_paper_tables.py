@@ -16,16 +16,16 @@ import pytest
 from paper_setup import CONTROLLERS, FACTOR, SEEDS, campaign
 from rich.console import Console
 
-from tools.errors import ToolError
-from tools.paper import printed
-from tools.paper.claims import claims
-from tools.paper.compare import compared, matches
-from tools.paper.publish import publish
-from tools.paper.results import Results, Row
-from tools.paper.table import Column, Spread, Table, number, text
-from tools.paper.tables import by_case, can_sample, plants, table2, table3
-from tools.paper.targets import targets
-from tools.paper.verdicts import Claim, Verdict, gain, limit, match
+from tonus.tools.errors import ToolError
+from tonus.tools.paper import printed
+from tonus.tools.paper.claims import claims
+from tonus.tools.paper.compare import compared, matches
+from tonus.tools.paper.publish import publish
+from tonus.tools.paper.results import Results, Row
+from tonus.tools.paper.table import Column, Spread, Table, number, text
+from tonus.tools.paper.tables import by_case, can_sample, plants, table2, table3
+from tonus.tools.paper.targets import targets
+from tonus.tools.paper.verdicts import Claim, Verdict, gain, limit, match
 
 R, C, N, M = Verdict.REPRODUCED, Verdict.CONSISTENT, Verdict.NOT_REPRODUCED, Verdict.MISSING
 

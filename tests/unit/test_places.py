@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from config import places
+from tonus.config import places
 
 
 @pytest.fixture(autouse=True)

@@ -21,8 +21,8 @@ from plant_setup import (
 )
 from scipy.optimize import brentq
 
-from sim.errors import LabError
-from sim.plant import Plant
+from tonus.sim.errors import LabError
+from tonus.sim.plant import Plant
 
 Floats = NDArray[np.float64]
 PLACES = [(0.0, 0.0, 0.0), (0.22, -0.15, 0.18), (-0.2, 0.24, -0.19)]

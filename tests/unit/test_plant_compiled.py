@@ -7,9 +7,9 @@ from pathlib import Path
 from numba import typeof
 from plant_setup import plant
 
-import sim.plant
-from sim.plant.compiled import sources
-from sim.plant.layout import PARAMETERS
+import tonus.sim.plant
+from tonus.sim.plant.compiled import sources
+from tonus.sim.plant.layout import PARAMETERS
 
 
 def test_a_change_in_any_source_is_another_key_in_the_compilers_cache(tmp_path: Path) -> None:
@@ -22,7 +22,7 @@ def test_a_change_in_any_source_is_another_key_in_the_compilers_cache(tmp_path: 
 
 
 def test_the_key_of_the_present_sources_is_in_the_compiled_signature() -> None:
-    digest = sources(Path(sim.plant.__file__).parent)
+    digest = sources(Path(tonus.sim.plant.__file__).parent)
     assert PARAMETERS.names is not None
     assert f"sources_{digest}" in PARAMETERS.names
     assert digest in str(typeof(plant().parameters))

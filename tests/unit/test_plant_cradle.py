@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from plant_setup import LAB, ROBOT, TICK_NS, plant, run
 
-from config.schema.lab import Load
-from sim.plant import Plant
+from tonus.config.schema.lab import Load
+from tonus.sim.plant import Plant
 
 WEIGHT = ROBOT.platform.mass * ROBOT.gravity
 REST = np.array(ROBOT.rest)

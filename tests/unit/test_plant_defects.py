@@ -18,7 +18,7 @@ from plant_setup import (
     with_plant,
 )
 
-from sim.plant import Plant
+from tonus.sim.plant import Plant
 
 RADIUS = ROBOT.drum.radius
 RATIO = ROBOT.gearbox.ratio

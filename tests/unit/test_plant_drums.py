@@ -19,9 +19,9 @@ from plant_setup import (
 )
 from scipy.integrate import quad
 
-from config.schema.lab import Lab
-from sim.errors import LabError
-from sim.plant import Plant
+from tonus.config.schema.lab import Lab
+from tonus.sim.errors import LabError
+from tonus.sim.plant import Plant
 
 R, J, B = ROBOT.drum.radius, ROBOT.drum.inertia, ROBOT.drum.viscous_friction
 

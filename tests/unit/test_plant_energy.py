@@ -20,7 +20,7 @@ from plant_setup import (
     without_cradle,
 )
 
-from sim.plant import Plant
+from tonus.sim.plant import Plant
 
 BUDGET = 1e-3  # of the excitation energy
 

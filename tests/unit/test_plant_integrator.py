@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plant_setup import LAB, OPTIONS, frictionless, placed, plant, undamped, with_plant
 
-from sim.plant import Plant
+from tonus.sim.plant import Plant
 
 
 def driven(seed: int) -> Plant:

@@ -21,8 +21,8 @@ from plant_setup import (
     without_cradle,
 )
 
-from config.schema.lab import Phantom
-from sim.plant import Plant
+from tonus.config.schema.lab import Phantom
+from tonus.sim.plant import Plant
 
 WEIGHT = ROBOT.platform.mass * ROBOT.gravity
 

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from plant_setup import KELVIN_VOIGT, ROBOT, TICK_NS, plant, run, with_plant, without_cradle
 
-from config.schema.lab import Phantom
-from sim.plant import Plant
+from tonus.config.schema.lab import Phantom
+from tonus.sim.plant import Plant
 
 SOLID = KELVIN_VOIGT.model_copy(update={"model": "standard_linear_solid"})
 WEIGHTLESS = without_cradle(ROBOT).model_copy(update={"gravity": 1e-12})

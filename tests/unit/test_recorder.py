@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from config.schema.control import Recording
-from runtime.recorder import Recorder
-from runtime.ring import RingError, RingReader, RingWriter
-from runtime.signals import CYCLE, TOPICS, CycleRecord
-from runtime.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
-from runtime.topics import to_json
-from tools.errors import ToolError
-from tools.log import open as open_log
+from tonus.config.schema.control import Recording
+from tonus.runtime.recorder import Recorder
+from tonus.runtime.ring import RingError, RingReader, RingWriter
+from tonus.runtime.signals import CYCLE, TOPICS, CycleRecord
+from tonus.runtime.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
+from tonus.runtime.topics import to_json
+from tonus.tools.errors import ToolError
+from tonus.tools.log import open as open_log
 
 TICKS = 800
 RECORDING = Recording(ring_s=8.0, chunk_ms=100, compression="zstd", raw_frames=True)

@@ -10,10 +10,10 @@ import pytest
 from mcap.reader import make_reader
 from synthetic_run import MS, Rings, cycles, record, recording, truth
 
-from runtime import recorder as recorder_module
-from runtime.mcap_file import McapFile
-from runtime.recorder import Recorder
-from tools.log import open as open_log
+from tonus.runtime import recorder as recorder_module
+from tonus.runtime.mcap_file import McapFile
+from tonus.runtime.recorder import Recorder
+from tonus.tools.log import open as open_log
 
 TICKS = 900
 

@@ -11,10 +11,10 @@ import pytest
 from click.testing import CliRunner
 from synthetic_run import Rings, cycles, recording, truth
 
-from runtime.mcap_file import McapFile
-from runtime.recorder import Recorder
-from tools.cli.run import run
-from tools.log import open as open_log
+from tonus.runtime.mcap_file import McapFile
+from tonus.runtime.recorder import Recorder
+from tonus.tools.cli.run import run
+from tonus.tools.log import open as open_log
 
 TICKS = 900
 TRUE = truth(cycles(TICKS))
@@ -73,7 +73,7 @@ def test_a_summary_that_cannot_be_written_costs_the_exit_code(
     def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("tools.cli.run.overview", refuse)
+    monkeypatch.setattr("tonus.tools.cli.run.overview", refuse)
     result = play(tmp_path / "out")
     assert result.exit_code == 1, result.output
     assert open_log(tmp_path / "out/run.mcap").damage is None
@@ -129,7 +129,7 @@ def test_a_state_too_large_to_be_kept_is_an_event(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A controller with much memory: once is enough to say so."""
-    monkeypatch.setattr("runtime.taps.KEYFRAME_BYTES", 64)
+    monkeypatch.setattr("tonus.runtime.taps.KEYFRAME_BYTES", 64)
     assert play(tmp_path / "out").exit_code == 0
     events = open_log(tmp_path / "out/run.mcap").events()
     (event,) = (each for each in events if each.name == "keyframe_left_out")

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from config import Config, ConfigError, load
-from config.document import dotted
-from config.loader import HERE
-from config.schema.place import DEFAULTS, with_defaults
-from tools.cli.check import check
+from tonus.config import Config, ConfigError, load
+from tonus.config.document import dotted
+from tonus.config.loader import HERE
+from tonus.config.schema.place import DEFAULTS, with_defaults
+from tonus.tools.cli.check import check
 
 KEYS = [dotted(key) for key in DEFAULTS]
 WITHOUT_LAB: dict[str, Any] = {"lab": None}

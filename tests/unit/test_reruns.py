@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime import realtime
+from tonus.runtime import realtime
 
 pytest_plugins = ["pytester"]
 

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from lab_bench import Bench
 
-from config import load
-from config.faults import KINDS
-from config.schema.faults import FAULT
-from config.schema.lab import LabScript
-from config.schema.scenario import Scenario
-from sim.devices.samples import CELL
-from sim.devices.tracker import DATAGRAM, VALID
-from sim.door import Door
-from sim.errors import LabError
-from tools.check import check
+from tonus.config import load
+from tonus.config.faults import KINDS
+from tonus.config.schema.faults import FAULT
+from tonus.config.schema.lab import LabScript
+from tonus.config.schema.scenario import Scenario
+from tonus.sim.devices.samples import CELL
+from tonus.sim.devices.tracker import DATAGRAM, VALID
+from tonus.sim.door import Door
+from tonus.sim.errors import LabError
+from tonus.tools.check import check
 
 CONTACT = load("config/can.yaml", scenario="contact")[1].lab
 DIRECT = "config/direct.yaml"

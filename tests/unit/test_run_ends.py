@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from hil.runs import configured, virtual
 
-from config.loader import HERE
-from sim.can import registry
-from tools import fieldbuses
-from tools.errors import ToolError
+from tonus.config.loader import HERE
+from tonus.sim.can import registry
+from tonus.tools import fieldbuses
+from tonus.tools.errors import ToolError
 
 
 def test_a_run_that_cannot_be_composed_takes_its_lab_with_it(
@@ -36,7 +36,7 @@ def test_a_run_that_cannot_be_composed_takes_its_lab_with_it(
 def test_an_interrupt_while_a_command_is_loaded_ends_it_without_a_traceback() -> None:
     code = (
         "import os, signal\n"
-        "from tools.cli import main\n"
+        "from tonus.tools.cli import main\n"
         "with main._loading():\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
         "    for _ in range(10**9): pass\n"
@@ -51,7 +51,7 @@ def test_a_command_that_is_interrupted_ends_without_a_traceback() -> None:
     code = (
         "import sys\n"
         "from unittest.mock import patch\n"
-        "from tools.cli import check, main\n"
+        "from tonus.tools.cli import check, main\n"
         "sys.argv = ['tonus', 'check', 'config/direct.yaml']\n"
         "with patch.object(check, 'load', side_effect=KeyboardInterrupt):\n"
         "    main.main()\n"

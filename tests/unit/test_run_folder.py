@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from hil.runs import configured, virtual
 
-from drivers.errors import DriverError
-from runtime.daemon import Daemon
-from tools.errors import ToolError
-from tools.run_folder import RunFolder, new_folder, next_folder
+from tonus.drivers.errors import DriverError
+from tonus.runtime.daemon import Daemon
+from tonus.tools.errors import ToolError
+from tonus.tools.run_folder import RunFolder, new_folder, next_folder
 
 
 def written(folder: Path, text: str) -> None:

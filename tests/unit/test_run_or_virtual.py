@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from config import load
-from tools.cli.run import _disturbed, run
-from tools.run import Order
+from tonus.config import load
+from tonus.tools.cli.run import _disturbed, run
+from tonus.tools.run import Order
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def test_only_a_disturbed_run_is_played_again_and_beside_the_first(
         orders.append(order)
         return (True, False) if order.virtual else first
 
-    monkeypatch.setattr("tools.cli.run._play", play)
+    monkeypatch.setattr("tonus.tools.cli.run._play", play)
     result = CliRunner().invoke(run, ["config/can.yaml", "--out", str(tmp_path), *arguments])
     assert result.exit_code == exit_code, result.output
     assert [order.virtual for order in orders] == played

@@ -10,13 +10,13 @@ import pytest
 from loop import QUICK, ClosedLoop, configured, contact_of, rms
 from numpy.typing import NDArray
 
-from config import ConfigError, load
-from config.schema.control import ControllerName
-from config.schema.scenario import Scenario
-from runtime.controllers import CONTROLLERS, Controller, Motion
-from runtime.kinematics import Kinematics
-from runtime.passivity import damping
-from runtime.states import Fault, State
+from tonus.config import ConfigError, load
+from tonus.config.schema.control import ControllerName
+from tonus.config.schema.scenario import Scenario
+from tonus.runtime.controllers import CONTROLLERS, Controller, Motion
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.passivity import damping
+from tonus.runtime.states import Fault, State
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, CONTROL = CONFIG.robot, CONFIG.control

@@ -10,11 +10,11 @@ import pytest
 from loop import QUICK, ClosedLoop, Trace, configured, not_finite
 from statue import CONFIG, CONTROL, REST, SCENARIO, Statue
 
-from config.schema.lab import LabScript, Load, LoadPoint
-from drivers.process_image import AxisCommand, AxisState, ProcessImage
-from runtime.cycle import ControlCycle
-from runtime.signals import Solver
-from runtime.states import Fault, Operator, State
+from tonus.config.schema.lab import LabScript, Load, LoadPoint
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.signals import Solver
+from tonus.runtime.states import Fault, Operator, State
 
 FRESH, STALE = CONTROL.freshness.measurement_ticks, CONTROL.freshness.stale_stop_ticks
 TENSION, LAW = CONTROL.tension, CONTROL.stiffness

@@ -7,12 +7,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from config import load
-from config.schema.control import Distribution
-from runtime.compiled import rotate
-from runtime.distribution import TensionDistribution, opposition
-from runtime.kinematics import Kinematics
-from runtime.signals import Solver
+from tonus.config import load
+from tonus.config.schema.control import Distribution
+from tonus.runtime.compiled import rotate
+from tonus.runtime.distribution import TensionDistribution, opposition
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.signals import Solver
 
 CONFIG, _ = load("config/can.yaml")
 SETTINGS, TENSION, ROBOT = CONFIG.control.distribution, CONFIG.control.tension, CONFIG.robot

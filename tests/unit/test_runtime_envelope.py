@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from config import load
-from runtime.envelope import Envelope
-from runtime.signals import Bound, Grade
-from runtime.states import Fault
+from tonus.config import load
+from tonus.runtime.envelope import Envelope
+from tonus.runtime.signals import Bound, Grade
+from tonus.runtime.states import Fault
 
 CONFIG, _ = load("config/can.yaml")
 CONTROL, ROBOT = CONFIG.control, CONFIG.robot

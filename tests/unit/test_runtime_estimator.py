@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from config import load
-from config.schema.control import Estimator
-from runtime.compiled import rotate, rotation_between
-from runtime.estimator import PoseEstimator
-from runtime.kinematics import Kinematics
-from runtime.signals import Consistency
+from tonus.config import load
+from tonus.config.schema.control import Estimator
+from tonus.runtime.compiled import rotate, rotation_between
+from tonus.runtime.estimator import PoseEstimator
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.signals import Consistency
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, TRACKER = CONFIG.robot, CONFIG.tracker

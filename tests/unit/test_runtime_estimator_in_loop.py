@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from loop import QUICK, ClosedLoop, Trace, configured, rms
 
-from config.schema.lab import Load, LoadPoint
-from runtime.signals import Consistency
-from runtime.states import State
+from tonus.config.schema.lab import Load, LoadPoint
+from tonus.runtime.signals import Consistency
+from tonus.runtime.states import State
 
 WRONG: dict[str, Any] = {
     "lab.plant.stiffness_scale": 0.87,

@@ -10,9 +10,9 @@ import pytest
 from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 
-from config import load
-from runtime.compiled import filter_tick, rotate, rotation_between, track
-from runtime.kinematics import Kinematics
+from tonus.config import load
+from tonus.runtime.compiled import filter_tick, rotate, rotation_between, track
+from tonus.runtime.kinematics import Kinematics
 
 ROBOT = load("config/can.yaml")[0].robot
 EA, PERIOD = ROBOT.cable.axial_stiffness, 1e-3

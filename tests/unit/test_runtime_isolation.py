@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from config import load
-from config.schema.bus import CELLS
-from config.schema.robot import CABLES
-from runtime.isolation import Isolation
-from runtime.states import Fault
+from tonus.config import load
+from tonus.config.schema.bus import CELLS
+from tonus.config.schema.robot import CABLES
+from tonus.runtime.isolation import Isolation
+from tonus.runtime.states import Fault
 
 Array = NDArray[np.float64]
 CONFIG, _ = load("config/can.yaml")

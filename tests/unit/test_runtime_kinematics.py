@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from config import load
-from runtime.compiled import rotate, rotation_between
-from runtime.kinematics import Kinematics
+from tonus.config import load
+from tonus.runtime.compiled import rotate, rotation_between
+from tonus.runtime.kinematics import Kinematics
 
 CONFIG, _ = load("config/can.yaml")
 GEOMETRY = CONFIG.robot.geometry

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from config import load
-from config.schema.realtime import RealTime
-from runtime import realtime
-from runtime.awake import Choice, Comparison, compare
-from runtime.realtime import Hygiene, RefusedError, compared, demand, prepare, settled
-from tools.run import Order, run
+from tonus.config import load
+from tonus.config.schema.realtime import RealTime
+from tonus.runtime import realtime
+from tonus.runtime.awake import Choice, Comparison, compare
+from tonus.runtime.realtime import Hygiene, RefusedError, compared, demand, prepare, settled
+from tonus.tools.run import Order, run
 
 NO_SUCH_PROCESSOR = 1023
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from runtime.clock import Stopwatch, Unused, now_ns, run
-from runtime.scheduler import Disturbances, Pacing, Scheduler, TimerPacing, VirtualPacing
+from tonus.runtime.clock import Stopwatch, Unused, now_ns, run
+from tonus.runtime.scheduler import Disturbances, Pacing, Scheduler, TimerPacing, VirtualPacing
 
 PERIOD = 1_000_000
 START = 5 * PERIOD

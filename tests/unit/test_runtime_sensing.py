@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from config import load
-from drivers.process_image import NEVER, ProcessImage
-from runtime.sensing import Sensing
+from tonus.config import load
+from tonus.drivers.process_image import NEVER, ProcessImage
+from tonus.runtime.sensing import Sensing
 
 CONFIG = load("config/can.yaml")[0]
 ROBOT, CONTROL = CONFIG.robot, CONFIG.control

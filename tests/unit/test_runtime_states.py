@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from config import load
-from config.schema.scenario import Command
-from runtime.operator import Script
-from runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State
-from runtime.words import describe, place, reaction
+from tonus.config import load
+from tonus.config.schema.scenario import Command
+from tonus.runtime.operator import Script
+from tonus.runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State
+from tonus.runtime.words import describe, place, reaction
 
 CONFIG, _ = load("config/can.yaml")
 DIRECT, _ = load("config/direct.yaml")

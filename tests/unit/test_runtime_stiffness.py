@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from config import load
-from config.schema.control import StiffnessLaw
-from runtime.stiffness import Law
+from tonus.config import load
+from tonus.config.schema.control import StiffnessLaw
+from tonus.runtime.stiffness import Law
 
 LAW = load("config/can.yaml")[0].control.stiffness
 

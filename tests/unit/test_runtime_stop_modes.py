@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from statue import CABLES, CONFIG, CONTROL, Statue
 
-from drivers.process_image import AxisCommand, ProcessImage
-from runtime.sequence import FEWEST
-from runtime.states import Fault, Operator, State, StopMode
+from tonus.drivers.process_image import AxisCommand, ProcessImage
+from tonus.runtime.sequence import FEWEST
+from tonus.runtime.states import Fault, Operator, State, StopMode
 
 STALE = CONTROL.freshness.stale_stop_ticks
 RADIUS = CONFIG.robot.drum.radius

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from config import load
-from runtime.controllers import CONTROLLERS
-from runtime.kinematics import Kinematics
-from runtime.margin import tension_loop_margins
-from runtime.task_margin import margins
+from tonus.config import load
+from tonus.runtime.controllers import CONTROLLERS
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.margin import tension_loop_margins
+from tonus.runtime.task_margin import margins
 
 CONFIG, _ = load("config/can.yaml")
 FLOOR = CONFIG.control.tension_loop

@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from config import load
-from config.schema.control import TensionLoop as Settings
-from runtime.kinematics import Kinematics
-from runtime.margin import DELAY_TICKS, Margins, margins_of, tension_loop_margins
-from runtime.tension import TensionLoop
+from tonus.config import load
+from tonus.config.schema.control import TensionLoop as Settings
+from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.margin import DELAY_TICKS, Margins, margins_of, tension_loop_margins
+from tonus.runtime.tension import TensionLoop
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, SETTINGS = CONFIG.robot, CONFIG.control.tension_loop

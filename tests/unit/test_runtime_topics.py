@@ -8,8 +8,8 @@ import struct
 import numpy as np
 import pytest
 
-from runtime.signals import CYCLE, TOPICS, CycleRecord
-from runtime.topics import Field, Topic, from_json, record_dtype, to_json
+from tonus.runtime.signals import CYCLE, TOPICS, CycleRecord
+from tonus.runtime.topics import Field, Topic, from_json, record_dtype, to_json
 
 CDR = {
     "float64": ("d", 8),

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lab_bench import Bench
 
-from sim.can.sdo_server import SdoServer
-from sim.devices.objects import Entry, Kind, ObjectDictionary
+from tonus.sim.can.sdo_server import SdoServer
+from tonus.sim.devices.objects import Entry, Kind, ObjectDictionary
 
 SECOND = 1_000_000_000
 NAME = "a name of several segments"

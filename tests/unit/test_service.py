@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from operated import Operated
 
-import tools
-from runtime.notify import Notifier
-from runtime.states import State
-from runtime.taps import EventRing, Level
-from tools.event_lines import EventLines, for_journal
+from tonus import tools
+from tonus.runtime.notify import Notifier
+from tonus.runtime.states import State
+from tonus.runtime.taps import EventRing, Level
+from tonus.tools.event_lines import EventLines, for_journal
 
 UNIT = Path(tools.__file__).parent / "service" / "tonus.service"
 

@@ -6,12 +6,12 @@ import asyncio
 
 import pytest
 
-from config import Config, load
-from config.schema.bus import EthercatBus
-from drivers.errors import BringUpError, DriverError
-from drivers.fieldbus import Progress
-from drivers.process_image import ProcessImage
-from drivers.several import SeveralFieldbuses
+from tonus.config import Config, load
+from tonus.config.schema.bus import EthercatBus
+from tonus.drivers.errors import BringUpError, DriverError
+from tonus.drivers.fieldbus import Progress
+from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.several import SeveralFieldbuses
 
 
 class Part:

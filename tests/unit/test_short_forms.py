@@ -11,10 +11,10 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from config.loader import HERE
 from tests.bench import control, process_data
-from tools.cli.check import check
-from tools.cli.main import tonus
+from tonus.config.loader import HERE
+from tonus.tools.cli.check import check
+from tonus.tools.cli.main import tonus
 
 ROOT = HERE.parent
 MAKE = shutil.which("make") or "make"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from plant_setup import CONFIG, LAB
 
-from config.schema.lab import Occlusion, TrackerShift
-from sim.devices.tracker import Tracker
+from tonus.config.schema.lab import Occlusion, TrackerShift
+from tonus.sim.devices.tracker import Tracker
 
 NOISE = LAB.noise.tracker
 POSE = {"position": np.array([0.0123, -0.05, 0.2]), "quaternion": np.array([0.5, 0.5, -0.5, 0.5])}

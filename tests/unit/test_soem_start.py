@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from config import load
-from config.schema.bus import EthercatBus
-from drivers.errors import BringUpError
-from drivers.ethercat.soem import SoemMaster
+from tonus.config import load
+from tonus.config.schema.bus import EthercatBus
+from tonus.drivers.errors import BringUpError
+from tonus.drivers.ethercat.soem import SoemMaster
 
 pytest.importorskip("pysoem", reason="pysoem is not installed: the extra ethercat")
 PREOP, INIT = 2, 1

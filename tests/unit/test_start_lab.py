@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from config import load
-from tools import lab_process
-from tools.errors import ToolError
-from tools.lab_process import LabProcess, start_lab
+from tonus.config import load
+from tonus.tools import lab_process
+from tonus.tools.errors import ToolError
+from tonus.tools.lab_process import LabProcess, start_lab
 
 
 def start(

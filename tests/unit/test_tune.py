@@ -13,17 +13,17 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-import config as config_room
-from config import load
-from config.loader import load_tuning
-from config.schema.tuning import Tuning
-from runtime.task_margin import margins
-from tools.cli.tune import tune
-from tools.errors import ToolError
-from tools.tune.judge import Part, lack
-from tools.tune.landing import land
-from tools.tune.search import Found, Search
-from tools.tune.work import Evaluator, Gains
+from tonus import config as config_room
+from tonus.config import load
+from tonus.config.loader import load_tuning
+from tonus.config.schema.tuning import Tuning
+from tonus.runtime.task_margin import margins
+from tonus.tools.cli.tune import tune
+from tonus.tools.errors import ToolError
+from tonus.tools.tune.judge import Part, lack
+from tonus.tools.tune.landing import land
+from tonus.tools.tune.search import Found, Search
+from tonus.tools.tune.work import Evaluator, Gains
 
 CONFIG = "config/direct.yaml"
 TUNING = load_tuning()
@@ -73,7 +73,7 @@ def searched(controller: str, evaluator: object, tuning: Tuning = TUNING) -> Fou
 @pytest.fixture
 def without_floors(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of the search alone: margins are most of its own time."""
-    monkeypatch.setattr("tools.tune.search.lack", lambda *_: 0.0)
+    monkeypatch.setattr("tonus.tools.tune.search.lack", lambda *_: 0.0)
 
 
 @pytest.mark.usefixtures("without_floors")
@@ -193,7 +193,7 @@ def test_a_tiny_run_writes_gains_with_their_provenance_and_is_not_done_twice(
     def never(order: object) -> list[Part]:
         raise AssertionError("what the journal knows is not simulated again")
 
-    monkeypatch.setattr("tools.tune.work._work", never)
+    monkeypatch.setattr("tonus.tools.tune.work._work", never)
     CliRunner().invoke(tune, order, catch_exceptions=False)
     assert out.read_bytes() == first
 

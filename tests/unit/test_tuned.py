@@ -11,16 +11,16 @@ import yaml
 from click.testing import CliRunner
 from paper_setup import campaign
 
-from config import load
-from config.loader import load_protocol
-from tools.cli.tune import tune
-from tools.errors import ToolError
-from tools.paper.claims import claims
-from tools.paper.publish import publish
-from tools.paper.verdicts import Verdict
-from tools.tune.judge import Part
-from tools.tune.tuned import not_tuned, robot_key
-from tools.tune.work import Evaluator, Gains
+from tonus.config import load
+from tonus.config.loader import load_protocol
+from tonus.tools.cli.tune import tune
+from tonus.tools.errors import ToolError
+from tonus.tools.paper.claims import claims
+from tonus.tools.paper.publish import publish
+from tonus.tools.paper.verdicts import Verdict
+from tonus.tools.tune.judge import Part
+from tonus.tools.tune.tuned import not_tuned, robot_key
+from tonus.tools.tune.work import Evaluator, Gains
 
 CONFIG = "config/direct.yaml"
 
@@ -33,7 +33,7 @@ def failing(monkeypatch: pytest.MonkeyPatch) -> None:
         return [[Part("sine", 100.0, None, None, 0.0, "never active")] for _ in many]
 
     monkeypatch.setattr(Evaluator, "__call__", fail)
-    monkeypatch.setattr("tools.tune.search.lack", lambda *_: 0.0)
+    monkeypatch.setattr("tonus.tools.tune.search.lack", lambda *_: 0.0)
 
 
 @pytest.mark.usefixtures("failing")
@@ -44,7 +44,7 @@ def test_gains_that_fail_everywhere_are_no_result_and_do_not_land(
     def landed(*_: object) -> list[Path]:
         raise AssertionError("nothing may land")
 
-    monkeypatch.setattr("tools.cli.tune.land", landed)
+    monkeypatch.setattr("tonus.tools.cli.tune.land", landed)
     out = tmp_path / "tuned.yaml"
     options = ["--land", "--evaluations", "6", "--jobs", "1", "--out", str(out)]
     result = CliRunner().invoke(tune, ["pd", *options, *["--json"] * as_json])

@@ -37,7 +37,7 @@ def _run(installed: Path, somewhere: Path, *arguments: str) -> subprocess.Comple
 
 
 def test_the_packages_come_from_the_wheel(installed: Path, tmp_path: Path) -> None:
-    code = "import config, tools\nprint(config.__file__, tools.__file__)"
+    code = "from tonus import config, tools\nprint(config.__file__, tools.__file__)"
     result = _run(installed, tmp_path, "-c", code)
     assert result.returncode == 0, result.stderr
     assert result.stdout.count(str(installed)) == 2

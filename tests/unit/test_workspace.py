@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
-from config import load
-from tools.cli.main import tonus
-from tools.feasibility import Poses, against, closures, poses, reserves
-from tools.workspace import compute, grid
-from tools.workspace.stiffness import balanced, matrices, stiffness
+from tonus.config import load
+from tonus.tools.cli.main import tonus
+from tonus.tools.feasibility import Poses, against, closures, poses, reserves
+from tonus.tools.workspace import compute, grid
+from tonus.tools.workspace.stiffness import balanced, matrices, stiffness
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, BOUNDS = CONFIG.robot, CONFIG.control.tension

@@ -1,14 +1,15 @@
-"""The recorded inputs of a run once more, held in memory: `tools.log.replay` without a log."""
+"""The recorded inputs of a run once more, held in memory: `tonus.tools.log.replay` without a
+log."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from drivers.process_image import ProcessImage
-from runtime.cycle import ControlCycle
-from runtime.signals import CYCLE, TOPICS
-from runtime.states import Operator
-from tools.campaign.observed import Observed
+from tonus.drivers.process_image import ProcessImage
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.states import Operator
+from tonus.tools.campaign.observed import Observed
 
 _INPUTS = {
     "drives": ("axes", ("angle", "torque", "statusword", "error_code", "age", "state")),

@@ -9,9 +9,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from config.loader import load_least_stops
-from config.schema.least_stop import LeastStops, Stop, Tear
-from config.schema.robot import Geometry
+from tonus.config.loader import load_least_stops
+from tonus.config.schema.least_stop import LeastStops, Stop, Tear
+from tonus.config.schema.robot import Geometry
 
 FACTOR = 2.0
 """of the optimum"""

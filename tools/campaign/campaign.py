@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from config import load
-from config.schema.campaign import BusName, Study
-from runtime import clock
-from runtime.rehearsal import rehearse
-from sim.lab import Lab
-from tools.campaign.draw import episodes, grouped
-from tools.campaign.episode import Episode
-from tools.campaign.invariants import Allowance
-from tools.campaign.journal import Journal, fingerprint
-from tools.campaign.judge import Row
-from tools.campaign.players import Players
+from tonus.config import load
+from tonus.config.schema.campaign import BusName, Study
+from tonus.runtime import clock
+from tonus.runtime.rehearsal import rehearse
+from tonus.sim.lab import Lab
+from tonus.tools.campaign.draw import episodes, grouped
+from tonus.tools.campaign.episode import Episode
+from tonus.tools.campaign.invariants import Allowance
+from tonus.tools.campaign.journal import Journal, fingerprint
+from tonus.tools.campaign.judge import Row
+from tonus.tools.campaign.players import Players
 
 _WARM_NS = 20_000_000
 

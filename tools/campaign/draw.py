@@ -8,15 +8,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from config.loader import load_scenario
-from config.schema.campaign import BusName, Choice, Kind, Span, Struck, Study
-from config.schema.control import Sequence as Bringup
-from config.schema.root import Config
-from config.schema.scenario import Command, Scenario
-from tools.campaign.coverage import Pairs
-from tools.campaign.episode import Episode, Group, Setup
-from tools.campaign.places import places
-from tools.errors import ToolError
+from tonus.config.loader import load_scenario
+from tonus.config.schema.campaign import BusName, Choice, Kind, Span, Struck, Study
+from tonus.config.schema.control import Sequence as Bringup
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Command, Scenario
+from tonus.tools.campaign.coverage import Pairs
+from tonus.tools.campaign.episode import Episode, Group, Setup
+from tonus.tools.campaign.places import places
+from tonus.tools.errors import ToolError
 
 Generator = np.random.Generator
 Name = TypeVar("Name", bound=str)

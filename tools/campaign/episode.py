@@ -9,11 +9,11 @@ from typing import Any
 
 from pydantic import Field
 
-from config import load
-from config.schema.base import Section
-from config.schema.campaign import Struck
-from config.schema.root import Config
-from config.schema.scenario import Scenario
+from tonus.config import load
+from tonus.config.schema.base import Section
+from tonus.config.schema.campaign import Struck
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
 
 
 class Setup(Section):

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from config.loader import load_bounds
-from config.schema.bounds import Bounds
-from runtime.states import ARMED, Fault, Operator, State
-from runtime.taps import Level
-from tools.campaign.again import first_difference
-from tools.campaign.observed import FAULTED, GOOD, Observed, of_log
-from tools.campaign.strikes import NS
-from tools.log.log import Log
+from tonus.config.loader import load_bounds
+from tonus.config.schema.bounds import Bounds
+from tonus.runtime.states import ARMED, Fault, Operator, State
+from tonus.runtime.taps import Level
+from tonus.tools.campaign.again import first_difference
+from tonus.tools.campaign.observed import FAULTED, GOOD, Observed, of_log
+from tonus.tools.campaign.strikes import NS
+from tonus.tools.log.log import Log
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -10,18 +10,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import config
-import drivers
-import runtime
-import sim
-import tools.campaign
-from config.schema.campaign import BusName, Study
-from tools.campaign.judge import Row
-from tools.errors import ToolError
-from tools.folders import make_folder
+import tonus.tools.campaign
+from tonus import config, drivers, runtime, sim
+from tonus.config.schema.campaign import BusName, Study
+from tonus.tools.campaign.judge import Row
+from tonus.tools.errors import ToolError
+from tonus.tools.folders import make_folder
 
 NAME = "episodes.jsonl"
-_ROOMS = (config, drivers, runtime, sim, tools.campaign)
+_ROOMS = (config, drivers, runtime, sim, tonus.tools.campaign)
 
 
 def fingerprint(study: Study, seed: int, buses: Sequence[BusName]) -> dict[str, Any]:

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from runtime.states import State
-from tools.campaign.episode import Episode
-from tools.campaign.invariants import Allowance, Violation, within_bounds
-from tools.campaign.observed import Observed
-from tools.campaign.strikes import NS
+from tonus.runtime.states import State
+from tonus.tools.campaign.episode import Episode
+from tonus.tools.campaign.invariants import Allowance, Violation, within_bounds
+from tonus.tools.campaign.observed import Observed
+from tonus.tools.campaign.strikes import NS
 
 Row = dict[str, Any]
 

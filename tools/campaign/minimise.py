@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from config.schema.campaign import Study
-from config.schema.scenario import Scenario
-from tools.campaign.campaign import played
-from tools.campaign.draw import begins, undisturbed
-from tools.campaign.episode import Episode, Setup
-from tools.campaign.judge import Row
+from tonus.config.schema.campaign import Study
+from tonus.config.schema.scenario import Scenario
+from tonus.tools.campaign.campaign import played
+from tonus.tools.campaign.draw import begins, undisturbed
+from tonus.tools.campaign.episode import Episode, Setup
+from tonus.tools.campaign.judge import Row
 
 _NEVER_ROUNDED = ("kind", "channel", "node", "axis", "cell", "code", "input")
 _CONTROLLER = "control.controller"

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from drivers.process_image import AxisState
-from runtime.signals import TOPICS
-from runtime.states import Fault, State
-from tools.campaign.strikes import Strike, strikes
-from tools.errors import ToolError
-from tools.log.log import Event, Log
-from tools.log.replay import configuration, played
-from tools.summary import TRUTH
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.drivers.process_image import AxisState
+from tonus.runtime.signals import TOPICS
+from tonus.runtime.states import Fault, State
+from tonus.tools.campaign.strikes import Strike, strikes
+from tonus.tools.errors import ToolError
+from tonus.tools.log.log import Event, Log
+from tonus.tools.log.replay import configuration, played
+from tonus.tools.summary import TRUTH
 
 Ints = NDArray[np.int64]
 Rows = NDArray[np.void]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from config.schema.bus import CELLS, CanopenBus, EthercatBus, parts
-from config.schema.campaign import Place
-from config.schema.robot import CABLES
-from config.schema.root import Config
+from tonus.config.schema.bus import CELLS, CanopenBus, EthercatBus, parts
+from tonus.config.schema.campaign import Place
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.root import Config
 
 
 def places(config: Config, place: Place | None) -> list[dict[str, Any]]:

@@ -10,25 +10,25 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from drivers.process_image import ProcessImage
-from drivers.tracker import TrackerInput
-from runtime import clock
-from runtime.daemon import Daemon, Outcome
-from runtime.operator import Script
-from runtime.scheduler import VirtualPacing
-from runtime.sequence import Sequence
-from runtime.signals import CYCLE
-from runtime.states import Fault, Operator, State
-from runtime.taps import Level
-from sim.lab import Lab
-from sim.truth import TRUTH
-from tools import fieldbuses
-from tools.campaign.episode import Episode
-from tools.campaign.observed import FAULTED, GOOD, End, Observed
-from tools.campaign.strikes import strikes
-from tools.log.log import Event
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.tracker import TrackerInput
+from tonus.runtime import clock
+from tonus.runtime.daemon import Daemon, Outcome
+from tonus.runtime.operator import Script
+from tonus.runtime.scheduler import VirtualPacing
+from tonus.runtime.sequence import Sequence
+from tonus.runtime.signals import CYCLE
+from tonus.runtime.states import Fault, Operator, State
+from tonus.runtime.taps import Level
+from tonus.sim.lab import Lab
+from tonus.sim.truth import TRUTH
+from tonus.tools import fieldbuses
+from tonus.tools.campaign.episode import Episode
+from tonus.tools.campaign.observed import FAULTED, GOOD, End, Observed
+from tonus.tools.campaign.strikes import strikes
+from tonus.tools.log.log import Event
 
 
 class Rows:
@@ -103,8 +103,8 @@ class Playing:
         longest: float,
         turn: Turn | None = None,
     ) -> None:
-        """``tail`` and ``longest``: s, as in `config.schema.campaign.Times`. ``turn`` may fork the
-        process and `take_up` an episode in the child."""
+        """``tail`` and ``longest``: s, as in `tonus.config.schema.campaign.Times`. ``turn`` may
+        fork the process and `take_up` an episode in the child."""
         self.config, self.scenario, self._seed = config, scenario, seed
         self.script = Operated(scenario, config.control.rates.period, tail, longest)
         self._turn = turn

@@ -12,11 +12,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from config.schema.campaign import Study
-from tools.campaign.episode import Episode, Group
-from tools.campaign.invariants import Allowance
-from tools.campaign.judge import Row, failed
-from tools.campaign.station import cause, die_with_parent, play_group
+from tonus.config.schema.campaign import Study
+from tonus.tools.campaign.episode import Episode, Group
+from tonus.tools.campaign.invariants import Allowance
+from tonus.tools.campaign.judge import Row, failed
+from tonus.tools.campaign.station import cause, die_with_parent, play_group
 
 _CHUNK = 1 << 16
 _CRASHED = 70

@@ -7,12 +7,12 @@ from pathlib import Path
 import yaml
 from pydantic import ValidationError
 
-from config.document import read
-from config.schema.base import Section
-from config.schema.scenario import Scenario
-from tools.campaign.episode import Episode, Setup
-from tools.cli.settings import settings_of
-from tools.errors import ToolError
+from tonus.config.document import read
+from tonus.config.schema.base import Section
+from tonus.config.schema.scenario import Scenario
+from tonus.tools.campaign.episode import Episode, Setup
+from tonus.tools.cli.settings import settings_of
+from tonus.tools.errors import ToolError
 
 SUFFIX = ".episode.yaml"
 

@@ -13,12 +13,12 @@ import signal
 import sys
 from collections.abc import Callable
 
-from config.schema.campaign import Study
-from runtime import clock
-from tools.campaign.episode import Episode, Group
-from tools.campaign.invariants import Allowance
-from tools.campaign.judge import Row, failed, row_of
-from tools.campaign.play import Playing, describe
+from tonus.config.schema.campaign import Study
+from tonus.runtime import clock
+from tonus.tools.campaign.episode import Episode, Group
+from tonus.tools.campaign.invariants import Allowance
+from tonus.tools.campaign.judge import Row, failed, row_of
+from tonus.tools.campaign.play import Playing, describe
 
 _AHEAD_S = 0.003
 """so long before an episode's first event it is forked; buses and devices work ahead of a tick"""

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from config.schema.bus import CanopenBus, EthercatBus, parts
-from config.schema.faults import Fault
-from config.schema.robot import CABLES
-from config.schema.root import Config
+from tonus.config.schema.bus import CanopenBus, EthercatBus, parts
+from tonus.config.schema.faults import Fault
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.root import Config
 
 NS = 1_000_000_000
 _ENDING = ("clear", "replug")

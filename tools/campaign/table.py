@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 from typing import Any, get_args
 
-from config.schema.campaign import BusName, Struck, Study
-from tools.campaign.coverage import Pair, Pairs, pair
-from tools.campaign.invariants import INVARIANTS
-from tools.campaign.judge import Row
+from tonus.config.schema.campaign import BusName, Struck, Study
+from tonus.tools.campaign.coverage import Pair, Pairs, pair
+from tonus.tools.campaign.invariants import INVARIANTS
+from tonus.tools.campaign.judge import Row
 
 STATES: tuple[Struck, ...] = get_args(Struck)
 

@@ -1,5 +1,5 @@
-"""`python -m tools.cli` is `tonus`."""
+"""`python -m tonus.tools.cli` is `tonus`."""
 
-from tools.cli.main import main
+from tonus.tools.cli.main import main
 
 main()

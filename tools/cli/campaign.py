@@ -10,15 +10,15 @@ from typing import Any, get_args
 import click
 from rich.console import Console
 
-from config.loader import load_study
-from config.schema.campaign import BusName, Study
-from tools.campaign import regression
-from tools.campaign.campaign import Campaign, Standing, carry_out
-from tools.campaign.episode import Episode
-from tools.campaign.judge import Row
-from tools.campaign.minimise import minimise
-from tools.campaign.table import lines, table
-from tools.errors import ToolError
+from tonus.config.loader import load_study
+from tonus.config.schema.campaign import BusName, Study
+from tonus.tools.campaign import regression
+from tonus.tools.campaign.campaign import Campaign, Standing, carry_out
+from tonus.tools.campaign.episode import Episode
+from tonus.tools.campaign.judge import Row
+from tonus.tools.campaign.minimise import minimise
+from tonus.tools.campaign.table import lines, table
+from tonus.tools.errors import ToolError
 
 _STEPS = 20
 """lines of progress where there is no terminal"""

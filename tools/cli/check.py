@@ -8,9 +8,9 @@ from dataclasses import asdict
 
 import click
 
-from config import load
-from config.loader import load_catalogue
-from tools import check as rules
+from tonus.config import load
+from tonus.config.loader import load_catalogue
+from tonus.tools import check as rules
 
 
 @click.command()

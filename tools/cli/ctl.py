@@ -13,12 +13,12 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from runtime import clock
-from runtime.control_door import VERBS
-from runtime.states import State
-from tools import output
-from tools.cli.numbers import FiniteRange
-from tools.control_client import ControlClient
+from tonus.runtime import clock
+from tonus.runtime.control_door import VERBS
+from tonus.runtime.states import State
+from tonus.tools import output
+from tonus.tools.cli.numbers import FiniteRange
+from tonus.tools.control_client import ControlClient
 
 _LOOK_S = 0.1
 _ON_THE_WAY = {

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import click
 
-from tools.log import Log
+from tonus.tools.log import Log
 
 
 def tell_damage(logs: Iterable[Log]) -> None:

@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from config import load
-from tools.cli.numbers import FiniteRange
-from tools.doctor import doctor as rules
-from tools.doctor.finding import Finding, Verdict, worst
+from tonus.config import load
+from tonus.tools.cli.numbers import FiniteRange
+from tonus.tools.doctor import doctor as rules
+from tonus.tools.doctor.finding import Finding, Verdict, worst
 
 _STYLES = {Verdict.GOOD: "green", Verdict.BETTER: "yellow", Verdict.BAD: "bold red"}
 

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import click
 
-from config import Config, load
-from config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
-from sim.data_sheets import sheets
-from sim.ethercat import esi as esi_file
-from tools.draft import write_whole
-from tools.errors import ToolError
-from tools.export import dbc as dbc_file
-from tools.export import messages
-from tools.folders import make_folder
+from tonus.config import Config, load
+from tonus.config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
+from tonus.sim.data_sheets import sheets
+from tonus.sim.ethercat import esi as esi_file
+from tonus.tools.draft import write_whole
+from tonus.tools.errors import ToolError
+from tonus.tools.export import dbc as dbc_file
+from tonus.tools.export import messages
+from tonus.tools.folders import make_folder
 
 
 @click.group()

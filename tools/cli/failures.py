@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import click
 
-from config.errors import ConfigError
-from drivers.errors import DriverError
-from runtime.errors import DaemonError
-from sim.errors import LabError
-from tools.errors import ToolError
+from tonus.config.errors import ConfigError
+from tonus.drivers.errors import DriverError
+from tonus.runtime.errors import DaemonError
+from tonus.sim.errors import LabError
+from tonus.tools.errors import ToolError
 
 _NO_CACHE = "no locator available"
 """numba's words where it finds no folder for what it compiles"""

@@ -16,9 +16,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from config.faults import KINDS, FaultField, FaultKind
-from tools.cli.numbers import FiniteRange
-from tools.lab_door import ask
+from tonus.config.faults import KINDS, FaultField, FaultKind
+from tonus.tools.cli.numbers import FiniteRange
+from tonus.tools.lab_door import ask
 
 _HEXADECIMAL = ("code", "identifier", "index", "vendor", "product", "revision")
 _SOCKET = click.Option(

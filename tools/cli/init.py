@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tools.start_configuration import write_configuration
+from tonus.tools.start_configuration import write_configuration
 
 
 @click.command()

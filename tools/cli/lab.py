@@ -8,15 +8,15 @@ from pathlib import Path
 
 import click
 
-from config import load
-from config.places import runtime_dir
-from config.schema.bus import CanopenBus
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from runtime import clock
-from tools import output
-from tools.errors import ToolError
-from tools.lab_process import work
+from tonus.config import load
+from tonus.config.places import runtime_dir
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.runtime import clock
+from tonus.tools import output
+from tonus.tools.errors import ToolError
+from tonus.tools.lab_process import work
 
 
 @click.command()

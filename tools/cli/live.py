@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.live import Live as Rewriting
 from rich.text import Text
 
-from runtime.signals import Grade
-from runtime.states import State
+from tonus.runtime.signals import Grade
+from tonus.runtime.states import State
 
 _PLAIN_STEP_NS = 1_000_000_000
 _STYLES = {Grade.GREEN: "green", Grade.AMBER: "yellow", Grade.RED: "bold red"}
@@ -37,7 +37,7 @@ class Live:
         self._next_ns: int | None = None
 
     def update(self, record: np.void, stamp_ns: int) -> None:
-        """Show a record of `runtime.signals.CYCLE`, unless one was shown a moment ago."""
+        """Show a record of `tonus.runtime.signals.CYCLE`, unless one was shown a moment ago."""
         if self._next_ns is None:
             self._next_ns = stamp_ns
         if stamp_ns < self._next_ns:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import click
 
-from tools.cli.log_compare import compare
-from tools.cli.log_export import export
-from tools.cli.log_identify import identify
-from tools.cli.log_info import info
-from tools.cli.log_layout import layout
-from tools.cli.log_recover import recover
-from tools.cli.log_replay import replay
-from tools.cli.log_report import report
-from tools.cli.log_timing import timing
+from tonus.tools.cli.log_compare import compare
+from tonus.tools.cli.log_export import export
+from tonus.tools.cli.log_identify import identify
+from tonus.tools.cli.log_info import info
+from tonus.tools.cli.log_layout import layout
+from tonus.tools.cli.log_recover import recover
+from tonus.tools.cli.log_replay import replay
+from tonus.tools.cli.log_report import report
+from tonus.tools.cli.log_timing import timing
 
 
 @click.group()

@@ -9,15 +9,15 @@ import click
 from rich.console import Console
 from rich.markup import escape
 
-from tools.cli.damage import tell_damage
-from tools.draft import write_whole
-from tools.errors import ToolError
-from tools.log import open as open_log
-from tools.log.replay import played
-from tools.paper.table import Spread, Table
-from tools.report.compare import Judged, load_of
-from tools.report.compare import compare as put_side_by_side
-from tools.report.differences import differences, shown
+from tonus.tools.cli.damage import tell_damage
+from tonus.tools.draft import write_whole
+from tonus.tools.errors import ToolError
+from tonus.tools.log import open as open_log
+from tonus.tools.log.replay import played
+from tonus.tools.paper.table import Spread, Table
+from tonus.tools.report.compare import Judged, load_of
+from tonus.tools.report.compare import compare as put_side_by_side
+from tonus.tools.report.differences import differences, shown
 
 
 @click.command()

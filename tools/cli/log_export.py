@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from tools.cli.damage import tell_damage
-from tools.errors import ToolError
-from tools.log import open as open_log
-from tools.log.export import FORMATS
-from tools.log.export import export as carry_out
+from tonus.tools.cli.damage import tell_damage
+from tonus.tools.errors import ToolError
+from tonus.tools.log import open as open_log
+from tonus.tools.log.export import FORMATS
+from tonus.tools.log.export import export as carry_out
 
 
 @click.command()

@@ -8,12 +8,12 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from tools.cli.numbers import FiniteRange
-from tools.errors import ToolError
-from tools.identify import identify as find
-from tools.identify.figure import draw
-from tools.identify.shown import show
-from tools.identify.written import to_json, to_yaml
+from tonus.tools.cli.numbers import FiniteRange
+from tonus.tools.errors import ToolError
+from tonus.tools.identify import identify as find
+from tonus.tools.identify.figure import draw
+from tonus.tools.identify.shown import show
+from tonus.tools.identify.written import to_json, to_yaml
 
 _M = 1e-3
 

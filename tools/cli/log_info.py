@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from runtime.states import State
-from tools.log import Log
-from tools.log import open as open_log
-from tools.summary import find_faults
+from tonus.runtime.states import State
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.summary import find_faults
 
 _S = 1e-9
 _CYCLE_FIELDS = {

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from tools.draft import write_whole
-from tools.errors import ToolError
-from tools.log.layout import VIEWERS
+from tonus.tools.draft import write_whole
+from tonus.tools.errors import ToolError
+from tonus.tools.log.layout import VIEWERS
 
 
 @click.command()

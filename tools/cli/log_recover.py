@@ -9,8 +9,8 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from tools.log.recover import Salvage
-from tools.log.recover import recover as carry_out
+from tonus.tools.log.recover import Salvage
+from tonus.tools.log.recover import recover as carry_out
 
 _SHOWN = 5
 

@@ -12,12 +12,12 @@ import click
 import numpy as np
 from rich.console import Console
 
-from config import load
-from tools.errors import ToolError
-from tools.log import Log
-from tools.log import open as open_log
-from tools.log.replay import Difference, Replay
-from tools.log.replay import replay as carry_out
+from tonus.config import load
+from tonus.tools.errors import ToolError
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.log.replay import Difference, Replay
+from tonus.tools.log.replay import replay as carry_out
 
 _SHOWN = 12
 

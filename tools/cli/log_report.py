@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tools.report.page import report as write
+from tonus.tools.report.page import report as write
 
 
 @click.command()

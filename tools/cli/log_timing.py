@@ -12,12 +12,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from config.loader import load_budget
-from runtime.states import State
-from tools.cli.damage import tell_damage
-from tools.log import Log
-from tools.log import open as open_log
-from tools.log.timing import Judgement, histogram, judge
+from tonus.config.loader import load_budget
+from tonus.runtime.states import State
+from tonus.tools.cli.damage import tell_damage
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.log.timing import Judgement, histogram, judge
 
 _EDGES = np.array([0.0, 25, 50, 100, 150, 200, 300, 400, 500, 700, 1000, 2000, 5000, 1e4])
 """us, of the histograms' bins"""

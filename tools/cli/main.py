@@ -15,7 +15,7 @@ from importlib import import_module
 
 import click
 
-from tools import output
+from tonus.tools import output
 
 COMMANDS = (
     "run",
@@ -47,9 +47,9 @@ class _Commands(click.Group):
         if cmd_name not in COMMANDS:
             return None
         with _loading():
-            compiling = import_module("tools.cli.compiling")
+            compiling = import_module("tonus.tools.cli.compiling")
             compiling.keep_somewhere()
-            command = getattr(import_module(f"tools.cli.{cmd_name}"), cmd_name)
+            command = getattr(import_module(f"tonus.tools.cli.{cmd_name}"), cmd_name)
             compiling.tell()
         assert isinstance(command, click.Command)
         return command
@@ -65,7 +65,7 @@ def main() -> None:
     """Entry point of the console script."""
     output.install()
     with _loading():
-        from tools.cli.failures import explained
+        from tonus.tools.cli.failures import explained
     code: object = 1
     try:
         # Outside its standalone mode click returns the code of an Exit instead of leaving with it.

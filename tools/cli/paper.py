@@ -11,16 +11,16 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
-from config import Config, load
-from config.loader import load_protocol
-from config.schema.protocol import Protocol, Selection
-from tools.errors import ToolError
-from tools.paper.campaign import Campaign, Job, carry_out, prepare
-from tools.paper.campaign import Progress as Standing
-from tools.paper.plants import refuse
-from tools.paper.protocol import LITERAL, robot_seconds, runs
-from tools.paper.publish import publish
-from tools.tune.tuned import not_tuned
+from tonus.config import Config, load
+from tonus.config.loader import load_protocol
+from tonus.config.schema.protocol import Protocol, Selection
+from tonus.tools.errors import ToolError
+from tonus.tools.paper.campaign import Campaign, Job, carry_out, prepare
+from tonus.tools.paper.campaign import Progress as Standing
+from tonus.tools.paper.plants import refuse
+from tonus.tools.paper.protocol import LITERAL, robot_seconds, runs
+from tonus.tools.paper.publish import publish
+from tonus.tools.tune.tuned import not_tuned
 
 _STAGES = (1, 2, 3)
 _PLAIN_STEPS = 20

@@ -10,26 +10,26 @@ from pathlib import Path
 import click
 import numpy as np
 
-from config import Config, Scenario, load
-from config.loader import load_catalogue
-from drivers.fieldbus import Progress
-from runtime.states import Fault, State
-from tools import output
-from tools.check import check
-from tools.cli.numbers import FiniteRange
-from tools.cli.settings import overrides_of
-from tools.draft import drafted, write_whole
-from tools.errors import ToolError
-from tools.latencies import buckets
-from tools.latencies import rows as latency_rows
-from tools.log import Log
-from tools.log import open as open_log
-from tools.log.several import segments
-from tools.report.overview import overview
-from tools.run import Order, Result
-from tools.run import run as carry_out
-from tools.run_folder import discard_empty, new_folder, next_folder
-from tools.summary import Summary, missed_in, summarise, truth_at_cycles
+from tonus.config import Config, Scenario, load
+from tonus.config.loader import load_catalogue
+from tonus.drivers.fieldbus import Progress
+from tonus.runtime.states import Fault, State
+from tonus.tools import output
+from tonus.tools.check import check
+from tonus.tools.cli.numbers import FiniteRange
+from tonus.tools.cli.settings import overrides_of
+from tonus.tools.draft import drafted, write_whole
+from tonus.tools.errors import ToolError
+from tonus.tools.latencies import buckets
+from tonus.tools.latencies import rows as latency_rows
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
+from tonus.tools.log.several import segments
+from tonus.tools.report.overview import overview
+from tonus.tools.run import Order, Result
+from tonus.tools.run import run as carry_out
+from tonus.tools.run_folder import discard_empty, new_folder, next_folder
+from tonus.tools.summary import Summary, missed_in, summarise, truth_at_cycles
 
 
 @click.command()

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from tools.errors import ToolError
+from tonus.tools.errors import ToolError
 
 
 def overrides_of(settings: Iterable[str]) -> dict[str, Any]:

@@ -11,16 +11,16 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from config import load
-from config.loader import load_tuning
-from config.schema.tuning import Tuning
-from runtime.clock import wall_seconds
-from tools.errors import ToolError
-from tools.folders import make_folder
-from tools.tune.landing import land, provenance, write
-from tools.tune.search import Found, Search
-from tools.tune.tuned import robot_key
-from tools.tune.work import Evaluator
+from tonus.config import load
+from tonus.config.loader import load_tuning
+from tonus.config.schema.tuning import Tuning
+from tonus.runtime.clock import wall_seconds
+from tonus.tools.errors import ToolError
+from tonus.tools.folders import make_folder
+from tonus.tools.tune.landing import land, provenance, write
+from tonus.tools.tune.search import Found, Search
+from tonus.tools.tune.tuned import robot_key
+from tonus.tools.tune.work import Evaluator
 
 ALL = "all"
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import click
 import numpy as np
 
-from config import Config, load
-from config.schema.robot import CABLES
-from tools.cli.numbers import FiniteRange
-from tools.folders import make_folder
-from tools.workspace import Maps, compute, draw, grid
+from tonus.config import Config, load
+from tonus.config.schema.robot import CABLES
+from tonus.tools.cli.numbers import FiniteRange
+from tonus.tools.folders import make_folder
+from tonus.tools.workspace import Maps, compute, draw, grid
 
 COARSEST, FINEST = 2, 41
 

@@ -6,11 +6,11 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from config.places import IN_MEMORY, file_system, runtime_dir
-from config.schema.realtime import HostLimits
-from runtime.clock import wall_seconds
-from tools.doctor.finding import Finding, Verdict, graded
-from tools.errors import ToolError
+from tonus.config.places import IN_MEMORY, file_system, runtime_dir
+from tonus.config.schema.realtime import HostLimits
+from tonus.runtime.clock import wall_seconds
+from tonus.tools.doctor.finding import Finding, Verdict, graded
+from tonus.tools.errors import ToolError
 
 _MIB = 1 << 20
 _LARGEST = 256 * _MIB

@@ -10,11 +10,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from config.schema.root import Config
-from runtime.clock import wall_seconds
-from tools.doctor import disk, kernel, network, privileges, wakeup
-from tools.doctor.files import read
-from tools.doctor.finding import Finding, worst
+from tonus.config.schema.root import Config
+from tonus.runtime.clock import wall_seconds
+from tonus.tools.doctor import disk, kernel, network, privileges, wakeup
+from tonus.tools.doctor.files import read
+from tonus.tools.doctor.finding import Finding, worst
 
 Report = dict[str, Any]
 """JSON object: ``verdict``, ``config``, ``period_us``, ``host``, ``seconds`` measured, ``boot`` and

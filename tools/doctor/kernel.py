@@ -8,8 +8,8 @@ import os
 import platform
 from pathlib import Path
 
-from tools.doctor.files import read
-from tools.doctor.finding import Finding, Verdict
+from tonus.tools.doctor.files import read
+from tonus.tools.doctor.finding import Finding, Verdict
 
 _CPU = Path("/sys/devices/system/cpu")
 _CLOCK = Path("/sys/devices/system/clocksource/clocksource0")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from config.schema.bus import CanopenBus
-from config.schema.realtime import HostLimits
-from config.schema.root import Config
-from tools.doctor.files import read
-from tools.doctor.finding import Finding, Verdict
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.realtime import HostLimits
+from tonus.config.schema.root import Config
+from tonus.tools.doctor.files import read
+from tonus.tools.doctor.finding import Finding, Verdict
 
 _NET = Path("/sys/class/net")
 _ETHERNET, _CAN = "1", "280"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from runtime.realtime import Grant
-from tools.doctor.finding import Finding, Verdict
+from tonus.runtime.realtime import Grant
+from tonus.tools.doctor.finding import Finding, Verdict
 
 _LIMITS = "/etc/security/limits.d/tonus.conf"
 _DMA = "/dev/cpu_dma_latency"

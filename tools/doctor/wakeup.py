@@ -8,11 +8,11 @@ import struct
 import subprocess
 from collections.abc import Callable
 
-from config.schema.realtime import HostLimits, RealTime
-from runtime.clock import Stopwatch
-from runtime.histogram import Histogram
-from runtime.realtime import Grant, Hygiene, stolen_jiffies
-from tools.doctor.finding import Finding, Verdict, graded
+from tonus.config.schema.realtime import HostLimits, RealTime
+from tonus.runtime.clock import Stopwatch
+from tonus.runtime.histogram import Histogram
+from tonus.runtime.realtime import Grant, Hygiene, stolen_jiffies
+from tonus.tools.doctor.finding import Finding, Verdict, graded
 
 _CLOCK_MONOTONIC, _TIMER_ABSTIME = 1, 1
 _SECOND_NS = 1_000_000_000

@@ -6,16 +6,16 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
-from config import Config
-from config.schema.bus import CONTACT_CELL, CanopenBus, Channel, Device
-from drivers import cia402, epos4, force_cell
-from drivers.canopen import emcy, identifiers
-from drivers.canopen.pdo import Mapping as PdoMapping
-from drivers.canopen.pdo import PdoError
-from drivers.epos4_errors import ERRORS
-from drivers.process_image import AxisState
-from tools.errors import ToolError
-from tools.export.dbc import Message, Signal
+from tonus.config import Config
+from tonus.config.schema.bus import CONTACT_CELL, CanopenBus, Channel, Device
+from tonus.drivers import cia402, epos4, force_cell
+from tonus.drivers.canopen import emcy, identifiers
+from tonus.drivers.canopen.pdo import Mapping as PdoMapping
+from tonus.drivers.canopen.pdo import PdoError
+from tonus.drivers.epos4_errors import ERRORS
+from tonus.drivers.process_image import AxisState
+from tonus.tools.errors import ToolError
+from tonus.tools.export.dbc import Message, Signal
 
 MASTER = "Master"
 _STATE_BITS = 7

@@ -4,7 +4,7 @@ Only what the daemon itself measures is read: drum angles and torques, force cel
 and how far it can be trusted, is docs/identification.md.
 """
 
-from tools.identify.estimate import Estimate
-from tools.identify.identify import Identification, identify
+from tonus.tools.identify.estimate import Estimate
+from tonus.tools.identify.identify import Identification, identify
 
 __all__ = ["Estimate", "Identification", "identify"]

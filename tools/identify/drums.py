@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.robot import CABLES
-from runtime.states import State
-from tools.identify.estimate import Estimate, Fit, each_of, fit, mean_of, numbered
-from tools.identify.record import UNLIKE_DELAY_TICKS, Record
+from tonus.config.schema.robot import CABLES
+from tonus.runtime.states import State
+from tonus.tools.identify.estimate import Estimate, Fit, each_of, fit, mean_of, numbered
+from tonus.tools.identify.record import UNLIKE_DELAY_TICKS, Record
 
 Array = NDArray[np.float64]
 _STATES = (State.PRETENSION, State.HOLD, State.ACTIVE)

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from tools.identify.drums import Drum
-from tools.identify.estimate import Fit
-from tools.identify.identify import Identification
-from tools.identify.response import Response
-from tools.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from tonus.tools.identify.drums import Drum
+from tonus.tools.identify.estimate import Fit
+from tonus.tools.identify.identify import Identification
+from tonus.tools.identify.response import Response
+from tonus.tools.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 Array = NDArray[np.float64]
 _TITLES = {

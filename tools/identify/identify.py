@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from runtime.states import State
-from tools.errors import ToolError
-from tools.identify.cables import identify_cables
-from tools.identify.drums import Drum, identify_drums
-from tools.identify.estimate import Estimate, Fit
-from tools.identify.record import Record, read
-from tools.identify.response import (
+from tonus.runtime.states import State
+from tonus.tools.errors import ToolError
+from tonus.tools.identify.cables import identify_cables
+from tonus.tools.identify.drums import Drum, identify_drums
+from tonus.tools.identify.estimate import Estimate, Fit
+from tonus.tools.identify.record import Record, read
+from tonus.tools.identify.response import (
     Response,
     estimates,
     loop_response,
@@ -22,7 +22,7 @@ from tools.identify.response import (
     weight,
     yields,
 )
-from tools.identify.truth import true_values
+from tonus.tools.identify.truth import true_values
 
 
 @dataclass(frozen=True)

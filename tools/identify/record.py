@@ -15,12 +15,12 @@ from scipy.ndimage import binary_erosion
 from scipy.signal import butter, filtfilt
 from scipy.spatial.transform import Rotation
 
-from config.schema.robot import CABLES
-from config.schema.root import Config
-from runtime.states import State
-from tools.errors import ToolError
-from tools.log import Log
-from tools.log import open as open_log
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.root import Config
+from tonus.runtime.states import State
+from tonus.tools.errors import ToolError
+from tonus.tools.log import Log
+from tonus.tools.log import open as open_log
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.signal.windows import hann
 from scipy.stats import t as student
 
-from runtime.states import State
-from tools.identify.estimate import Estimate, Fit, fit, numbered
-from tools.identify.record import UNLIKE_DELAY_TICKS, Mask, Record, ways
+from tonus.runtime.states import State
+from tonus.tools.identify.estimate import Estimate, Fit, fit, numbered
+from tonus.tools.identify.record import UNLIKE_DELAY_TICKS, Mask, Record, ways
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

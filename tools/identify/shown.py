@@ -6,9 +6,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from tools.identify.estimate import Estimate
-from tools.identify.identify import Identification
-from tools.identify.written import rounded
+from tonus.tools.identify.estimate import Estimate
+from tonus.tools.identify.identify import Identification
+from tonus.tools.identify.written import rounded
 
 _COLOURS = {"as configured": "green", "uncertain": "yellow", "none found": "default", "": "default"}
 

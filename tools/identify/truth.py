@@ -8,12 +8,12 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from config.schema.scenario import Scenario
-from sim.plant import Plant
-from tools.errors import ToolError
-from tools.identify.record import Record
-from tools.identify.response import estimates, response_between
-from tools.summary import TRUTH, truth_at_cycles
+from tonus.config.schema.scenario import Scenario
+from tonus.sim.plant import Plant
+from tonus.tools.errors import ToolError
+from tonus.tools.identify.record import Record
+from tonus.tools.identify.response import estimates, response_between
+from tonus.tools.summary import TRUTH, truth_at_cycles
 
 Array = NDArray[np.float64]
 

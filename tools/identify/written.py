@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from tools.identify.estimate import Estimate
-from tools.identify.identify import Identification
-from tools.identify.response import Response
+from tonus.tools.identify.estimate import Estimate
+from tonus.tools.identify.identify import Identification
+from tonus.tools.identify.response import Response
 
 _KEYS = {
     "axial_stiffness": "robot.cable.axial_stiffness",

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tools.errors import ToolError
-from tools.log.log import Log
-from tools.log.several import SeveralLogs, gather
+from tonus.tools.errors import ToolError
+from tonus.tools.log.log import Log
+from tonus.tools.log.several import SeveralLogs, gather
 
 __all__ = ["Log", "open"]
 

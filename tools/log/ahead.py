@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
-from tools.log.chunks import ChunkPlace, content
+from tonus.tools.log.chunks import ChunkPlace, content
 
 _WORKERS = 2
 _AHEAD = 4

@@ -21,7 +21,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statisti
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from tools.errors import ToolError
+from tonus.tools.errors import ToolError
 
 _RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")

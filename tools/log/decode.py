@@ -11,8 +11,8 @@ import numpy as np
 from mcap.records import Schema
 from numpy.typing import NDArray
 
-from tools.log.chunks import Run
-from tools.log.schema import body_dtype, smallest_dtype
+from tonus.tools.log.chunks import Run
+from tonus.tools.log.schema import body_dtype, smallest_dtype
 
 EVENT_MESSAGE = "tonus_msgs/msg/Event"
 KEYFRAME_MESSAGE = "tonus_msgs/msg/Keyframe"

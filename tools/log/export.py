@@ -12,11 +12,11 @@ import can
 import numpy as np
 from can.io import ASCWriter, BLFWriter
 
-from tools.draft import drafted
-from tools.errors import ToolError
-from tools.log.decode import Column
-from tools.log.log import Log
-from tools.log.tables import TableColumn, arrow_table, parquet_writer, table
+from tonus.tools.draft import drafted
+from tonus.tools.errors import ToolError
+from tonus.tools.log.decode import Column
+from tonus.tools.log.log import Log
+from tonus.tools.log.tables import TableColumn, arrow_table, parquet_writer, table
 
 BUS = "/can/"
 _NS = 1e-9

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from runtime.signals import TOPICS
+from tonus.runtime.signals import TOPICS
 
 MARKERS, BASE = "/viewer/markers", "base"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")

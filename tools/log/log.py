@@ -12,9 +12,9 @@ import numpy as np
 from mcap.records import Channel
 from numpy.typing import NDArray
 
-from tools.errors import ToolError
-from tools.log.ahead import contents
-from tools.log.chunks import (
+from tonus.tools.errors import ToolError
+from tonus.tools.log.ahead import contents
+from tonus.tools.log.chunks import (
     ChunkPlace,
     DamageError,
     Framing,
@@ -23,8 +23,8 @@ from tools.log.chunks import (
     runs,
     scan,
 )
-from tools.log.decode import Collector, Column, column
-from tools.log.memory import memory_for_logs
+from tonus.tools.log.decode import Collector, Column, column
+from tonus.tools.log.memory import memory_for_logs
 
 EVENTS = "/tonus/events"
 _CONFIG_NAMES = ("config.yaml", "config.json")

@@ -17,9 +17,9 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-from runtime.mcap_file import Index, McapFile
-from tools.errors import ToolError
-from tools.log.chunks import (
+from tonus.runtime.mcap_file import Index, McapFile
+from tonus.tools.errors import ToolError
+from tonus.tools.log.chunks import (
     DamageError,
     Framing,
     Run,

@@ -15,17 +15,17 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from drivers.process_image import ProcessImage
-from runtime.cycle import ControlCycle
-from runtime.keyframe import KeyframeError, restore
-from runtime.messages import KEYFRAME_TOPIC
-from runtime.signals import CYCLE, TOPICS
-from runtime.states import Fault, Operator
-from tools.errors import ToolError
-from tools.log.decode import Column
-from tools.log.log import Log
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.drivers.process_image import ProcessImage
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.keyframe import KeyframeError, restore
+from tonus.runtime.messages import KEYFRAME_TOPIC
+from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.states import Fault, Operator
+from tonus.tools.errors import ToolError
+from tonus.tools.log.decode import Column
+from tonus.tools.log.log import Log
 
 TIMING = "/tonus/timing"
 _TICK = "tick"

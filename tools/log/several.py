@@ -7,10 +7,10 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from tools.errors import ToolError
-from tools.log.chunks import scan
-from tools.log.decode import Column, joined
-from tools.log.log import Log
+from tonus.tools.errors import ToolError
+from tonus.tools.log.chunks import scan
+from tonus.tools.log.decode import Column, joined
+from tonus.tools.log.log import Log
 
 
 def segments(first: Path) -> list[Path]:

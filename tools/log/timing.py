@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.budget import COUNTS, Budget, Limit
-from runtime.states import State
-from tools.errors import ToolError
-from tools.log.log import Log
+from tonus.config.schema.budget import COUNTS, Budget, Limit
+from tonus.runtime.states import State
+from tonus.tools.errors import ToolError
+from tonus.tools.log.log import Log
 
 Array = NDArray[np.float64]
 _HOST = ("wakeup_us", "collect_us", "compute_us", "publish_us", "cycle_us", "processor_us")

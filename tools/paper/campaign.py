@@ -20,21 +20,19 @@ from typing import Any
 
 import numpy as np
 
-import config as config_room
-import drivers
-import runtime
-import sim
-from config.schema.protocol import Protocol
-from config.schema.root import Config
-from runtime import clock
-from runtime.signals import SCHEMA_VERSION
-from tools.folders import make_folder
-from tools.paper import metrics
-from tools.paper.case import Run
-from tools.paper.conduct import conduct
-from tools.paper.plants import settings_key, settle
-from tools.paper.protocol import robot_seconds
-from tools.paper.results import Results, Row
+from tonus import config as config_room
+from tonus import drivers, runtime, sim
+from tonus.config.schema.protocol import Protocol
+from tonus.config.schema.root import Config
+from tonus.runtime import clock
+from tonus.runtime.signals import SCHEMA_VERSION
+from tonus.tools.folders import make_folder
+from tonus.tools.paper import metrics
+from tonus.tools.paper.case import Run
+from tonus.tools.paper.conduct import conduct
+from tonus.tools.paper.plants import settings_key, settle
+from tonus.tools.paper.protocol import robot_seconds
+from tonus.tools.paper.results import Results, Row
 
 Json = dict[str, Any]
 TRIALS = "trials"
@@ -235,7 +233,7 @@ def _answer(job: Job, future: Future[tuple[Row, float]]) -> tuple[Row, float]:
 def _pool(workers: int) -> ProcessPoolExecutor:
     """Processes that import once and start from there, each for many trials."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tools.paper.campaign"])
+    context.set_forkserver_preload(["tonus.tools.paper.campaign"])
     # Matrices of eight rows are no work for a second thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return ProcessPoolExecutor(

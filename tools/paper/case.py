@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from config.schema.scenario import Scenario
+from tonus.config.schema.scenario import Scenario
 
 
 class Kind(StrEnum):

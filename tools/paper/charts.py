@@ -6,15 +6,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from tools.paper import printed
-from tools.paper.case import Kind
-from tools.paper.compare import REFERENCE, compared, usual
-from tools.paper.look import PART, WIDE, grid, legend, look
-from tools.paper.printed import Indicator
-from tools.paper.results import Results
-from tools.paper.table import Spread
-from tools.paper.tables import controllers_of
-from tools.report import style
+from tonus.tools.paper import printed
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.compare import REFERENCE, compared, usual
+from tonus.tools.paper.look import PART, WIDE, grid, legend, look
+from tonus.tools.paper.printed import Indicator
+from tonus.tools.paper.results import Results
+from tonus.tools.paper.table import Spread
+from tonus.tools.paper.tables import controllers_of
+from tonus.tools.report import style
 
 
 def accuracy_map(results: Results) -> Figure | None:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.paper.case import Kind
-from tools.paper.indicators import r_squared, rms
-from tools.paper.printed import Indicator
-from tools.paper.results import Results, Row, Traces
-from tools.paper.table import Spread
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.indicators import r_squared, rms
+from tonus.tools.paper.printed import Indicator
+from tonus.tools.paper.results import Results, Row, Traces
+from tonus.tools.paper.table import Spread
 
 Array = NDArray[np.float64]
 REFERENCE = "pid"

@@ -8,26 +8,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.bus import DirectBus
-from config.schema.root import Config
-from drivers.canopen.master import CanopenFieldbus
-from drivers.direct import DirectFieldbus
-from drivers.fieldbus import Fieldbus
-from drivers.process_image import ProcessImage
-from drivers.tracker import TrackerInput
-from runtime import clock
-from runtime.daemon import Daemon, Outcome
-from runtime.operator import Script
-from runtime.scheduler import VirtualPacing
-from runtime.sequence import Sequence
-from runtime.signals import CYCLE
-from runtime.states import Fault, Operator, State
-from runtime.taps import Level
-from sim.lab import Lab
-from sim.truth import TRUTH
-from tools.log.log import Event
-from tools.paper.case import Kind, Run
-from tools.paper.trial import Trial
+from tonus.config.schema.bus import DirectBus
+from tonus.config.schema.root import Config
+from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.direct import DirectFieldbus
+from tonus.drivers.fieldbus import Fieldbus
+from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.tracker import TrackerInput
+from tonus.runtime import clock
+from tonus.runtime.daemon import Daemon, Outcome
+from tonus.runtime.operator import Script
+from tonus.runtime.scheduler import VirtualPacing
+from tonus.runtime.sequence import Sequence
+from tonus.runtime.signals import CYCLE
+from tonus.runtime.states import Fault, Operator, State
+from tonus.runtime.taps import Level
+from tonus.sim.lab import Lab
+from tonus.sim.truth import TRUTH
+from tonus.tools.log.log import Event
+from tonus.tools.paper.case import Kind, Run
+from tonus.tools.paper.trial import Trial
 
 SLOW_TICKS = 10
 """A trial of stage 1 moves at 1 mm/s for minutes: one tick in so many is kept."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from tools.paper import printed
-from tools.paper.case import Kind
-from tools.paper.compare import LITERAL, usual
-from tools.paper.indicators import norms
-from tools.paper.look import PART, WIDE, curves_of, grid, largest, legend, line
-from tools.paper.results import Results
-from tools.report import style
+from tonus.tools.paper import printed
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.compare import LITERAL, usual
+from tonus.tools.paper.indicators import norms
+from tonus.tools.paper.look import PART, WIDE, curves_of, grid, largest, legend, line
+from tonus.tools.paper.results import Results
+from tonus.tools.report import style
 
 
 def force_against_way(results: Results) -> Figure | None:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from tools.paper import charts, curves
-from tools.paper.results import Results
+from tonus.tools.paper import charts, curves
+from tonus.tools.paper.results import Results
 
 
 @dataclass(frozen=True)

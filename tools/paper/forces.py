@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from config.schema.robot import Geometry
+from tonus.config.schema.robot import Geometry
 
 Array = NDArray[np.float64]
 

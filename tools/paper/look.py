@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tools.paper.case import Kind
-from tools.paper.compare import usual
-from tools.paper.results import Results, Row, Traces
-from tools.report import style
-from tools.report.thin import thin
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.compare import usual
+from tonus.tools.paper.results import Results, Row, Traces
+from tonus.tools.report import style
+from tonus.tools.report.thin import thin
 
 Array = NDArray[np.float64]
 WIDE, PART = 11.0, 8.6

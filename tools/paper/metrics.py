@@ -11,13 +11,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.scenario import Path, Press, Sine
-from runtime.reference import trajectory
-from runtime.signals import Grade
-from tools.paper import indicators as formula
-from tools.paper.case import Kind
-from tools.paper.forces import cable_wrench
-from tools.paper.trial import Trial
+from tonus.config.schema.scenario import Path, Press, Sine
+from tonus.runtime.reference import trajectory
+from tonus.runtime.signals import Grade
+from tonus.tools.paper import indicators as formula
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.forces import cable_wrench
+from tonus.tools.paper.trial import Trial
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

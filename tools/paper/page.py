@@ -6,9 +6,9 @@ import base64
 from collections.abc import Iterator, Sequence
 from html import escape
 
-from tools.paper.results import Results
-from tools.paper.table import Table, text
-from tools.paper.verdicts import Claim, Verdict
+from tonus.tools.paper.results import Results
+from tonus.tools.paper.table import Table, text
+from tonus.tools.paper.verdicts import Claim, Verdict
 
 _COLOURS = {
     Verdict.REPRODUCED: "good",

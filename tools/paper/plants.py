@@ -7,12 +7,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from config import load
-from config.schema.bus import DirectBus
-from config.schema.protocol import Protocol, Robots
-from config.schema.root import Config
-from tools.errors import ToolError
-from tools.paper.case import Kind, Run
+from tonus.config import load
+from tonus.config.schema.bus import DirectBus
+from tonus.config.schema.protocol import Protocol, Robots
+from tonus.config.schema.root import Config
+from tonus.tools.errors import ToolError
+from tonus.tools.paper.case import Kind, Run
 
 MODEL, LAB, DRAWN = "model", "lab", "plant-"
 DIRECT, CAN = "direct", "can"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tools.paper.case import Kind
+from tonus.tools.paper.case import Kind
 
 
 @dataclass(frozen=True)

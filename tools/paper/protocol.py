@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from config.schema.base import Direction
-from config.schema.protocol import Jump, Protocol, Selection, SineSet
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from tools.errors import ToolError
-from tools.paper.case import Case, Kind, Run
+from tonus.config.schema.base import Direction
+from tonus.config.schema.protocol import Jump, Protocol, Selection, SineSet
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.tools.errors import ToolError
+from tonus.tools.paper.case import Case, Kind, Run
 
 CONSTANT_TENSION = "constant_tension"
 LITERAL = "eq9_literal"

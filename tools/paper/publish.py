@@ -15,17 +15,17 @@ from rich.console import RenderableType
 from rich.table import Table as Printed
 from rich.text import Text
 
-from tools.errors import ToolError
-from tools.paper import tables
-from tools.paper.claims import claims
-from tools.paper.compare import matches
-from tools.paper.figures import PICTURES
-from tools.paper.look import WIDE
-from tools.paper.page import page
-from tools.paper.results import Results
-from tools.paper.table import Column, Table, text
-from tools.paper.targets import targets
-from tools.paper.verdicts import Claim, Verdict
+from tonus.tools.errors import ToolError
+from tonus.tools.paper import tables
+from tonus.tools.paper.claims import claims
+from tonus.tools.paper.compare import matches
+from tonus.tools.paper.figures import PICTURES
+from tonus.tools.paper.look import WIDE
+from tonus.tools.paper.page import page
+from tonus.tools.paper.results import Results
+from tonus.tools.paper.table import Column, Table, text
+from tonus.tools.paper.targets import targets
+from tonus.tools.paper.verdicts import Claim, Verdict
 
 Say = Callable[[RenderableType], None]
 _STYLES = {

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from tools.paper.compare import BIO, REFERENCE, Compared, Match, compared, of, usual
-from tools.paper.printed import OURS, TABLE2, TABLE2_R2, TABLE3
-from tools.paper.results import Results, Row
-from tools.paper.table import Cell, Column, Spread, Table
+from tonus.tools.paper.compare import BIO, REFERENCE, Compared, Match, compared, of, usual
+from tonus.tools.paper.printed import OURS, TABLE2, TABLE2_R2, TABLE3
+from tonus.tools.paper.results import Results, Row
+from tonus.tools.paper.table import Cell, Column, Spread, Table
 
 Json = dict[str, Any]
 _STAGE1 = (

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from tools.paper.case import Kind
-from tools.paper.compare import BIO, REFERENCE, VARIANTS, matches, usual
-from tools.paper.printed import SLOPE
-from tools.paper.results import Results
-from tools.paper.table import Cell, Column, Table
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.compare import BIO, REFERENCE, VARIANTS, matches, usual
+from tonus.tools.paper.printed import SLOPE
+from tonus.tools.paper.results import Results
+from tonus.tools.paper.table import Cell, Column, Table
 
 SHOWN = (BIO, *VARIANTS, REFERENCE)
 _PLANTS = 200

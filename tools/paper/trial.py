@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.root import Config
-from tools.log.log import Event
-from tools.paper.case import Run
+from tonus.config.schema.root import Config
+from tonus.tools.log.log import Event
+from tonus.tools.paper.case import Run
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from tools.paper.table import Spread, number
+from tonus.tools.paper.table import Spread, number
 
 EXACT, NEAR = 0.10, 0.25
 """shares of the paper's value within which a figure reproduces it, or is consistent with it"""

@@ -15,20 +15,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.root import Config
-from config.schema.scenario import Path, Press, Scenario, Sine
-from runtime.states import State
-from tools.errors import ToolError
-from tools.log import Log
-from tools.log.replay import configuration, played
-from tools.paper.case import Case, Kind, Run
-from tools.paper.compare import compared
-from tools.paper.metrics import NEEDED_CYCLE, NEEDED_TRUTH, measure
-from tools.paper.printed import OURS, TABLE3
-from tools.paper.results import Results, Row
-from tools.paper.table import Column, Table
-from tools.paper.trial import Trial
-from tools.summary import find_faults
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Path, Press, Scenario, Sine
+from tonus.runtime.states import State
+from tonus.tools.errors import ToolError
+from tonus.tools.log import Log
+from tonus.tools.log.replay import configuration, played
+from tonus.tools.paper.case import Case, Kind, Run
+from tonus.tools.paper.compare import compared
+from tonus.tools.paper.metrics import NEEDED_CYCLE, NEEDED_TRUTH, measure
+from tonus.tools.paper.printed import OURS, TABLE3
+from tonus.tools.paper.results import Results, Row
+from tonus.tools.paper.table import Column, Table
+from tonus.tools.paper.trial import Trial
+from tonus.tools.summary import find_faults
 
 TRUTH = "/tonus/truth"
 _NEEDED = ("timing", "state", "pose", "stiffness", "tension", "wrench", "drives", "energy")

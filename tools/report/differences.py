@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from tools.log import Log
-from tools.log.replay import configuration, played
+from tonus.tools.log import Log
+from tonus.tools.log.replay import configuration, played
 
 _SHOWN = 12
 _ABSENT = "none"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 
-from config.faults import KINDS, FaultField
+from tonus.config.faults import KINDS, FaultField
 
 
 def tables() -> str:

@@ -11,14 +11,14 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 from scipy import signal
 
-from config.schema.root import Config
-from runtime.signals import Grade
-from runtime.states import State
-from tools.report import panels, style
-from tools.report.pieces import Array, Piece
-from tools.report.sheet import Sheet
-from tools.report.story import Story
-from tools.summary import tensions, truth_at_cycles
+from tonus.config.schema.root import Config
+from tonus.runtime.signals import Grade
+from tonus.runtime.states import State
+from tonus.tools.report import panels, style
+from tonus.tools.report.pieces import Array, Piece
+from tonus.tools.report.sheet import Sheet
+from tonus.tools.report.story import Story
+from tonus.tools.summary import tensions, truth_at_cycles
 
 _ARMED = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 _DOTS = 3000

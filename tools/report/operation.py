@@ -1,13 +1,13 @@
 """The tables of docs/operation.md: what may be asked of a daemon, and what a status tells.
 
-python -m tools.report.operation
+python -m tonus.tools.report.operation
 """
 
 from __future__ import annotations
 
 import sys
 
-from runtime.control_door import STATUS, VERBS
+from tonus.runtime.control_door import STATUS, VERBS
 
 
 def tables() -> str:

@@ -7,10 +7,10 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from config.schema.root import Config
-from tools.log import Log
-from tools.report import figures, panels
-from tools.report.story import Story
+from tonus.config.schema.root import Config
+from tonus.tools.log import Log
+from tonus.tools.report import figures, panels
+from tonus.tools.report.story import Story
 
 _PANELS = (panels.force, panels.stiffness, panels.tension, panels.error)
 

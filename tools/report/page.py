@@ -11,14 +11,14 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from tools.draft import write_whole
-from tools.errors import ToolError
-from tools.log import open as open_log
-from tools.report import figures, panels
-from tools.report.pieces import Piece, Progress
-from tools.report.story import Story
-from tools.report.verdict import Verdict, judge
-from tools.summary import Indicators
+from tonus.tools.draft import write_whole
+from tonus.tools.errors import ToolError
+from tonus.tools.log import open as open_log
+from tonus.tools.report import figures, panels
+from tonus.tools.report.pieces import Piece, Progress
+from tonus.tools.report.story import Story
+from tonus.tools.report.verdict import Verdict, judge
+from tonus.tools.summary import Indicators
 
 _BEFORE_S, _AFTER_S = 0.6, 0.4
 """s round a fault that are drawn tick by tick"""

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from runtime.states import State
-from tools.report import style
-from tools.report.pieces import Array, Piece
-from tools.report.sheet import Sheet
-from tools.report.story import Story
-from tools.summary import tensions, truth_at_cycles
+from tonus.runtime.states import State
+from tonus.tools.report import style
+from tonus.tools.report.pieces import Array, Piece
+from tonus.tools.report.sheet import Sheet
+from tonus.tools.report.story import Story
+from tonus.tools.summary import tensions, truth_at_cycles
 
 Panel = Callable[[Sheet, Piece], None]
 """Puts what it shows of a piece on its sheet."""

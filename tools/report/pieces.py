@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.root import Config
-from runtime.states import State
-from tools.errors import ToolError
-from tools.log import Log
-from tools.log.decode import Column, joined
-from tools.log.log import EVENTS
-from tools.report.thin import POINTS
-from tools.summary import TRUTH
+from tonus.config.schema.root import Config
+from tonus.runtime.states import State
+from tonus.tools.errors import ToolError
+from tonus.tools.log import Log
+from tonus.tools.log.decode import Column, joined
+from tonus.tools.log.log import EVENTS
+from tonus.tools.report.thin import POINTS
+from tonus.tools.summary import TRUTH
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]

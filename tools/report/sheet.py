@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from tools.report import style
-from tools.report.pieces import Array, Piece
-from tools.report.thin import thin
+from tonus.tools.report import style
+from tonus.tools.report.pieces import Array, Piece
+from tonus.tools.report.thin import thin
 
 
 @dataclass

@@ -1,15 +1,15 @@
 """The table of signals in docs/log.md, printed from the topics themselves.
 
-python -m tools.report.signals > docs/log.md
+python -m tonus.tools.report.signals > docs/log.md
 """
 
 from __future__ import annotations
 
 import sys
 
-from runtime.signals import SCHEMA_VERSION, TOPICS
-from runtime.topics import Topic
-from tools.truth import TOPIC as TRUTH
+from tonus.runtime.signals import SCHEMA_VERSION, TOPICS
+from tonus.runtime.topics import Topic
+from tonus.tools.truth import TOPIC as TRUTH
 
 _HEAD = """# The log
 
@@ -18,7 +18,7 @@ inside the file; besides them `/tonus/events` (what a person wants to know), and
 with every raw frame as `can_msgs/msg/Frame`. Configuration, scenario and installed packages are
 attached; metadata `tonus` holds versions, seed and, in real time, host facts. `log_time` is UTC in
 real time and starts at 0 in virtual time. In Python,
-`tools.log.open("run.mcap")["/tonus/tension"]` is a numpy array of them all.
+`tonus.tools.log.open("run.mcap")["/tonus/tension"]` is a numpy array of them all.
 
     tonus log info FILE...     what, when, how long, states, faults, topics, rates, gaps, damage
     tonus log report FILE      one HTML page: verdict, plots, the paper's Figure 1, events; offline
@@ -44,8 +44,8 @@ grey at pretension to orange at T_max, black when slack); 0.3 GB an hour before 
 
 In Python there are also
 `log.between(1.5, 2.0)` (s since the start), `log.join("/tonus/pose", "/tonus/truth")` (one
-record a tick), `log.batches(topics)` (a chunk at a time) and `tools.log.tables` (Arrow, pandas). A
-damaged file is read up to the damage, which `log.damage` names.
+record a tick), `log.batches(topics)` (a chunk at a time) and `tonus.tools.log.tables` (Arrow,
+pandas). A damaged file is read up to the damage, which `log.damage` names.
 
 A report reads the run in pieces of half a minute: of the whole it holds 50 bytes a cycle. Ten
 minutes take 0.45 GB and 16 to 20 s of processor time. Its spectra are of the first minute of the
@@ -64,7 +64,8 @@ raw frames of four CAN channels (`recording.raw_frames`). Two thirds are the sig
 nothing packs: outputs are compared to the last bit, so they stay float64; host latencies are
 float32, states and ages 8 and 16 bits. The index that viewers seek by takes 16 bytes a message.
 
-This page is printed from the record's own table (`python -m tools.report.signals`); schema version
+This page is printed from the record's own table (`python -m tonus.tools.report.signals`); schema
+version
 """
 
 

@@ -1,14 +1,14 @@
 """The state machine in docs/states.md, drawn and told from its own table.
 
-python -m tools.report.states > docs/states.md
+python -m tonus.tools.report.states > docs/states.md
 """
 
 from __future__ import annotations
 
 import sys
 
-from runtime.sequence import FEWEST
-from runtime.states import (
+from tonus.runtime.sequence import FEWEST
+from tonus.runtime.states import (
     ARMED,
     MEANING,
     MOVES,
@@ -20,13 +20,13 @@ from runtime.states import (
     State,
     StopMode,
 )
-from runtime.words import STOP_TEXT, TEXT, reaction
+from tonus.runtime.words import STOP_TEXT, TEXT, reaction
 
 _HEAD = """# The state machine
 
 One table (`runtime/states.py`) says what every event does in every state; this page is printed
-from it (`python -m tools.report.states`). At most one event a tick is followed, a fault before a
-command. *Armed* states, in which drives are enabled, have a thick border.
+from it (`python -m tonus.tools.report.states`). At most one event a tick is followed, a fault
+before a command. *Armed* states, in which drives are enabled, have a thick border.
 """
 _ASSUMES = {
     StopMode.ON_PATH: "all cables, a pose that is known",

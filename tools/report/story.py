@@ -11,13 +11,13 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from config.schema.root import Config
-from runtime.states import State
-from tools.errors import ToolError
-from tools.log import Log
-from tools.report.pieces import CYCLE, Array, Piece, Progress, cut, outline
-from tools.report.thin import POINTS
-from tools.summary import find_faults
+from tonus.config.schema.root import Config
+from tonus.runtime.states import State
+from tonus.tools.errors import ToolError
+from tonus.tools.log import Log
+from tonus.tools.report.pieces import CYCLE, Array, Piece, Progress, cut, outline
+from tonus.tools.report.thin import POINTS
+from tonus.tools.summary import find_faults
 
 _PIECE = 30_000
 """cycles that are in memory with all their topics at once"""

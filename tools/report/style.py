@@ -3,8 +3,8 @@ vision, and viridis for what is continuous."""
 
 from __future__ import annotations
 
-from runtime.signals import Grade
-from runtime.states import State
+from tonus.runtime.signals import Grade
+from tonus.runtime.states import State
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from runtime.states import State
-from tools.report.story import Story
-from tools.summary import Indicators, Summary, summarise
+from tonus.runtime.states import State
+from tonus.tools.report.story import Story
+from tonus.tools.summary import Indicators, Summary, summarise
 
 _ENDED_WELL = (State.OFF, State.STANDBY)
 

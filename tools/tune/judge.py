@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from config.schema.tuning import Tuning
-from runtime.reference import trajectory
-from runtime.states import Fault
-from runtime.task_margin import margins
-from tools.tune.trial import Trial, play
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.config.schema.tuning import Tuning
+from tonus.runtime.reference import trajectory
+from tonus.runtime.states import Fault
+from tonus.runtime.task_margin import margins
+from tonus.tools.tune.trial import Trial, play
 
 Array = NDArray[np.float64]
 CUTS = ("torque", "force")

@@ -11,14 +11,14 @@ from typing import Any
 
 import yaml
 
-from config import load
-from config.document import read
-from config.loader import locate
-from config.schema.tuning import Tuning
-from tools.draft import write_whole
-from tools.errors import ToolError
-from tools.tune.search import Found
-from tools.tune.work import Gains
+from tonus.config import load
+from tonus.config.document import read
+from tonus.config.loader import locate
+from tonus.config.schema.tuning import Tuning
+from tonus.tools.draft import write_whole
+from tonus.tools.errors import ToolError
+from tonus.tools.tune.search import Found
+from tonus.tools.tune.work import Gains
 
 HEAD = "# Written by tonus tune. Gains, what they cost, and by what they were found.\n"
 

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
-from config import load
-from config.schema.root import Config
-from config.schema.tuning import Tuning
-from runtime.margin import Margins
-from runtime.task_margin import margins
-from tools.errors import ToolError
-from tools.tune.judge import CUTS, Part, lack
-from tools.tune.work import Evaluator, Gains
+from tonus.config import load
+from tonus.config.schema.root import Config
+from tonus.config.schema.tuning import Tuning
+from tonus.runtime.margin import Margins
+from tonus.runtime.task_margin import margins
+from tonus.tools.errors import ToolError
+from tonus.tools.tune.judge import CUTS, Part, lack
+from tonus.tools.tune.work import Evaluator, Gains
 
 Array = NDArray[np.float64]
 _DRAWS = 4096

@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.root import Config
-from config.schema.scenario import Scenario
-from drivers.direct import DirectFieldbus
-from drivers.process_image import ProcessImage
-from drivers.tracker import TrackerInput
-from runtime import clock
-from runtime.daemon import Daemon
-from runtime.operator import Script
-from runtime.scheduler import VirtualPacing
-from runtime.sequence import Sequence
-from runtime.signals import CYCLE
-from runtime.states import Fault, Operator, State
-from sim.lab import Lab
-from sim.truth import TRUTH
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.drivers.direct import DirectFieldbus
+from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.tracker import TrackerInput
+from tonus.runtime import clock
+from tonus.runtime.daemon import Daemon
+from tonus.runtime.operator import Script
+from tonus.runtime.scheduler import VirtualPacing
+from tonus.runtime.sequence import Sequence
+from tonus.runtime.signals import CYCLE
+from tonus.runtime.states import Fault, Operator, State
+from tonus.sim.lab import Lab
+from tonus.sim.truth import TRUTH
 
 Array = NDArray[np.float64]
 

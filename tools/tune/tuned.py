@@ -10,11 +10,11 @@ from typing import Any
 
 import yaml
 
-from config import load
-from config.loader import HERE, load_tuning
-from config.schema.root import Config
-from tools.errors import ToolError
-from tools.tune.search import present
+from tonus.config import load
+from tonus.config.loader import HERE, load_tuning
+from tonus.config.schema.root import Config
+from tonus.tools.errors import ToolError
+from tonus.tools.tune.search import present
 
 SHIPPED = "config/tuned.yaml"
 _SHIPPED_FOR = "config/direct.yaml"

@@ -11,11 +11,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import runtime
-from config import load
-from config.loader import load_tuning
-from tools.errors import ToolError
-from tools.tune.judge import Part, judge
+from tonus import runtime
+from tonus.config import load
+from tonus.config.loader import load_tuning
+from tonus.tools.errors import ToolError
+from tonus.tools.tune.judge import Part, judge
 
 Gains = dict[str, float]
 """Dotted keys below ``control``."""

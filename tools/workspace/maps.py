@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from config import Config
-from tools.feasibility import Poses, against, closures, reserves, workspace_poses
-from tools.workspace.stiffness import stiffness
+from tonus.config import Config
+from tonus.tools.feasibility import Poses, against, closures, reserves, workspace_poses
+from tonus.tools.workspace.stiffness import stiffness
 
 Array = NDArray[np.float64]
 DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])

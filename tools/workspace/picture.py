@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tools.workspace.maps import Map, Maps
+from tonus.tools.workspace.maps import Map, Maps
 
 Array = NDArray[np.float64]
 _INFEASIBLE = "#D55E00"

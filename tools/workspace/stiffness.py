@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.robot import Robot
-from tools.feasibility import Poses
+from tonus.config.schema.robot import Robot
+from tonus.tools.feasibility import Poses
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from config import load
-from config.loader import load_least_stops
 from tests.bench.least_stop import figure, table
 from tests.bench.least_stop.cases import MOTIONS
 from tests.bench.least_stop.solve import STARTS, Solver
+from tonus.config import load
+from tonus.config.loader import load_least_stops
 
 OUT = Path("out/least_stop")
 TABLE = Path("config/least_stop.yaml")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.root import Config
-from sim.plant import Plant
 from tests.bench.least_stop.hold import Hold
 from tests.bench.least_stop.model import BODY, LEFT
 from tests.bench.least_stop.problem import EARLY, Case, Solution
+from tonus.config.schema.root import Config
+from tonus.sim.plant import Plant
 
 Array = NDArray[np.float64]
 _TICK = 1_000_000

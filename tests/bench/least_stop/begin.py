@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.robot import Geometry
 from tests.bench.least_stop.hold import Hold
 from tests.bench.least_stop.model import BODY, LEFT, Model, rodrigues
 from tests.bench.least_stop.problem import DELAY, TIMES, Case
+from tonus.config.schema.robot import Geometry
 
 Array = NDArray[np.float64]
 Law = Callable[[Array, Array], Array]

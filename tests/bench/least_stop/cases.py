@@ -9,8 +9,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.robot import Geometry
 from tests.bench.least_stop.hold import POSITIONS
+from tonus.config.schema.robot import Geometry
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]

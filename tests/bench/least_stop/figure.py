@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from config.schema.least_stop import LeastStops, Tear
 from tests.bench.least_stop.cases import MOTIONS
+from tonus.config.schema.least_stop import LeastStops, Tear
 
 _COLOURS = {-0.06: "#0072B2", 0.0: "#009E73", 0.12: "#D55E00"}
 """of a pose, by its height in m"""

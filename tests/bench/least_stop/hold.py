@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.states import State
 from tests.loop import QUICK, ClosedLoop, configured
+from tonus.runtime.states import State
 
 Array = NDArray[np.float64]
 POSITIONS = tuple(product((-0.15, 0.0, 0.15), (-0.15, 0.0, 0.15), (-0.06, 0.0, 0.12)))

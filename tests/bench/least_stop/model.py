@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.lab import Lab
-from config.schema.robot import Robot
+from tonus.config.schema.lab import Lab
+from tonus.config.schema.robot import Robot
 
 Array = NDArray[np.float64]
 LEFT = 7

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from config.schema.root import Config
 from tests.bench.least_stop.begin import case_of, damping, played, standing, still
 from tests.bench.least_stop.cases import Tear, solved
 from tests.bench.least_stop.hold import POSITIONS, Hold, hold_at
 from tests.bench.least_stop.model import Constants, Model
 from tests.bench.least_stop.problem import Case, Problem, Solution
+from tonus.config.schema.root import Config
 
 Array = NDArray[np.float64]
 STARTS = ("still", "damping", "standing")

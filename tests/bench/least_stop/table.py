@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from config.schema.least_stop import LeastStops
-from config.schema.least_stop import Stop as Least
-from config.schema.least_stop import Tear as Row
-from config.schema.robot import CABLES, Geometry
 from tests.bench.least_stop.cases import MOTIONS, Tear, solved, solved_as
 from tests.bench.least_stop.hold import POSITIONS
 from tests.bench.least_stop.problem import CONVERGED, DELAY
+from tonus.config.schema.least_stop import LeastStops
+from tonus.config.schema.least_stop import Stop as Least
+from tonus.config.schema.least_stop import Tear as Row
+from tonus.config.schema.robot import CABLES, Geometry
 
 _HEAD = """\
 # The least that physics allows after a torn cable: per cable (0 to 7), pose and motion at the

@@ -3,12 +3,12 @@
 A verdict comes from figures by a rule of `verdicts`; a sentence explains it and decides nothing.
 """
 
-from tools.paper.claims.agreement import agreement, superiority
-from tools.paper.claims.response import accuracy, dynamics, stiffness
-from tools.paper.claims.safety import inner_loop, safety, stability
-from tools.paper.compare import Match
-from tools.paper.results import Results
-from tools.paper.verdicts import Claim
+from tonus.tools.paper.claims.agreement import agreement, superiority
+from tonus.tools.paper.claims.response import accuracy, dynamics, stiffness
+from tonus.tools.paper.claims.safety import inner_loop, safety, stability
+from tonus.tools.paper.compare import Match
+from tonus.tools.paper.results import Results
+from tonus.tools.paper.verdicts import Claim
 
 __all__ = ["claims"]
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tools.paper import printed
-from tools.paper.case import Kind
-from tools.paper.claims.wording import LOADS, Text, claim_of, over_trials
-from tools.paper.compare import BIO, REFERENCE, VARIANTS, Compared, Match, compared, of
-from tools.paper.printed import Indicator
-from tools.paper.results import Results
-from tools.paper.table import Spread, number
-from tools.paper.verdicts import Claim, Judgement, Verdict, gain, limit
+from tonus.tools.paper import printed
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.claims.wording import LOADS, Text, claim_of, over_trials
+from tonus.tools.paper.compare import BIO, REFERENCE, VARIANTS, Compared, Match, compared, of
+from tonus.tools.paper.printed import Indicator
+from tonus.tools.paper.results import Results
+from tonus.tools.paper.table import Spread, number
+from tonus.tools.paper.verdicts import Claim, Judgement, Verdict, gain, limit
 
 _WHY = {
     "settling": "All follow one minimum-jerk reference with the same feed-forward. ",

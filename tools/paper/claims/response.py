@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tools.paper import printed
-from tools.paper.case import Kind
-from tools.paper.claims.wording import LOADS, Text, claim_of, over_trials
-from tools.paper.compare import BIO, MATCHED, REFERENCE, VARIANTS, usual
-from tools.paper.results import Results
-from tools.paper.table import Spread, number
-from tools.paper.verdicts import Claim, Judgement, Verdict, limit, match
+from tonus.tools.paper import printed
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.claims.wording import LOADS, Text, claim_of, over_trials
+from tonus.tools.paper.compare import BIO, MATCHED, REFERENCE, VARIANTS, usual
+from tonus.tools.paper.results import Results
+from tonus.tools.paper.table import Spread, number
+from tonus.tools.paper.verdicts import Claim, Judgement, Verdict, limit, match
 
 _ATTENUATION_DB = 3.0
 """what may be called significant"""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tools.paper import printed
-from tools.paper.case import Kind
-from tools.paper.claims.wording import LOADS, Text, claim_of, over_trials
-from tools.paper.compare import BIO, LITERAL, usual
-from tools.paper.results import Results
-from tools.paper.table import Spread, number
-from tools.paper.verdicts import Claim, Judgement, Verdict, limit
+from tonus.tools.paper import printed
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.claims.wording import LOADS, Text, claim_of, over_trials
+from tonus.tools.paper.compare import BIO, LITERAL, usual
+from tonus.tools.paper.results import Results
+from tonus.tools.paper.table import Spread, number
+from tonus.tools.paper.verdicts import Claim, Judgement, Verdict, limit
 
 _OPEN_PEAK = 35.0
 """N that a contact must exceed with the envelope off, or it proves nothing about the envelope"""

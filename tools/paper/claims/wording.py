@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tools.paper.case import Kind
-from tools.paper.compare import BIO, usual
-from tools.paper.results import Results
-from tools.paper.table import Spread, number
-from tools.paper.verdicts import Claim, Judgement, Verdict
+from tonus.tools.paper.case import Kind
+from tonus.tools.paper.compare import BIO, usual
+from tonus.tools.paper.results import Results
+from tonus.tools.paper.table import Spread, number
+from tonus.tools.paper.verdicts import Claim, Judgement, Verdict
 
 LOADS = (Kind.RAMP, Kind.STEP)
 
