@@ -1,1 +1,60 @@
-"""Tonus: control of a cable-driven parallel robot, and its lab in software."""
+"""The public API of Tonus: what `__all__` lists, described in docs/api.md, and nothing else.
+
+A name is imported at its first use, so that ``import tonus`` itself loads no other module.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+__all__ = [
+    "Config",
+    "ConfigError",
+    "Controller",
+    "Lab",
+    "LabError",
+    "Log",
+    "Motion",
+    "Order",
+    "Result",
+    "Scenario",
+    "ToolError",
+    "load",
+    "open_log",
+    "run",
+]
+
+if TYPE_CHECKING:
+    from tonus.config import Config, ConfigError, Scenario, load
+    from tonus.runtime.controllers import Controller, Motion
+    from tonus.sim.errors import LabError
+    from tonus.sim.lab import Lab
+    from tonus.tools.errors import ToolError
+    from tonus.tools.log import Log
+    from tonus.tools.log import open as open_log
+    from tonus.tools.run import Order, Result, run
+else:
+    _MODULES = {
+        "tonus.config": ("Config", "ConfigError", "Scenario", "load"),
+        "tonus.runtime.controllers": ("Controller", "Motion"),
+        "tonus.sim.errors": ("LabError",),
+        "tonus.sim.lab": ("Lab",),
+        "tonus.tools.errors": ("ToolError",),
+        "tonus.tools.log": ("Log", "open_log"),
+        "tonus.tools.run": ("Order", "Result", "run"),
+    }
+    _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+    _OTHER_NAME = {"open_log": "open"}
+
+    def __getattr__(name: str) -> object:
+        """Import a public name at its first use."""
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module 'tonus' has no attribute {name!r}")
+        from importlib import import_module
+
+        found = getattr(import_module(_MODULE_OF[name]), _OTHER_NAME.get(name, name))
+        globals()[name] = found
+        return found
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})
