@@ -46,7 +46,7 @@ KEYFRAME_TOPIC = "/tonus/keyframe"
 KEYFRAME_MESSAGE = "tonus_msgs/msg/Keyframe"
 KEYFRAME_DEFINITION = """\
 uint64 tick  # the state is that after this tick
-uint8[] state  # of the control cycle, see runtime/keyframe.py
+uint8[] state  # of the control cycle
 """
 
 _EXTENDED, _REMOTE, _ERROR = 1 << 31, 1 << 30, 1 << 29
