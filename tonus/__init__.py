@@ -19,12 +19,14 @@ __all__ = [
     "Result",
     "Scenario",
     "ToolError",
+    "faults",
     "load",
     "open_log",
     "run",
 ]
 
 if TYPE_CHECKING:
+    from tonus import faults
     from tonus.config import Config, ConfigError, Scenario, load
     from tonus.runtime.controllers import Controller, Motion
     from tonus.sim.errors import LabError
@@ -48,10 +50,12 @@ else:
 
     def __getattr__(name: str) -> object:
         """Import a public name at its first use."""
-        if name not in _MODULE_OF:
-            raise AttributeError(f"module 'tonus' has no attribute {name!r}")
         from importlib import import_module
 
+        if name == "faults":
+            return import_module("tonus.faults")
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module 'tonus' has no attribute {name!r}")
         found = getattr(import_module(_MODULE_OF[name]), _OTHER_NAME.get(name, name))
         globals()[name] = found
         return found

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
 from tonus.config.schema.base import NonNegative, Section
 
@@ -17,3 +17,9 @@ class FaultSection(Section):
 
     at: Annotated[NonNegative, Field(le=LONGEST_S)] = 0.0
     """s after the lab saw every drive enabled; at the door, s from now"""
+
+    @model_serializer(mode="wrap")
+    def _with_kind(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The kind tells one fault from another, so it is written where defaults are left out."""
+        written: dict[str, Any] = plain(self)
+        return written if "kind" in written else {"kind": getattr(self, "kind", ""), **written}

@@ -52,25 +52,25 @@ class _OfNode(_OfChannel):
 class Unplug(_OfNode):
     """The node's cable is pulled; the device runs on, alone: nobody acknowledges its frames."""
 
-    kind: Literal["unplug"]
+    kind: Literal["unplug"] = "unplug"
 
 
 class Replug(_OfNode):
     """The node's cable is put back."""
 
-    kind: Literal["replug"]
+    kind: Literal["replug"] = "replug"
 
 
 class PowerCycle(_OfNode):
     """The node's supply is interrupted: it starts anew from its stored parameters."""
 
-    kind: Literal["power_cycle"]
+    kind: Literal["power_cycle"] = "power_cycle"
 
 
 class DriveError(_OfNode):
     """The drive raises an error of its own (CiA 402 error code)."""
 
-    kind: Literal["drive_error"]
+    kind: Literal["drive_error"] = "drive_error"
     code: Annotated[int, Field(ge=1, le=0xFFFF)]
     """one of the drive's own"""
 
@@ -78,7 +78,7 @@ class DriveError(_OfNode):
 class DriveInput(_OfNode):
     """Something wired to the drive changes its level."""
 
-    kind: Literal["drive_input"]
+    kind: Literal["drive_input"] = "drive_input"
     input: Literal["negative_limit", "positive_limit", "home", "quick_stop", "drive_enable", "sto"]
     """by its function"""
     active: bool = True
@@ -88,7 +88,7 @@ class DriveInput(_OfNode):
 class CellBreak(_OfNode):
     """The bridge of a force cell opens, or is mended."""
 
-    kind: Literal["cell_break"]
+    kind: Literal["cell_break"] = "cell_break"
     broken: bool = True
     """false: mended"""
 
@@ -107,19 +107,19 @@ class _OfFrames(_Lasting):
 class Loss(_OfFrames):
     """Nobody receives the frame, and its sender does not learn of it."""
 
-    kind: Literal["loss"]
+    kind: Literal["loss"] = "loss"
 
 
 class Corruption(_OfFrames):
     """A bit is flipped on the wire: error frame, error counters, and the frame is sent again."""
 
-    kind: Literal["corruption"]
+    kind: Literal["corruption"] = "corruption"
 
 
 class Delay(_OfFrames):
     """The frame enters its sender's queue later than it should, and is overtaken there."""
 
-    kind: Literal["delay"]
+    kind: Literal["delay"] = "delay"
     delay_us: Count
     """by how much"""
 
@@ -127,13 +127,13 @@ class Delay(_OfFrames):
 class Duplicate(_OfFrames):
     """The frame is sent twice, as by a repeater; no controller counts an error."""
 
-    kind: Literal["duplicate"]
+    kind: Literal["duplicate"] = "duplicate"
 
 
 class Babble(_Lasting):
     """A controller gone mad sends one identifier without pause."""
 
-    kind: Literal["babble"]
+    kind: Literal["babble"] = "babble"
     identifier: Identifier = 0
     """that it sends"""
     period_us: Count = 1
@@ -147,7 +147,7 @@ class StuckBus(_Lasting):
     sending goes bus-off. Recessive (the wires touch), every one that tries to send goes bus-off.
     """
 
-    kind: Literal["stuck"]
+    kind: Literal["stuck"] = "stuck"
     level: Level = "dominant"
     """what it is held at"""
 
@@ -157,7 +157,7 @@ class Disconnect(_Lasting):
     acknowledges its frames; the devices go on among themselves. Other hosts of the channel are cut
     off in the same way, each by itself."""
 
-    kind: Literal["disconnect"]
+    kind: Literal["disconnect"] = "disconnect"
 
 
 class _LastingOfNode(_OfNode):
@@ -169,13 +169,13 @@ class PowerLoss(_LastingOfNode):
     """A slave of an EtherCAT segment has no supply: its ports close, and those behind it are cut
     off."""
 
-    kind: Literal["power_loss"]
+    kind: Literal["power_loss"] = "power_loss"
 
 
 class CableBreak(_Lasting):
     """An EtherCAT segment's cable breaks between two slaves."""
 
-    kind: Literal["cable_break"]
+    kind: Literal["cable_break"] = "cable_break"
     behind: Annotated[int, Field(ge=0)]
     """so many slaves still answer; in a ring the others do from its far end"""
 
@@ -183,7 +183,7 @@ class CableBreak(_Lasting):
 class WrongIdentity(_LastingOfNode):
     """Another slave of an EtherCAT segment is there than the one that should be."""
 
-    kind: Literal["wrong_identity"]
+    kind: Literal["wrong_identity"] = "wrong_identity"
     vendor: Unsigned | None = None
     """in place of its own"""
     product: Unsigned | None = None
@@ -195,7 +195,7 @@ class WrongIdentity(_LastingOfNode):
 class StateDrop(_OfNode):
     """A slave of an EtherCAT segment falls to a state by itself, with an AL status code."""
 
-    kind: Literal["state_drop"]
+    kind: Literal["state_drop"] = "state_drop"
     state: SlaveState = "safe_op"
     """to which it falls"""
     code: Annotated[int, Field(ge=0, le=0xFFFF)] = 0x001B
@@ -205,7 +205,7 @@ class StateDrop(_OfNode):
 class StateRefusal(_LastingOfNode):
     """A slave of an EtherCAT segment refuses a state."""
 
-    kind: Literal["state_refusal"]
+    kind: Literal["state_refusal"] = "state_refusal"
     state: SlaveState
     """that it refuses"""
     code: Annotated[int, Field(ge=1, le=0xFFFF)]
@@ -215,7 +215,7 @@ class StateRefusal(_LastingOfNode):
 class MailboxAbort(_OfNode):
     """A slave of an EtherCAT segment aborts accesses to an object."""
 
-    kind: Literal["mailbox_abort"]
+    kind: Literal["mailbox_abort"] = "mailbox_abort"
     index: Annotated[int, Field(ge=0, le=0xFFFF)]
     """of the object"""
     subindex: Annotated[int, Field(ge=0, le=0xFF)] | None = None
@@ -229,13 +229,13 @@ class MailboxAbort(_OfNode):
 class WatchdogExpiry(_OfNode):
     """The process data watchdog of a slave of an EtherCAT segment expires: SAFE-OP, code 0x001B."""
 
-    kind: Literal["watchdog"]
+    kind: Literal["watchdog"] = "watchdog"
 
 
 class ClockDrift(_LastingOfNode):
     """The clock of a slave of an EtherCAT segment runs off."""
 
-    kind: Literal["clock_drift"]
+    kind: Literal["clock_drift"] = "clock_drift"
     drift_ppm: Annotated[Finite, Field(ge=-1000, le=1000)]
     """faster than the lab's time"""
 
@@ -243,7 +243,7 @@ class ClockDrift(_LastingOfNode):
 class ClearFaults(FaultSection):
     """End every lasting fault of a channel, or all there are."""
 
-    kind: Literal["clear"]
+    kind: Literal["clear"] = "clear"
     channel: str | None = None
     """without it all, those of the robot among them"""
 

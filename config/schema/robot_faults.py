@@ -32,7 +32,7 @@ class _Growing(_LastingOfRobot):
 class CableCut(_OfRobot):
     """A cable breaks, for good."""
 
-    kind: Literal["cable_cut"]
+    kind: Literal["cable_cut"] = "cable_cut"
     axis: Index
     """of the cable and its drum, from 0"""
 
@@ -40,7 +40,7 @@ class CableCut(_OfRobot):
 class DrumSlip(_OfRobot):
     """A cable slips on its drum; the encoder does not see it."""
 
-    kind: Literal["drum_slip"]
+    kind: Literal["drum_slip"] = "drum_slip"
     axis: Index
     """of the cable and its drum, from 0"""
     length: _Metre
@@ -52,7 +52,7 @@ class DrumSlip(_OfRobot):
 class DrumJam(_LastingOfRobot):
     """A drum cannot turn."""
 
-    kind: Literal["drum_jam"]
+    kind: Literal["drum_jam"] = "drum_jam"
     axis: Index
     """of the cable and its drum, from 0"""
 
@@ -60,7 +60,7 @@ class DrumJam(_LastingOfRobot):
 class DrumFriction(_Growing):
     """Coulomb friction is added in a drum."""
 
-    kind: Literal["drum_friction"]
+    kind: Literal["drum_friction"] = "drum_friction"
     axis: Index
     """of the cable and its drum, from 0"""
     force: Annotated[NonNegative, Field(le=1000.0)]
@@ -70,7 +70,7 @@ class DrumFriction(_Growing):
 class MotorWeak(_LastingOfRobot):
     """A motor gives only a share of its torque."""
 
-    kind: Literal["motor_weak"]
+    kind: Literal["motor_weak"] = "motor_weak"
     axis: Index
     """of the cable and its drum, from 0"""
     gain: Annotated[Finite, Field(ge=-1.0, le=1.0)]
@@ -80,7 +80,7 @@ class MotorWeak(_LastingOfRobot):
 class CellGain(_Growing):
     """A load cell shows a multiple of its force."""
 
-    kind: Literal["cell_gain"]
+    kind: Literal["cell_gain"] = "cell_gain"
     cell: Index
     """from 0; the last one measures contact"""
     gain: Annotated[Finite, Field(ge=0.0, le=3.0)]
@@ -90,7 +90,7 @@ class CellGain(_Growing):
 class CellOffset(_Growing):
     """A load cell shows a force that is not there."""
 
-    kind: Literal["cell_offset"]
+    kind: Literal["cell_offset"] = "cell_offset"
     cell: Index
     """from 0; the last one measures contact"""
     force: _Newton
@@ -100,7 +100,7 @@ class CellOffset(_Growing):
 class CellFrozen(_LastingOfRobot):
     """A load cell shows the force of this moment from now on; its noise goes on."""
 
-    kind: Literal["cell_frozen"]
+    kind: Literal["cell_frozen"] = "cell_frozen"
     cell: Index
     """from 0; the last one measures contact"""
 
@@ -108,7 +108,7 @@ class CellFrozen(_LastingOfRobot):
 class EncoderSlip(_OfRobot):
     """An encoder slips on its shaft: it is off by an angle from then on."""
 
-    kind: Literal["encoder_slip"]
+    kind: Literal["encoder_slip"] = "encoder_slip"
     axis: Index
     """of the cable and its drum, from 0"""
     angle: Annotated[Finite, Field(ge=-100.0, le=100.0)]
@@ -120,7 +120,7 @@ class EncoderSlip(_OfRobot):
 class EncoderFrozen(_LastingOfRobot):
     """An encoder counts no more; what it has missed it never counts."""
 
-    kind: Literal["encoder_frozen"]
+    kind: Literal["encoder_frozen"] = "encoder_frozen"
     axis: Index
     """of the cable and its drum, from 0"""
 
@@ -128,13 +128,13 @@ class EncoderFrozen(_LastingOfRobot):
 class TrackerHidden(_LastingOfRobot):
     """The platform is hidden from the tracker."""
 
-    kind: Literal["tracker_hidden"]
+    kind: Literal["tracker_hidden"] = "tracker_hidden"
 
 
 class ShiftedTracker(_LastingOfRobot):
     """The tracker's positions are off, as after a knock against it."""
 
-    kind: Literal["tracker_shift"]
+    kind: Literal["tracker_shift"] = "tracker_shift"
     shift: tuple[_Metre, _Metre, _Metre]
     """m, base frame"""
 
@@ -142,7 +142,7 @@ class ShiftedTracker(_LastingOfRobot):
 class PhantomHit(_LastingOfRobot):
     """The phantom moves against the contact port, and in the end back."""
 
-    kind: Literal["phantom_hit"]
+    kind: Literal["phantom_hit"] = "phantom_hit"
     distance: Annotated[Positive, Field(le=1.0)]
     """m, towards the port"""
     speed: Annotated[Positive, Field(le=10.0)]
@@ -152,7 +152,7 @@ class PhantomHit(_LastingOfRobot):
 class Push(_OfRobot):
     """Somebody pushes the platform."""
 
-    kind: Literal["load"]
+    kind: Literal["load"] = "load"
     force: tuple[_Newton, _Newton, _Newton]
     """N, base frame"""
     point: tuple[_Metre, _Metre, _Metre] = (0.0, 0.0, 0.0)

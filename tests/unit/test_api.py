@@ -7,11 +7,13 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
+from pydantic import ValidationError
 
 import tonus
+from tonus.config.schema.faults import FAULT, Fault
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "api.md").read_text()
 EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -39,6 +41,21 @@ def test_every_public_name_is_there_and_no_other() -> None:
         assert name in dir(tonus)
     with pytest.raises(AttributeError, match="has no attribute 'lod'"):
         _ = tonus.lod  # type: ignore[attr-defined]
+
+
+def test_every_kind_of_fault_can_be_made_by_its_class() -> None:
+    """Without its kind, which the class has; a fault goes through YAML with it."""
+    kinds = get_args(get_args(Fault)[0])
+    assert {kind.__name__ for kind in kinds} | {"Fault"} == set(tonus.faults.__all__)
+    for kind in kinds:
+        assert kind.model_fields["kind"].default in get_args(kind.model_fields["kind"].annotation)
+    pulled = tonus.faults.Unplug(channel="can0", node=1)
+    assert pulled.model_dump() == {"at": 0.0, "kind": "unplug", "channel": "can0", "node": 1}
+    short = pulled.model_dump(exclude_defaults=True)
+    assert short == {"kind": "unplug", "channel": "can0", "node": 1}
+    assert FAULT.validate_python(short) == pulled
+    with pytest.raises(ValidationError, match="kind"):
+        FAULT.validate_python({"channel": "can0", "node": 1})
 
 
 def test_importing_it_loads_nothing_else(tmp_path: Path) -> None:
