@@ -19,6 +19,8 @@ $(STAMP): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@# Compiled code of another layout or numba would be found, and not load.
+	@find config drivers runtime sim tests tools -name '*.nb[ic]' -delete
 	@touch $(STAMP)
 
 run: setup
