@@ -12,9 +12,9 @@ from tonus.config.schema.campaign import BusName, Study
 from tonus.runtime import clock
 from tonus.runtime.rehearsal import rehearse
 from tonus.sim.lab import Lab
+from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.draw import episodes, grouped
 from tonus.tools.campaign.episode import Episode
-from tonus.tools.campaign.invariants import Allowance
 from tonus.tools.campaign.journal import Journal, fingerprint
 from tonus.tools.campaign.judge import Row
 from tonus.tools.campaign.players import Players
@@ -68,7 +68,7 @@ def carry_out(
     resume: bool = False,
     only: int | None = None,
     tell: Tell = lambda _: None,
-    allowance: Allowance | None = None,
+    allowance: Allowance = for_torn_cables,
 ) -> Campaign:
     """Play ``count`` episodes, or the one number ``only``. On Ctrl-C what has been recorded stays,
     and the same call with ``resume`` goes on from there. Raises `ConfigError` and `ToolError`."""
@@ -96,7 +96,7 @@ def carry_out(
 
 
 def played(
-    study: Study, todo: Sequence[Episode], workers: int, allowance: Allowance | None = None
+    study: Study, todo: Sequence[Episode], workers: int, allowance: Allowance = for_torn_cables
 ) -> Iterator[Row]:
     """Rows of episodes, as they come."""
     groups = grouped(study, todo)

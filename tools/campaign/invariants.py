@@ -18,6 +18,7 @@ from tonus.config.schema.bounds import Bounds
 from tonus.runtime.states import ARMED, Fault, Operator, State
 from tonus.runtime.taps import Level
 from tonus.tools.campaign.again import first_difference
+from tonus.tools.campaign.allowance import Allowance, Limits, for_torn_cables
 from tonus.tools.campaign.observed import FAULTED, GOOD, Observed, of_log
 from tonus.tools.campaign.strikes import NS
 from tonus.tools.log.log import Log
@@ -45,24 +46,10 @@ class Violation:
         return f"{self.invariant} at {self.at_s:.3f} s: {self.text}"
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What physics allows in one case, where that is more than the common bounds."""
-
-    speed: float
-    """m/s"""
-    tension: float
-    """N"""
-
-
-Allowance = Callable[[Observed], Limits | None]
-"""Gives wider limits for a case in which nobody could keep the common ones; None: they hold."""
-
-
 def within_bounds(
     run: Observed | Log,
     *,
-    allowance: Allowance | None = None,
+    allowance: Allowance = for_torn_cables,
     bounds: Bounds | None = None,
     replayed: bool = False,
 ) -> list[Violation]:
@@ -75,7 +62,7 @@ def within_bounds(
     if isinstance(run, Log):
         run = of_log(run)
     checked = bounds or load_bounds()
-    limits = allowance(run) if allowance is not None else None
+    limits = allowance(run)
     found = [violation for check in CHECKS for violation in check(run, checked)]
     found += _motion(run, checked, limits)
     if replayed:

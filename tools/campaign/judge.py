@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from tonus.runtime.states import State
+from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.episode import Episode
-from tonus.tools.campaign.invariants import Allowance, Violation, within_bounds
+from tonus.tools.campaign.invariants import Violation, within_bounds
 from tonus.tools.campaign.observed import Observed
 from tonus.tools.campaign.strikes import NS
 
@@ -18,7 +19,7 @@ Row = dict[str, Any]
 
 
 def row_of(
-    episode: Episode, run: Observed, *, replayed: bool, allowance: Allowance | None = None
+    episode: Episode, run: Observed, *, replayed: bool, allowance: Allowance = for_torn_cables
 ) -> Row:
     """One JSON object: the whole episode, its strikes with the states they met, its end, its
     violations and its extremes."""

@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from tonus.config.schema.campaign import Study
+from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.episode import Episode, Group
-from tonus.tools.campaign.invariants import Allowance
 from tonus.tools.campaign.judge import Row, failed
 from tonus.tools.campaign.station import cause, die_with_parent, play_group
 
@@ -36,7 +36,7 @@ class Players:
     """Plays groups in child processes. They are forked from this one, which must have no thread and
     no running loop; what it has imported and compiled they need not."""
 
-    def __init__(self, study: Study, workers: int, allowance: Allowance | None = None) -> None:
+    def __init__(self, study: Study, workers: int, allowance: Allowance = for_torn_cables) -> None:
         self._study, self._workers, self._allowance = study, workers, allowance
         self._running: list[_Process] = []
 

@@ -15,8 +15,8 @@ from collections.abc import Callable
 
 from tonus.config.schema.campaign import Study
 from tonus.runtime import clock
+from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.episode import Episode, Group
-from tonus.tools.campaign.invariants import Allowance
 from tonus.tools.campaign.judge import Row, failed, row_of
 from tonus.tools.campaign.play import Playing, describe
 
@@ -29,7 +29,9 @@ _PATIENCE = 60
 Tell = Callable[[Row], None]
 
 
-def play_group(group: Group, study: Study, tell: Tell, allowance: Allowance | None = None) -> None:
+def play_group(
+    group: Group, study: Study, tell: Tell, allowance: Allowance = for_torn_cables
+) -> None:
     """Bring the robot up and play each episode in a fork of its own. ``tell`` is called once for
     each, in the child or, where that died, here; every episode has its row in the end."""
     station = _Station(group, study, tell)
