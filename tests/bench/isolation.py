@@ -41,7 +41,9 @@ def row(broken: Broken, case: Stopped) -> str:
         taken = f"`{case.fault}`" + (f" {case.where}" if case.where >= 0 else "")
         found = f"{1e3 * case.found_after:.0f} ms"
         right = "yes" if broken.right(case) else "place" if case.where == case.cable else "no"
-    end = f"{case.mode}" if case.ended_after is not None else "goes on"
+    end = "goes on" if case.mode == "NONE" else case.mode
+    if case.mode != "NONE" and case.ended_after is None:
+        end += ", not over in 8 s"
     if not case.at_rest and case.ended_after is not None:
         end += ", moving"
     return (
