@@ -14,8 +14,8 @@ EPISODES = int(os.environ.get("TONUS_EPISODES", "20"))
 SEED = int(os.environ.get("TONUS_CAMPAIGN_SEED", "1"))
 WORKERS = int(os.environ.get("TONUS_CAMPAIGN_WORKERS", "1"))
 """the other processor has tests of its own"""
-NOT_YET_KEPT = frozenset({"speed", "speed_rises", "tension", "free_fall", "contact", "unnamed"})
-"""until the stop can do without what has failed"""
+NOT_YET_KEPT = frozenset({"speed_rises", "unnamed"})
+"""a second fault in a stop may go without a name, and a late sway may pass 0.28 m/s (docs/stop.md)"""
 
 
 def test_no_fault_breaks_a_bound() -> None:
