@@ -19,7 +19,7 @@ from tonus.config.schema.control import Control
 from tonus.config.schema.robot import CABLES, Robot
 from tonus.config.schema.scenario import Reference
 from tonus.drivers.process_image import AxisCommand, ProcessImage
-from tonus.runtime.controllers import CONTROLLERS, Motion
+from tonus.runtime.controllers import Motion, make_controller
 from tonus.runtime.controllers.base import norm, share
 from tonus.runtime.descent import Descent
 from tonus.runtime.distribution import TensionDistribution, delivered, opposition, tension_bounds
@@ -78,7 +78,7 @@ class ControlCycle:
         self._estimator = PoseEstimator(
             robot, control.estimator, tracker, self._kinematics, period, Doubts.of(control)
         )
-        self._controller = CONTROLLERS[control.controller](robot, control)
+        self._controller = make_controller(control.controller, robot, control)
         ratio = self._controller.damping_ratio
         self._limiter = Limiter(control.stiffness, control.passivity, robot, ratio, period)
         self._usual = TensionDistribution(control.distribution, robot.geometry.moment_length)
@@ -286,11 +286,12 @@ class ControlCycle:
             self._robot.drum.radius * sensing.rate,
             self._guide.push,
         )
-        self._law = self._controller.stiffness(motion)
+        self._law = float(self._controller.stiffness(motion))
         cap = min(envelope.cap, sequence.stiffness_cap)
         stiffness = self._limiter(self._law, cap, motion.error, motion.error_rate, motion.external)
         descending = sequence.descending
-        self._wrench = (
+        # Into an array of ours: another shape is an error, another type of number is converted.
+        self._wrench[:] = (
             self._controller.descent(motion)
             if descending
             else self._controller.wrench(motion, stiffness)
@@ -356,7 +357,7 @@ class ControlCycle:
         wanted = self._controller.tensions(motion, stiffness, self._centre)
         if wanted is not None:
             self._centre[:] = wanted * present
-            self._wrench = matrix @ self._centre
+            self._wrench[:] = matrix @ self._centre
         self._distribution = self._usual
         self._reference = self._usual(
             self._bearing, self._wrench, self._centre, self._low, self._high, self._gradient

@@ -13,3 +13,7 @@ class RecordingError(DaemonError):
 
 class SchedulingError(DaemonError):
     """The host does not offer what a fixed period needs."""
+
+
+class ControllerError(DaemonError):
+    """A controller of somebody else's cannot be imported, made or used."""

@@ -9,9 +9,12 @@ from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.controllers import controller_class
+from tonus.runtime.controllers.registry import is_foreign
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.descent import Descent
 from tonus.runtime.envelope import Envelope
+from tonus.runtime.errors import ControllerError
 from tonus.runtime.states import Operator, State
 
 TICKS_AFTER_START = 50
@@ -29,7 +32,21 @@ _UNSEEN = {
 
 
 def rehearse(config: Config, scenario: Scenario) -> bool:
-    """Returns whether the cycle came as far as ACTIVE, which it does with a sound configuration."""
+    """Returns whether the cycle came as far as ACTIVE, which it does with a sound configuration.
+    Raises `ControllerError` for a controller that is not ours and raises."""
+    name = config.control.controller
+    if not is_foreign(controller_class(name)):
+        return _rehearse(config, scenario)
+    try:
+        return _rehearse(config, scenario)
+    except ControllerError:
+        raise
+    except Exception as error:
+        said = f"{type(error).__name__}: {error}"
+        raise ControllerError(f"controller {name}: raised {said}") from error
+
+
+def _rehearse(config: Config, scenario: Scenario) -> bool:
     _watch(config)
     # This robot's drums do not turn, which neither the envelope nor the isolation would let pass.
     changes = {

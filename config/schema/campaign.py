@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from tonus.config.faults import KINDS
 from tonus.config.schema.base import Count, Finite, Fraction, NonNegative, Positive, Section
-from tonus.config.schema.control import ControllerName
+from tonus.config.schema.controller import ControllerName
 
 BusName = Literal["direct", "can", "ethercat"]
 Struck = Literal["REFERENCING", "PRETENSION", "HOLD", "ACTIVE", "SAFE_STOP", "DESCENT"]

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from tonus.config.schema.base import Count, Fraction, NonNegative, Positive, Section
 from tonus.config.schema.bus import CELLS
+from tonus.config.schema.controller import ControllerChoice
 from tonus.config.schema.robot import Rates, Tension
 
 
@@ -436,22 +437,8 @@ class Envelope(Section):
     """ticks beyond T_max or below slack before red"""
 
 
-ControllerName = Literal[
-    "bio",
-    "bio_integral",
-    "bio_observer",
-    "pd",
-    "pd_matched",
-    "pid",
-    "pid_length",
-    "force",
-    "eq9_literal",
-    "constant_tension",
-]
-
-
 class Control(Section):
-    controller: ControllerName
+    controller: ControllerChoice
     rates: Rates
     tension: Tension
     filters: Filters

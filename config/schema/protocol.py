@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from tonus.config.schema.base import Count, Direction, NonNegative, Positive, Section
-from tonus.config.schema.control import ControllerName
+from tonus.config.schema.controller import ControllerName
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 """Part of a test's name, and so of a file's."""

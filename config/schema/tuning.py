@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from tonus.config.schema.base import Count, NonNegative, Positive, Section
-from tonus.config.schema.control import ControllerName
+from tonus.config.schema.controller import ControllerName
 from tonus.config.schema.scenario import Scenario
 
 

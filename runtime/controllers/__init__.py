@@ -5,25 +5,6 @@ loop, so that a comparison compares controllers and nothing else.
 """
 
 from tonus.runtime.controllers.base import Controller, Motion
-from tonus.runtime.controllers.bio import Bio, BioIntegral, BioObserver
-from tonus.runtime.controllers.cable_length import PidLength
-from tonus.runtime.controllers.constant_tension import ConstantTension
-from tonus.runtime.controllers.contact_force import ContactForce
-from tonus.runtime.controllers.impedance import Pd, PdMatched
-from tonus.runtime.controllers.literal import Eq9Literal
-from tonus.runtime.controllers.pid import Pid
+from tonus.runtime.controllers.registry import CONTROLLERS, controller_class, make_controller
 
-CONTROLLERS: dict[str, type[Controller]] = {
-    "bio": Bio,
-    "bio_integral": BioIntegral,
-    "bio_observer": BioObserver,
-    "pd": Pd,
-    "pd_matched": PdMatched,
-    "pid": Pid,
-    "pid_length": PidLength,
-    "force": ContactForce,
-    "eq9_literal": Eq9Literal,
-    "constant_tension": ConstantTension,
-}
-
-__all__ = ["CONTROLLERS", "Controller", "Motion"]
+__all__ = ["CONTROLLERS", "Controller", "Motion", "controller_class", "make_controller"]

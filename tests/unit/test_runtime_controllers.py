@@ -11,7 +11,7 @@ from loop import QUICK, ClosedLoop, configured, contact_of, rms
 from numpy.typing import NDArray
 
 from tonus.config import ConfigError, load
-from tonus.config.schema.control import ControllerName
+from tonus.config.schema.controller import ControllerName
 from tonus.config.schema.scenario import Scenario
 from tonus.runtime.controllers import CONTROLLERS, Controller, Motion
 from tonus.runtime.kinematics import Kinematics

@@ -6,7 +6,7 @@ import click
 
 from tonus.config.errors import ConfigError
 from tonus.drivers.errors import DriverError
-from tonus.runtime.errors import DaemonError
+from tonus.runtime.errors import ControllerError, DaemonError
 from tonus.sim.errors import LabError
 from tonus.tools.errors import ToolError
 
@@ -28,7 +28,7 @@ def explained(error: Exception) -> tuple[str, int]:
         return _line(f"{error.format_message().rstrip('.')}{hint}"), 2
     if isinstance(error, click.ClickException):
         return _line(error.format_message()), 2
-    if isinstance(error, ConfigError | LabError | ToolError):
+    if isinstance(error, ConfigError | ControllerError | LabError | ToolError):
         return _line(str(error)), 2
     if isinstance(error, DriverError | DaemonError):
         return _line(str(error)), 1

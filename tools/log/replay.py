@@ -19,6 +19,7 @@ from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.errors import ControllerError
 from tonus.runtime.keyframe import KeyframeError, restore
 from tonus.runtime.messages import KEYFRAME_TOPIC
 from tonus.runtime.signals import CYCLE, TOPICS
@@ -149,6 +150,11 @@ def _validated(log: Log, text: str, model: type[Model], what: str) -> Model:
         return model.model_validate(yaml.safe_load(text))
     except (ValidationError, yaml.YAMLError) as error:
         found = error.errors()[0] if isinstance(error, ValidationError) else None
+        if found and found["loc"] == ("control", "controller"):
+            raise ToolError(
+                f"{log.path}: its controller {found['input']!r} is not installed here; install the "
+                "distribution that registers it (environment.txt in the log has its version)"
+            ) from error
         place = ".".join(map(str, found["loc"])) if found else "it"
         said = f"{place}: {found['msg']}" if found else "it is not YAML"
         raise ToolError(
@@ -229,9 +235,12 @@ class _Replayer:
 
     def _fresh(self) -> ControlCycle:
         config = self._config
-        return ControlCycle(
-            config.robot, config.control, config.tracker, self._reference, self._others
-        )
+        try:
+            return ControlCycle(
+                config.robot, config.control, config.tracker, self._reference, self._others
+            )
+        except ControllerError as error:
+            raise ToolError(f"{self._log.path}: {error}") from error
 
     def _recorded_states(self) -> dict[int, bytes]:
         if KEYFRAME_TOPIC not in self._log or self._log[KEYFRAME_TOPIC].dtype.names is None:

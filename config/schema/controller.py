@@ -1,0 +1,57 @@
+"""How a configuration names a controller: a shipped one, an entry point, or ``module:Class``."""
+
+from __future__ import annotations
+
+import re
+from importlib.metadata import entry_points
+from typing import Annotated, Literal, get_args
+
+from pydantic import AfterValidator
+from pydantic_core import PydanticCustomError
+
+ENTRY_POINTS = "tonus.controllers"
+"""the group in which an installed distribution registers its controllers"""
+
+ControllerName = Literal[
+    "bio",
+    "bio_integral",
+    "bio_observer",
+    "pd",
+    "pd_matched",
+    "pid",
+    "pid_length",
+    "force",
+    "eq9_literal",
+    "constant_tension",
+]
+"""the shipped ones"""
+SHIPPED: tuple[str, ...] = get_args(ControllerName)
+_CLASS = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
+
+
+def names_class(name: str) -> bool:
+    """Whether it is written as ``package.module:Class``."""
+    return _CLASS.fullmatch(name) is not None
+
+
+def registered() -> list[str]:
+    """Names of the entry points, sorted. Nothing is imported."""
+    return sorted({each.name for each in entry_points(group=ENTRY_POINTS)})
+
+
+def _known(name: str) -> str:
+    if name in SHIPPED or names_class(name):
+        return name
+    others = registered()
+    if name not in others:
+        known = ", ".join(repr(each) for each in (*SHIPPED, *others))
+        raise PydanticCustomError(
+            "literal_error",
+            "Input should be {known} or package.module:Class",
+            {"known": known},
+        )
+    return name
+
+
+ControllerChoice = Annotated[str, AfterValidator(_known)]
+"""Whether the class can be imported is for `tonus.runtime.controllers.registry` to say."""
