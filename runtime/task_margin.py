@@ -9,15 +9,19 @@ cut at the torque, where everything acts, and at the force, where the outer loop
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
 from tonus.config.schema.control import TensionLoop
 from tonus.config.schema.root import Config
-from tonus.runtime.controllers import CONTROLLERS
-from tonus.runtime.controllers.linear import LinearLaw
+from tonus.runtime.controllers import make_controller
+from tonus.runtime.controllers.linear import LinearLaw, NoLinearLawError
+from tonus.runtime.controllers.registry import is_foreign
 from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.linearisation import LinearResponse, commands_tensions, linear_responses
 from tonus.runtime.margin import DELAY_TICKS, UNSTABLE, Margins, frequencies, margins_of, stable
 
 Array = NDArray[np.float64]
@@ -25,16 +29,27 @@ _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 _ANGLE, _CELL, _PLACE, _SPEED = 0, 3, 4, 5
 _PLANT = 6
 _INTEGRAL, _LAST, _OUTER, _ASKED, _SLOPE, _PIPE = range(_PLANT, _PLANT + 6)
+_END = _PIPE + DELAY_TICKS
 
 
 class _Loop:
     """The sampled loop as a linear map of its state: plant, tension integral, last drum angle,
-    outer integral, last tension reference and its filtered slope, torques under way."""
+    outer integral, last tension reference and its filtered slope, torques under way; then what a
+    controller given by its ``response`` has inside."""
 
     def __init__(
-        self, config: Config, tension: TensionLoop, outer: LinearLaw, axis: int, *, follows: bool
+        self,
+        config: Config,
+        tension: TensionLoop,
+        outer: LinearLaw,
+        axis: int,
+        *,
+        follows: bool,
+        response: LinearResponse | None = None,
     ) -> None:
-        robot, response = config.robot, config.response
+        """``outer`` is the feedback, or, where there is a ``response``, that is."""
+        self._response = response
+        robot, bandwidth = config.robot, config.response
         kinematics = Kinematics(robot.geometry)
         kinematics.evaluate(np.array(robot.home), _LEVEL)
         self._gather = gather = float((kinematics.matrix[axis] ** 2).sum())
@@ -46,8 +61,8 @@ class _Loop:
         """rad/s of the drum for each newton by which the reference moves in a tick"""
         self._follow = 1.0 - np.exp(-2.0 * np.pi * tension.lead_cutoff_hz * self._period)
         c, inertia, mass = robot.cable.damping, robot.drum.inertia, robot.platform.mass
-        drive = 2.0 * np.pi * response.current_loop_hz
-        cell = 2.0 * np.pi * response.force_cell_hz
+        drive = 2.0 * np.pi * bandwidth.current_loop_hz
+        cell = 2.0 * np.pi * bandwidth.force_cell_hz
         pull = np.array([k * radius, c * radius, 0.0, 0.0, -k, -c])
         flow = np.zeros((_PLANT, _PLANT))
         flow[0, 1] = flow[4, 5] = 1.0
@@ -65,10 +80,14 @@ class _Loop:
             (flow, enter, np.eye(_PLANT), np.zeros((_PLANT, 1))), self._period
         )
         self._effect = effect[:, 0]
-        self.size = _PIPE + DELAY_TICKS
+        self.size = _END + (response.order if response is not None else 0)
 
-    def _feedback(self, s: Array) -> tuple[float, float]:
-        """Force asked of the cables, and the outer integral."""
+    def _feedback(self, s: Array) -> tuple[float, float, Array]:
+        """Force asked of the cables, the outer integral, and what is next inside a controller
+        given by its response."""
+        if self._response is not None:
+            force, inside = self._response.step(s[_END:], s[_PLACE], s[_SPEED])
+            return force, 0.0, inside
         o, h = self._outer, self._period
         drum, speed = self._radius * s[_ANGLE], self._radius * s[1]
         touch = o.body * s[_PLACE]
@@ -78,7 +97,7 @@ class _Loop:
             grown = s[_OUTER] + h * float(np.dot(gains, (s[_PLACE], drum, touch)))
         force = o.stiffness * s[_PLACE] + o.damping * s[_SPEED] + o.contact[0] * touch
         force += self._gather * (o.cable[0] * drum + o.cable[1] * speed)
-        return -(force + grown), grown
+        return -(force + grown), grown, s[_END:]
 
     def step(
         self, s: Array, torque: float | None = None, force: float | None = None
@@ -86,7 +105,7 @@ class _Loop:
         """Next state, and the torque and the force that the loop returns. One of them may be given
         instead: there the loop is cut."""
         t, h, r = self._tension, self._period, self._radius
-        returned, grown = self._feedback(s)
+        returned, grown, inside = self._feedback(s)
         reference = (returned if force is None else force) / self._gather
         error = reference - s[_CELL]
         # Else an integral of nothing would count as a pole at one.
@@ -97,11 +116,12 @@ class _Loop:
         wanted = self._follows * s[_SPEED] / r + self._turn * slope
         asked += t.rate_damping * (wanted - rate)
         new = np.empty(self.size)
-        new[:_PLANT] = self._step @ s[:_PLANT] + self._effect * s[-1]
+        new[:_PLANT] = self._step @ s[:_PLANT] + self._effect * s[_END - 1]
         new[_INTEGRAL], new[_LAST], new[_OUTER] = integral, s[_ANGLE], grown
         new[_ASKED], new[_SLOPE] = reference, slope
         new[_PIPE] = asked if torque is None else torque
-        new[_PIPE + 1 :] = s[_PIPE:-1]
+        new[_PIPE + 1 : _END] = s[_PIPE : _END - 1]
+        new[_END:] = inside
         return new, asked, returned
 
     def _columns(self, cut: str | None) -> tuple[Array, Array, Array, float]:
@@ -127,26 +147,52 @@ class _Loop:
         return margins_of(np.asarray(-(driven @ out + direct), complex), frequency)
 
 
-def margins(config: Config, controller: str, *, cut: str = "torque") -> Margins:
-    """The least margins of a controller by name, with its configured gains, over three axes and the
-    ends of its stiffness. Cut at the ``torque``, the plant's input, every loop counts; at the
-    ``force``, the outer one round all others. Raises `NoLinearLawError` for a controller that does
-    not say what its feedback comes to.
+def loops(config: Config, controller: str) -> list[_Loop]:
+    """The loops whose margins are those of a controller by name, with its configured gains: over
+    three axes and the ends of its stiffness. A shipped controller is taken by the laws it states;
+    any other by its own output, linearised numerically, and by the laws it states besides, or by
+    these alone if it commands tensions. Raises `NoLinearLawError` for a controller that neither
+    states its feedback nor can be linearised, and `ControllerError` for one that fails.
 
     Bandwidths of drives and cells are the lab's, or the robot's where there is none.
     """
-    law = CONTROLLERS[controller](config.robot, config.control)
-    found = Margins(np.inf, np.inf, 0.0)
-    for outer in law.stated_laws():
-        for axis in range(3):
-            loop = _Loop(config, law.tension_loop, outer, axis, follows=law.follows_platform)
-            if not loop.stable:
-                return UNSTABLE
-            here = loop.margins(cut)
-            found = Margins(
-                min(found.gain_db, here.gain_db),
-                min(found.phase_deg, here.phase_deg),
-                max(found.crossover_hz, here.crossover_hz),
-                min(found.reduction_db, here.reduction_db),
-            )
-    return found
+    law = make_controller(controller, config.robot, config.control)
+    tension, follows = law.tension_loop, law.follows_platform
+    responses: list[LinearResponse] = []
+    if is_foreign(type(law)) and not commands_tensions(config, controller):
+        responses += linear_responses(config, controller)
+    try:
+        laws = law.stated_laws()
+    except NoLinearLawError:
+        if not responses:
+            raise
+        laws = ()
+    found = [
+        _Loop(config, tension, outer, axis, follows=follows) for outer in laws for axis in range(3)
+    ]
+    return found + [
+        _Loop(config, tension, LinearLaw(), each.axis, follows=follows, response=each)
+        for each in responses
+    ]
+
+
+def least_margins(found: Iterable[_Loop], cut: str) -> Margins:
+    """Cut at the ``torque``, the plant's input, every loop counts; at the ``force``, the outer one
+    round all others."""
+    least = Margins(np.inf, np.inf, 0.0)
+    for loop in found:
+        if not loop.stable:
+            return UNSTABLE
+        here = loop.margins(cut)
+        least = Margins(
+            min(least.gain_db, here.gain_db),
+            min(least.phase_deg, here.phase_deg),
+            max(least.crossover_hz, here.crossover_hz),
+            min(least.reduction_db, here.reduction_db),
+        )
+    return least
+
+
+def margins(config: Config, controller: str, *, cut: str = "torque") -> Margins:
+    """The least margins of a controller by name, over its `loops`, with the same errors."""
+    return least_margins(loops(config, controller), cut)

@@ -10,7 +10,7 @@ from tonus.drivers.errors import DriverError
 from tonus.drivers.ethercat.frames import COUNTER_BYTES, HEADER_BYTES, MAXIMUM_DATA
 from tonus.drivers.ethercat.slave import slaves
 from tonus.drivers.ethercat.status import MOST
-from tonus.tools.mechanics import Finding
+from tonus.tools.finding import Finding
 
 BYTE_NS = 80
 """100 Mbit/s."""

@@ -14,7 +14,7 @@ from tonus.config.timeouts import (
     node_timeout_ms,
     watchdog_ms,
 )
-from tonus.tools.mechanics import Finding
+from tonus.tools.finding import Finding
 
 LEAST_JITTER_MS = 20
 """EPOS4: a heartbeat consumer waits at least this much longer than the producer's period."""

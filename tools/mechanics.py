@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +11,10 @@ from numpy.typing import NDArray
 from tonus.config import Config, Scenario
 from tonus.config.schema.lab import Load
 from tonus.config.schema.robot import Robot, Workspace
-from tonus.runtime.controllers.linear import NoLinearLawError
 from tonus.runtime.margin import tension_loop_margins
 from tonus.runtime.reference import trajectory
-from tonus.runtime.task_margin import margins
 from tonus.tools.feasibility import Feasibility, Poses, against, feasibility, poses, workspace_poses
+from tonus.tools.finding import Finding
 
 Array = NDArray[np.float64]
 
@@ -31,18 +29,6 @@ _DELAY_PERIODS = 3.0
 DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One rule's outcome: ``text`` has the figure, ``remedy`` what to do should it have failed."""
-
-    rule: str
-    ok: bool
-    where: str
-    """dotted key"""
-    text: str
-    remedy: str
-
-
 def mechanics(config: Config, scenario: Scenario) -> Iterator[Finding]:
     """The rules that need the robot's geometry and drives."""
     at = workspace_poses(config.robot.geometry, config.robot.workspace, GRID)
@@ -52,7 +38,6 @@ def mechanics(config: Config, scenario: Scenario) -> Iterator[Finding]:
     yield from _drives(config)
     yield from _drum_damping(config)
     yield from _tension_loop(config, at)
-    yield from _whole_loop(config)
 
 
 def _judged(
@@ -256,33 +241,6 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
         f"{text} over cables of {lengths[0]:.2f} to {lengths[2]:.2f} m, {floors}",
         "lower proportional, or change rate_damping",
     )
-
-
-def _whole_loop(config: Config) -> Iterator[Finding]:
-    """The configured controller round the tension loop, cut where the torque acts and where the
-    force is asked for."""
-    name, loop = config.control.controller, config.control.tension_loop
-    where, remedy = f"control.{name}", "lower its gains, or run tonus tune"
-    for cut in ("torque", "force"):
-        text = f"{name}, cut at the {cut}: "
-        try:
-            found = margins(config, name, cut=cut)
-        except NoLinearLawError as error:
-            text += f"cannot be computed: {error}"
-            yield Finding("margins", False, where, text, "state them in the controller's class")
-            continue
-        ok = found.meet(loop)
-        if name == "eq9_literal":  # is kept because it is
-            ok = True
-            text += "unstable, as the paper prints it"
-        elif not found.stable:
-            text += "unstable: a pole of the closed loop lies outside the unit circle"
-        else:
-            text += (
-                f"{found.least_gain_db:.1f} dB and {found.phase_deg:.1f} deg, floors "
-                f"{loop.gain_margin_db:g} dB and {loop.phase_margin_deg:g} deg"
-            )
-        yield Finding("margins", ok, where, text, remedy)
 
 
 def _place(position: Array) -> str:

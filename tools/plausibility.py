@@ -8,7 +8,7 @@ from typing import Any
 from tonus.config import Config
 from tonus.config.loader import load_plausible
 from tonus.config.schema.plausible import Bound
-from tonus.tools.mechanics import Finding
+from tonus.tools.finding import Finding
 
 
 def plausibility(config: Config) -> Iterator[Finding]:

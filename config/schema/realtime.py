@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from tonus.config.schema.base import Count, NonNegative, Positive, Section, no_boolean
+from tonus.config.schema.base import Count, NonNegative, Positive, Section, Share, no_boolean
 
 Policy = Literal["require", "prefer", "off"]
 Overrun = Literal["skip", "hold", "stop"]
@@ -66,6 +66,9 @@ class RealTime(Section):
     """how long before a tick the event loop is woken; the rest is slept outside of it"""
     spin_us: WholeNumber = 0
     """of this, how long the processor is kept busy rather than asleep"""
+    controller_share: Share = 0.2
+    """of the period that a controller which is not ours may take, measured before a run in real
+    time (`tonus.tools.controller_time`)"""
     overrun: Overrun
     """on missed ticks, whoever's making: skip counts them; hold keeps the platform where it is;
     stop is a controlled stop"""

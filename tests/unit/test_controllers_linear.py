@@ -13,6 +13,7 @@ from tonus.config.schema.robot import CABLES
 from tonus.runtime.controllers import CONTROLLERS, Motion
 from tonus.runtime.controllers.base import LEVEL, Controller
 from tonus.runtime.controllers.bio import Bio
+from tonus.runtime.controllers.cable_length import PidLength
 from tonus.runtime.controllers.linear import NoLinearLawError
 from tonus.runtime.task_margin import margins
 from tonus.tools.check import check
@@ -124,19 +125,37 @@ def verdict(monkeypatch: pytest.MonkeyPatch, kind: type[Controller]) -> list[Any
     return [each for each in check(config, SCENARIO) if each.rule == "margins"]
 
 
-def test_a_controller_that_does_not_state_its_feedback_is_not_called_ok(
+class StifferDrums(PidLength):
+    def tensions(self, motion: Motion, stiffness: float, centre: Any) -> Any:
+        return 2.0 * super().tensions(motion, stiffness, centre)
+
+
+def test_a_controller_that_does_not_state_its_feedback_is_linearised(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found = verdict(monkeypatch, Stiffer)
     assert [each.ok for each in found] == [False, False]
-    assert "cannot be computed: Stiffer does not state its linear_laws" in found[0].text
+    assert "linearised from its own output" in found[0].text
+    assert margins(CONFIG, "mine") != margins(CONFIG, "bio")
     with pytest.raises(NoLinearLawError, match="Stiffer"):
+        made("mine").stated_laws()
+
+
+def test_a_controller_that_commands_tensions_has_to_state_its_feedback(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (found,) = verdict(monkeypatch, StifferDrums)
+    assert not found.ok
+    assert "cannot be computed: StifferDrums does not state its linear_laws" in found.text
+    with pytest.raises(NoLinearLawError, match="StifferDrums"):
         margins(CONFIG, "mine")
 
 
 def test_a_controller_has_its_own_margins(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(each.ok for each in verdict(monkeypatch, Renamed))
-    assert margins(CONFIG, "mine") == margins(CONFIG, "bio")
+    own, shipped = margins(CONFIG, "mine"), margins(CONFIG, "bio")
+    assert own.gain_db == pytest.approx(shipped.gain_db)
+    assert own.phase_deg == pytest.approx(shipped.phase_deg)
     found = verdict(monkeypatch, Saying)
     assert not any(each.ok for each in found)
     assert margins(CONFIG, "mine") != margins(CONFIG, "bio")

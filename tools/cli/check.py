@@ -11,16 +11,34 @@ import click
 from tonus.config import load
 from tonus.config.loader import load_catalogue
 from tonus.tools import check as rules
+from tonus.tools.cli.settings import overrides_of
+from tonus.tools.finding import Finding
 
 
 @click.command()
 @click.argument("config")
 @click.option("--scenario", metavar="NAME", help="Instead of the one that CONFIG names.")
+@click.option(
+    "--controller", help="By name, or as package.module:Class, instead of the configuration's."
+)
+@click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="One value of the configuration."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list instead of a table.")
-def check(config: str, scenario: str | None, as_json: bool) -> None:
+def check(
+    config: str,
+    scenario: str | None,
+    controller: str | None,
+    *,
+    settings: tuple[str, ...],
+    as_json: bool,
+) -> None:
     """Validate CONFIG: schema, bus load, identifiers, workspace, limits. Nothing is started."""
-    loaded, played = load(config, scenario=scenario)
-    findings = rules.check(loaded, played)
+    overrides = overrides_of(settings)
+    if controller is not None:
+        overrides["control.controller"] = controller
+    loaded, played = load(config, scenario, overrides)
+    findings = rules.check(loaded, played, timed=True)
     if loaded.operation.scenarios is not None:
         findings += rules.check_catalogue(loaded, played, load_catalogue(config))
     failed = [finding for finding in findings if not finding.ok]
@@ -37,7 +55,7 @@ def check(config: str, scenario: str | None, as_json: bool) -> None:
         sys.exit(1)
 
 
-def _line(finding: rules.Finding) -> str:
+def _line(finding: Finding) -> str:
     text = f"{'ok' if finding.ok else 'FAILED':<7} {finding.rule:<13} {finding.text}"
     if not finding.ok:
         text += f"; {finding.where}: {finding.remedy}"

@@ -36,7 +36,9 @@ from tonus.tools.summary import Summary, missed_in, summarise, truth_at_cycles
 @click.argument("config", type=click.Path(path_type=Path))
 @click.option("--scenario", help="Name of a scenario in config/scenarios, or a YAML file.")
 @click.option("--duration", type=FiniteRange(min=0.1), help="Seconds in ACTIVE.")
-@click.option("--controller", help="Controller by name, instead of the configuration's.")
+@click.option(
+    "--controller", help="By name, or as package.module:Class, instead of the configuration's."
+)
 @click.option(
     "--set", "settings_", multiple=True, metavar="KEY=VALUE", help="One value of the configuration."
 )
@@ -91,7 +93,7 @@ def run(
     if seed is None:
         seed = settings.lab.seed if settings.lab else 0
     if not force:
-        _refuse(config, settings, played)
+        _refuse(config, settings, played, timed=not virtual)
     say: Progress = (lambda _: None) if as_json else _say
     say(f"{settings.name}: {played.description}")
     others: tuple[Scenario, ...] = ()
@@ -201,8 +203,8 @@ def _others(
         yield scenario
 
 
-def _refuse(path: Path, config: Config, scenario: Scenario) -> None:
-    for finding in check(config, scenario):
+def _refuse(path: Path, config: Config, scenario: Scenario, *, timed: bool = False) -> None:
+    for finding in check(config, scenario, timed=timed):
         if not finding.ok:
             remedy = f"{finding.remedy}, or run all the same with --force"
             raise ToolError(f"{path}: {finding.where}: {finding.text}; {remedy}")
