@@ -13,6 +13,7 @@ __all__ = [
     "Controller",
     "Lab",
     "LabError",
+    "LinearLaw",
     "Log",
     "Motion",
     "Order",
@@ -28,7 +29,7 @@ __all__ = [
 if TYPE_CHECKING:
     from tonus import faults
     from tonus.config import Config, ConfigError, Scenario, load
-    from tonus.runtime.controllers import Controller, Motion
+    from tonus.runtime.controllers import Controller, LinearLaw, Motion
     from tonus.sim.errors import LabError
     from tonus.sim.lab import Lab
     from tonus.tools.errors import ToolError
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 else:
     _MODULES = {
         "tonus.config": ("Config", "ConfigError", "Scenario", "load"),
-        "tonus.runtime.controllers": ("Controller", "Motion"),
+        "tonus.runtime.controllers": ("Controller", "LinearLaw", "Motion"),
         "tonus.sim.errors": ("LabError",),
         "tonus.sim.lab": ("Lab",),
         "tonus.tools.errors": ("ToolError",),

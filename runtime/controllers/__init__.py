@@ -5,6 +5,14 @@ loop, so that a comparison compares controllers and nothing else.
 """
 
 from tonus.runtime.controllers.base import Controller, Motion
+from tonus.runtime.controllers.linear import LinearLaw
 from tonus.runtime.controllers.registry import CONTROLLERS, controller_class, make_controller
 
-__all__ = ["CONTROLLERS", "Controller", "Motion", "controller_class", "make_controller"]
+__all__ = [
+    "CONTROLLERS",
+    "Controller",
+    "LinearLaw",
+    "Motion",
+    "controller_class",
+    "make_controller",
+]

@@ -64,7 +64,8 @@ class Probe:
     def stiffness(self, motion: Motion) -> float:
         """N/m that the controller asks for. Raises `ControllerError`."""
         try:
-            asked = float(self._controller.stiffness(motion))
+            with np.errstate(all="ignore"):  # what comes of it is examined
+                asked = float(self._controller.stiffness(motion))
         except Exception as error:
             raise self._raised("stiffness", error) from error
         self._examine("stiffness", np.array(asked), ())
@@ -78,9 +79,10 @@ class Probe:
         if stiffness is None:
             stiffness = min(max(asked, bounds.minimum), bounds.maximum)
         try:
-            wrench = np.asarray(controller.wrench(motion, stiffness), float)
-            tensions = controller.tensions(motion, stiffness, self._centre.copy())
-            controller.applied(self._centre.copy(), self._ticks * self._period)
+            with np.errstate(all="ignore"):
+                wrench = np.asarray(controller.wrench(motion, stiffness), float)
+                tensions = controller.tensions(motion, stiffness, self._centre.copy())
+                controller.applied(self._centre.copy(), self._ticks * self._period)
         except Exception as error:
             raise self._raised("a tick", error) from error
         self._ticks += 1
