@@ -78,9 +78,25 @@ def linear_responses(config: Config, name: str) -> Iterator[LinearResponse]:
     the limiter may let through any of them. Raises `ControllerError` for a controller that fails,
     `NoLinearLawError` for one that cannot be linearised."""
     law = config.control.stiffness
+    _examine_drums(config, name)
     for stiffness in (law.minimum, None, law.maximum):
         for axis in range(3):
             yield _response(config, name, axis, stiffness)
+
+
+def _examine_drums(config: Config, name: str) -> None:
+    """A force that answers to the drums is another loop than the one computed here."""
+    for signal in ("wound", "winding"):
+        forces = []
+        for size in (0.0, _SMALL):
+            probe = Probe(name, config.robot, config.control)
+            probe.begin()
+            still = getattr(probe.motion(), signal)
+            forces += [probe.tick(probe.motion(**{signal: still + size}))[:3]]
+        if np.abs(forces[1] - forces[0]).max() > _SMALL:
+            raise NoLinearLawError(
+                f"{name} answers to cable lengths or rates with a wrench; it may command tensions"
+            )
 
 
 def _response(config: Config, name: str, axis: int, stiffness: float | None) -> LinearResponse:
