@@ -393,3 +393,19 @@ def test_check_takes_it_from_the_command_line(
     rules = json.loads(capsys.readouterr().out)
     assert {each["rule"] for each in rules} >= {"controller", "margins", "time"}
     assert [each["ok"] for each in rules if each["rule"] == "margins"] == [False, False]
+
+
+def test_time_is_a_matter_of_real_time_only(
+    mine: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """With a share of the period that no controller can keep."""
+    out = tmp_path / "out"
+    mean = f"--controller of_mine:Soft --set realtime.controller_share=1e-9 --out {out}"
+    assert tonus(f"run config/can.yaml --scenario hold {mean}", monkeypatch) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "of the period of 1000 us on this host" in line
+    assert not out.exists()
+    assert tonus(f"{QUICK_RUN} {mean}", monkeypatch) == 0
