@@ -19,24 +19,29 @@ from tonus.config.schema.control import Control
 from tonus.config.schema.robot import CABLES, Robot
 from tonus.config.schema.scenario import Reference
 from tonus.drivers.process_image import AxisCommand, ProcessImage
-from tonus.runtime.controllers import Motion, make_controller
-from tonus.runtime.controllers.base import norm, share
-from tonus.runtime.descent import Descent
-from tonus.runtime.distribution import TensionDistribution, delivered, opposition, tension_bounds
-from tonus.runtime.envelope import Envelope
-from tonus.runtime.estimator import Doubts, Estimate, PoseEstimator
-from tonus.runtime.guide import Guide
-from tonus.runtime.isolation import Isolation
-from tonus.runtime.kinematics import Kinematics
-from tonus.runtime.passivity import Limiter
-from tonus.runtime.recording import write_measured, write_motion
-from tonus.runtime.referencing import Referencing
-from tonus.runtime.sensing import Sensing
-from tonus.runtime.sequence import Sequence
+from tonus.runtime.control.controllers import Motion, make_controller
+from tonus.runtime.control.controllers.base import norm, share
+from tonus.runtime.control.distribution import (
+    TensionDistribution,
+    delivered,
+    opposition,
+    tension_bounds,
+)
+from tonus.runtime.control.estimator import Doubts, Estimate, PoseEstimator
+from tonus.runtime.control.guide import Guide
+from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.control.passivity import Limiter
+from tonus.runtime.control.referencing import Referencing
+from tonus.runtime.control.sensing import Sensing
+from tonus.runtime.control.stiffness import LawTerms
+from tonus.runtime.control.tension import TensionLoop, drum_motion
+from tonus.runtime.recording.record_writers import write_measured, write_motion
+from tonus.runtime.safety.descent import Descent
+from tonus.runtime.safety.envelope import Envelope
+from tonus.runtime.safety.isolation import Isolation
+from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.signals import CycleRecord, Solver
 from tonus.runtime.states import ARMED, Operator, State
-from tonus.runtime.stiffness import LawTerms
-from tonus.runtime.tension import TensionLoop, drum_motion
 
 Array = NDArray[np.float64]
 _NOBODY = np.zeros(CABLES, dtype=bool)

@@ -16,22 +16,22 @@ from typing import Any
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.drivers.fieldbus import Fieldbus, Progress
-from tonus.runtime.clock import Stopwatch, now_ns
 from tonus.runtime.cycle import ControlCycle
-from tonus.runtime.fallback import Fallback
-from tonus.runtime.firewall import Firewall, Part, in_one_line
-from tonus.runtime.guarded_parts import GuardedParts
-from tonus.runtime.keyframe_keeper import KeyframeKeeper, KeyframeSink
-from tonus.runtime.latencies import Latencies, Marks
-from tonus.runtime.operator import Commander
-from tonus.runtime.overruns import Overruns
+from tonus.runtime.operation.operator import Commander
+from tonus.runtime.operation.reporter import EventSink, Reporter
+from tonus.runtime.operation.self_test import SelfTest
 from tonus.runtime.ports import Ring, TrackerDoor
-from tonus.runtime.reporter import EventSink, Reporter
-from tonus.runtime.scheduler import Misses, Pacing, Scheduler
-from tonus.runtime.self_test import SelfTest
+from tonus.runtime.recording.keyframe_keeper import KeyframeKeeper, KeyframeSink
+from tonus.runtime.recording.taps import Level
+from tonus.runtime.safety.fallback import Fallback
+from tonus.runtime.safety.firewall import Firewall, Part, in_one_line
+from tonus.runtime.safety.guarded_parts import GuardedParts
 from tonus.runtime.signals import CycleRecord
 from tonus.runtime.states import ARMED, Fault, Operator, State
-from tonus.runtime.taps import Level
+from tonus.runtime.timing.clock import Stopwatch, now_ns
+from tonus.runtime.timing.latencies import Latencies, Marks
+from tonus.runtime.timing.overruns import Overruns
+from tonus.runtime.timing.scheduler import Misses, Pacing, Scheduler
 from tonus.runtime.words import describe
 
 _NOTICEABLE_S = 0.5

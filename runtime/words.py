@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tonus.config.schema.bus import CONTACT_CELL, CanopenBus, parts
 from tonus.config.schema.root import Config
-from tonus.runtime.faults import PASSIVE
+from tonus.runtime.safety.faults import PASSIVE
 from tonus.runtime.states import Fault, StopMode
 
 TEXT = {

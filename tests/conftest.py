@@ -13,7 +13,7 @@ from functools import partial
 import pytest
 
 from tonus.config.loader import HERE
-from tonus.runtime.realtime import stolen_jiffies
+from tonus.runtime.timing.realtime import stolen_jiffies
 
 TRIES = 3
 OUT = HERE.parent / "out"

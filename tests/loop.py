@@ -20,7 +20,7 @@ from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Reference, Scenario
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.cycle import ControlCycle
-from tonus.runtime.operator import Script
+from tonus.runtime.operation.operator import Script
 from tonus.runtime.signals import TOPICS
 from tonus.runtime.states import Operator, State
 from tonus.sim.devices.tracker import DATAGRAM, VALID, Tracker

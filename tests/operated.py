@@ -17,14 +17,14 @@ from tonus.config import Config, load
 from tonus.config.loader import load_scenario
 from tonus.drivers.fieldbus import BusEvent, Progress
 from tonus.drivers.process_image import ProcessImage
-from tonus.runtime import clock
-from tonus.runtime.control_door import ControlDoor
-from tonus.runtime.control_socket import ControlSocket
 from tonus.runtime.daemon import Daemon, Outcome
-from tonus.runtime.operator import Console, Script
-from tonus.runtime.scheduler import VirtualPacing
+from tonus.runtime.operation.control_door import ControlDoor
+from tonus.runtime.operation.control_socket import ControlSocket
+from tonus.runtime.operation.operator import Console, Script
+from tonus.runtime.recording.taps import Level
 from tonus.runtime.states import Fault, State
-from tonus.runtime.taps import Level
+from tonus.runtime.timing import clock
+from tonus.runtime.timing.scheduler import VirtualPacing
 
 Spoil = Callable[[ProcessImage], None]
 NAMES = ("hold", "sine_x", "sine_y")

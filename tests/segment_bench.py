@@ -17,9 +17,9 @@ from tonus.drivers.ethercat.master import EthercatFieldbus
 from tonus.drivers.ethercat.ring import injected_ring
 from tonus.drivers.fieldbus import BusEvent
 from tonus.drivers.process_image import AxisCommand, ProcessImage
-from tonus.runtime import clock
-from tonus.runtime.scheduler import VirtualPacing
-from tonus.runtime.steering import SteeredPacing
+from tonus.runtime.timing import clock
+from tonus.runtime.timing.scheduler import VirtualPacing
+from tonus.runtime.timing.steering import SteeredPacing
 from tonus.sim.ethercat.ring import Ring
 from tonus.sim.lab import Lab
 

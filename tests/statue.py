@@ -12,9 +12,9 @@ from tonus.config import load
 from tonus.config.schema.bus import CELLS
 from tonus.config.schema.robot import CABLES
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.cycle import ControlCycle
-from tonus.runtime.kinematics import Kinematics
-from tonus.runtime.operator import Script
+from tonus.runtime.operation.operator import Script
 from tonus.runtime.signals import CycleRecord
 from tonus.runtime.states import Operator, State
 

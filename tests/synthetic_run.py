@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from tonus.config.schema.control import Recording
-from tonus.runtime.recorder import Recorder
-from tonus.runtime.ring import RingWriter
+from tonus.runtime.recording.recorder import Recorder
+from tonus.runtime.recording.ring import RingWriter
+from tonus.runtime.recording.taps import EventRing, FrameRing, Level
+from tonus.runtime.recording.viewer import Scene
 from tonus.runtime.signals import CYCLE, TOPICS
 from tonus.runtime.states import Fault, State
-from tonus.runtime.taps import EventRing, FrameRing, Level
 from tonus.runtime.topics import Field, Topic, to_json
-from tonus.runtime.viewer import Scene
 from tonus.sim.truth import TRUTH, TRUTH_FIELDS
 
 MS = 1_000_000

@@ -29,22 +29,22 @@ __all__ = [
 if TYPE_CHECKING:
     from tonus import faults
     from tonus.config import Config, ConfigError, Scenario, load
-    from tonus.runtime.controllers import Controller, LinearLaw, Motion
+    from tonus.runtime.control.controllers import Controller, LinearLaw, Motion
     from tonus.sim.errors import LabError
     from tonus.sim.lab import Lab
     from tonus.tools.errors import ToolError
     from tonus.tools.log import Log
     from tonus.tools.log import open as open_log
-    from tonus.tools.run import Order, Result, run
+    from tonus.tools.run.composer import Order, Result, run
 else:
     _MODULES = {
         "tonus.config": ("Config", "ConfigError", "Scenario", "load"),
-        "tonus.runtime.controllers": ("Controller", "LinearLaw", "Motion"),
+        "tonus.runtime.control.controllers": ("Controller", "LinearLaw", "Motion"),
         "tonus.sim.errors": ("LabError",),
         "tonus.sim.lab": ("Lab",),
         "tonus.tools.errors": ("ToolError",),
         "tonus.tools.log": ("Log", "open_log"),
-        "tonus.tools.run": ("Order", "Result", "run"),
+        "tonus.tools.run.composer": ("Order", "Result", "run"),
     }
     _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
     _OTHER_NAME = {"open_log": "open"}

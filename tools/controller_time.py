@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tonus.config import Config
-from tonus.runtime.clock import Stopwatch
-from tonus.runtime.controllers.probe import Probe
+from tonus.runtime.control.controllers.probe import Probe
+from tonus.runtime.timing.clock import Stopwatch
 
 ROUNDS = 5
 TICKS = 200

@@ -10,8 +10,8 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.runtime.ring import RingReader
-from tonus.runtime.taps import EVENT, Level
+from tonus.runtime.recording.ring import RingReader
+from tonus.runtime.recording.taps import EVENT, Level
 
 EVENT_RING = "events.ring"
 _AT_ONCE = 256

@@ -82,8 +82,8 @@ class StiffnessLaw(Section):
     smoothing_hz: Positive
     """first-order low-pass of what the law reads: noise of the estimate is no reason to stiffen"""
     rise_rate: Positive
-    """N/m/s: how fast the stiffness may grow at most; `tonus.runtime.passivity` computes the bound
-    below it"""
+    """N/m/s: how fast the stiffness may grow at most; `tonus.runtime.control.passivity` computes
+    the bound below it"""
 
     @model_validator(mode="after")
     def _ordered(self) -> StiffnessLaw:
@@ -205,7 +205,7 @@ class ConstantTension(Section):
 
 
 class Distribution(Section):
-    """One box-bounded quadratic programme, `tonus.runtime.distribution`."""
+    """One box-bounded quadratic programme, `tonus.runtime.control.distribution`."""
 
     wrench_weight: Positive
     deficit_limit: Positive
@@ -296,7 +296,7 @@ class Sequence(Section):
 
 class Stop(Section):
     """A stop without a path to keep: in descent with the cables that are left, or passive, each
-    drum by itself (`tonus.runtime.guard`)."""
+    drum by itself (`tonus.runtime.safety.guard`)."""
 
     moment_length: Positive
     """m by which moments are divided in a descent: long, so that forces come before level"""
@@ -363,7 +363,7 @@ class Stop(Section):
 
 
 class Isolation(Section):
-    """When a measurement contradicts the others (`tonus.runtime.isolation`)."""
+    """When a measurement contradicts the others (`tonus.runtime.safety.isolation`)."""
 
     length_jump: Positive
     """m from one tick to the next that no platform makes: cable, drum, cell or encoder"""

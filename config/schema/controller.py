@@ -54,4 +54,4 @@ def _known(name: str) -> str:
 
 
 ControllerChoice = Annotated[str, AfterValidator(_known)]
-"""Whether the class can be imported is for `tonus.runtime.controllers.registry` to say."""
+"""Whether the class can be imported is for `tonus.runtime.control.controllers.registry` to say."""

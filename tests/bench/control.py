@@ -16,13 +16,13 @@ from tests.loop import QUICK, ClosedLoop, configured
 from tonus.config import Config, load
 from tonus.config.schema.control import Distribution
 from tonus.drivers.process_image import AxisState, ProcessImage
-from tonus.runtime.clock import Stopwatch
+from tonus.runtime.control.distribution import TensionDistribution
+from tonus.runtime.control.estimator import PoseEstimator
+from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.cycle import ControlCycle
-from tonus.runtime.distribution import TensionDistribution
-from tonus.runtime.estimator import PoseEstimator
-from tonus.runtime.kinematics import Kinematics
 from tonus.runtime.signals import CycleRecord
 from tonus.runtime.states import Operator, State
+from tonus.runtime.timing.clock import Stopwatch
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def control() -> list[Figure]:
             lambda: kinematics.evaluate(position, quaternion),
             "the same in numpy",
             lambda: _geometry_in_numpy(kinematics, position),
-            "why tonus.runtime.kinematics is compiled",
+            "why tonus.runtime.control.kinematics is compiled",
         )
     ]
     kinematics.evaluate(position, quaternion)

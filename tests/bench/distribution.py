@@ -15,8 +15,8 @@ from tests.bench.measure import Figure
 from tests.bench.peers import PEERS, Solve, improved_closed_form
 from tonus.config import Config, load
 from tonus.config.loader import load_tuning
-from tonus.runtime.distribution import TensionDistribution, opposition
-from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.control.distribution import TensionDistribution, opposition
+from tonus.runtime.control.kinematics import Kinematics
 from tonus.tools.tune.trial import play
 
 Array = NDArray[np.float64]
@@ -65,8 +65,8 @@ def pose(
     gradient: Array,
     weights: tuple[float, float, float],
 ) -> tuple[Array, Array]:
-    """P and q of the programme in `tonus.runtime.distribution`. ``weights``: of the wrench, of the
-    row g, and what a moment is divided by."""
+    """P and q of the programme in `tonus.runtime.control.distribution`. ``weights``: of the wrench,
+    of the row g, and what a moment is divided by."""
     weight, preference, length = weights
     scaled, target = matrix.copy(), wrench.copy()
     scaled[3:] /= length

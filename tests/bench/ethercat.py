@@ -18,9 +18,9 @@ from tonus.drivers.errors import DriverError
 from tonus.drivers.ethercat.master import EthercatFieldbus
 from tonus.drivers.ethercat.soem import SoemMaster
 from tonus.drivers.process_image import ProcessImage
-from tonus.runtime import clock
-from tonus.runtime.realtime import freeze_collector, prepare, thaw_collector
-from tonus.runtime.scheduler import Scheduler, TimerPacing
+from tonus.runtime.timing import clock
+from tonus.runtime.timing.realtime import freeze_collector, prepare, thaw_collector
+from tonus.runtime.timing.scheduler import Scheduler, TimerPacing
 
 TICKS = 5000
 TIMEOUT_US = 900

@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tests.bench.played import Played, p99_9, play
-from tonus.runtime.ring import RingError, RingReader
+from tonus.runtime.recording.ring import RingError, RingReader
 
 BUSY = 4
 STOPPED_S = 3.0
@@ -71,7 +71,7 @@ def flood(cleanup: ExitStack, daemon: Daemon, runtime: Path, out: Path) -> str:
 def stopped(cleanup: ExitStack, daemon: Daemon, runtime: Path, out: Path) -> str:
     """A recorder that does nothing for a while."""
     del runtime, out
-    recorder = _child(daemon.pid, "tonus.tools.recorder_process")
+    recorder = _child(daemon.pid, "tonus.tools.run.recorder_process")
     if recorder is None:
         return "there is no recorder"
     os.kill(recorder, signal.SIGSTOP)

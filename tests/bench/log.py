@@ -14,12 +14,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.bench.measure import Figure
 from tonus.config import load
-from tonus.runtime.mcap_file import Index, McapFile
+from tonus.runtime.recording.mcap_file import Index, McapFile
 from tonus.tools.log import open as open_log
 from tonus.tools.log.chunks import content, read, runs, scan, unpack
 from tonus.tools.log.replay import replay
 from tonus.tools.report.page import report
-from tonus.tools.run import Order, run
+from tonus.tools.run.composer import Order, run
 
 CYCLES = 600_000
 SAMPLE = 100_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from tonus.runtime.clock import wall_stamp
+from tonus.runtime.timing.clock import wall_stamp
 
 
 def today() -> str:

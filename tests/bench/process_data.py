@@ -22,7 +22,7 @@ from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
 from tonus.drivers.process_image import AxisCommand, ProcessImage
-from tonus.runtime.clock import Stopwatch
+from tonus.runtime.timing.clock import Stopwatch
 from tonus.sim.can import packet
 
 ROUNDS = 3000

@@ -28,9 +28,9 @@ from rich.table import Table
 from tests.bench.measure import Figure
 from tests.bench.played import CONFIG, Played, p99_9, play, together
 from tonus.config import load
-from tonus.runtime.clock import Stopwatch
-from tonus.runtime.histogram import Histogram
-from tonus.runtime.realtime import Hygiene, stolen_jiffies
+from tonus.runtime.timing.clock import Stopwatch
+from tonus.runtime.timing.histogram import Histogram
+from tonus.runtime.timing.realtime import Hygiene, stolen_jiffies
 from tonus.tools.doctor.wakeup import bare, cyclictest
 from tonus.tools.report import style
 

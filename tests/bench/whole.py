@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tests.bench.measure import Figure
 from tonus.config import load
-from tonus.tools.run import Order, run
+from tonus.tools.run.composer import Order, run
 
 SECONDS = 10.0
 

@@ -19,7 +19,7 @@ from unittest.mock import patch
 import numpy as np
 
 from tests.fuzz.logs import DAMAGES, SEGMENTS, read, readers
-from tonus.runtime.mcap_file import Block, McapFile
+from tonus.runtime.recording.mcap_file import Block, McapFile
 from tonus.runtime.signals import SCHEMA_VERSION
 from tonus.tools.log.chunks import content, runs, scan
 

@@ -11,7 +11,7 @@ from tests.unit.fake_can import Tap
 from tonus.config import load
 from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
-from tonus.runtime.clock import VirtualTimeLoop
+from tonus.runtime.timing.clock import VirtualTimeLoop
 from tonus.sim.lab import Lab
 
 CONFIG, SCENARIO = load("config/can.yaml", scenario="hold")

@@ -16,13 +16,13 @@ import yaml
 from loop import QUICK
 
 from tonus.config.loader import HERE
-from tonus.runtime import clock
-from tonus.runtime.ring import RingReader
+from tonus.runtime.recording.ring import RingReader
+from tonus.runtime.timing import clock
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 
 TONUS = [sys.executable, "-m", "tonus.tools.cli"]
-RECORDING = ("tonus.tools.recorder_keeper", "tonus.tools.recorder_process")
+RECORDING = ("tonus.tools.run.recorder_keeper", "tonus.tools.run.recorder_process")
 STEAL_PERCENT = 1.0
 """As `tonus run` says it of a run."""
 _STEP_S = 0.02

@@ -10,7 +10,7 @@ from loop import QUICK
 from tonus.config import Config, Scenario, load
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
-from tonus.tools.run import Order, Result, run
+from tonus.tools.run.composer import Order, Result, run
 
 
 def configured(

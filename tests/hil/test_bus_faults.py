@@ -19,12 +19,12 @@ from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.fieldbus import BusEvent
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.drivers.tracker import TrackerInput
-from tonus.runtime import clock
 from tonus.runtime.daemon import Daemon, Outcome
-from tonus.runtime.operator import Commander
-from tonus.runtime.scheduler import VirtualPacing
-from tonus.runtime.sequence import Sequence
+from tonus.runtime.operation.operator import Commander
+from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.states import Operator, State
+from tonus.runtime.timing import clock
+from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.lab import Lab
 
 FRESH = CONFIG.control.freshness.measurement_ticks

@@ -12,8 +12,8 @@ from tonus.config.schema.bus import CanopenBus
 from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.process_image import ProcessImage
-from tonus.runtime import clock
 from tonus.runtime.states import Fault, State
+from tonus.runtime.timing import clock
 from tonus.sim.lab import Lab
 from tonus.tools.log import Log
 

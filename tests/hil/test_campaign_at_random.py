@@ -15,7 +15,7 @@ SEED = int(os.environ.get("TONUS_CAMPAIGN_SEED", "1"))
 WORKERS = int(os.environ.get("TONUS_CAMPAIGN_WORKERS", "1"))
 """the other processor has tests of its own"""
 NOT_YET_KEPT = frozenset({"speed_rises", "unnamed"})
-"""a second fault in a stop may go without a name, and a late sway may pass 0.28 m/s (docs/stop.md)"""
+"""a second fault in a stop may go without a name, and a late sway may pass 0.28 m/s"""
 
 
 def test_no_fault_breaks_a_bound() -> None:

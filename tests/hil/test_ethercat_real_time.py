@@ -21,11 +21,11 @@ from hil.processes import attempts
 from loop import QUICK
 
 from tonus.config import load
-from tonus.runtime.realtime import stolen_jiffies
+from tonus.runtime.timing.realtime import stolen_jiffies
 from tonus.tools.errors import ToolError
-from tonus.tools.lab_door import ask
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
+from tonus.tools.run.lab_door import ask
 
 pytest.importorskip("pysoem", reason="pysoem is not installed: the extra ethercat")
 pytestmark = pytest.mark.realtime

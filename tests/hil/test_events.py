@@ -9,13 +9,13 @@ from hil.runs import configured
 from tonus.drivers.direct import DirectFieldbus
 from tonus.drivers.process_image import ProcessImage
 from tonus.drivers.tracker import TrackerInput
-from tonus.runtime import clock
 from tonus.runtime.daemon import Daemon, Outcome
-from tonus.runtime.operator import Script
-from tonus.runtime.scheduler import VirtualPacing
-from tonus.runtime.sequence import Sequence
+from tonus.runtime.operation.operator import Script
+from tonus.runtime.recording.taps import Level
+from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.states import Operator, State
-from tonus.runtime.taps import Level
+from tonus.runtime.timing import clock
+from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.devices.tracker import DATAGRAM
 from tonus.sim.lab import Lab
 

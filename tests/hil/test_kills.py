@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from hil.processes import Running, nothing_missing, wait_for, whole
 
-from tonus.runtime import clock
+from tonus.runtime.timing import clock
 from tonus.tools.control_client import ControlClient
 from tonus.tools.log import open as open_log
 
@@ -71,7 +71,7 @@ def test_a_killed_daemon_loses_no_cycle(folder: Path) -> None:
 @many
 def test_a_killed_recorder_loses_no_cycle(folder: Path) -> None:
     killed = sum(
-        lose(folder, f"recorder{number}", "tonus.tools.recorder_process", moment)
+        lose(folder, f"recorder{number}", "tonus.tools.run.recorder_process", moment)
         for number, moment in enumerate(moments(2))
     )
     assert killed, "the host ended every run in a fault before its recorder could be killed"
@@ -79,7 +79,7 @@ def test_a_killed_recorder_loses_no_cycle(folder: Path) -> None:
 
 def test_a_killed_keeper_of_the_recorder_ends_nothing(folder: Path) -> None:
     """The recorder is then nobody's, and goes on to the end all the same."""
-    if not lose(folder, "keeper", "tonus.tools.recorder_keeper", moments(4)[0]):
+    if not lose(folder, "keeper", "tonus.tools.run.recorder_keeper", moments(4)[0]):
         pytest.skip("the host ended the run in a fault before its keeper could be killed")
 
 
@@ -110,7 +110,7 @@ def test_a_killed_lab_is_a_fault(folder: Path) -> None:
         running = started(folder, f"lab{number}")
         reader = running.reader()
         clock.pause(moment)
-        killed += running.kill_part("tonus.tools.lab_process")
+        killed += running.kill_part("tonus.tools.run.lab_process")
         assert running.process.wait(60) == 1, running.text.read_text()
         said = running.text.read_text()
         assert "Traceback" not in said, said
@@ -128,7 +128,7 @@ def test_what_a_killed_daemon_and_recorder_leave_is_recorded_at_the_next_start(
     running = started(folder, "both")
     reader = running.reader()
     wait_for(lambda: reader.published > 500)
-    os.kill(running.part("tonus.tools.recorder_process"), signal.SIGKILL)
+    os.kill(running.part("tonus.tools.run.recorder_process"), signal.SIGKILL)
     running.kill()
     last = started(folder, "last")
     nothing_missing(reader.published, *running.out.glob("*.mcap"))

@@ -15,7 +15,7 @@ from tonus.config.schema.place import DEFAULTS
 from tonus.runtime.states import Fault, State
 from tonus.sim.devices.tracker import Tracker
 from tonus.tools.log import Log
-from tonus.tools.run import Result
+from tonus.tools.run.composer import Result
 
 FIRST_S, APART_S = 2.6, 0.1373
 """after the drives were enabled: in ACTIVE; apart by no multiple of any period"""

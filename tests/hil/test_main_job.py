@@ -12,7 +12,7 @@ from hil.runs import configured, virtual
 from tonus.config import Config
 from tonus.runtime.states import Fault, State
 from tonus.tools.log import Log
-from tonus.tools.summary import summarise, truth_at_cycles
+from tonus.tools.run.summary import summarise, truth_at_cycles
 
 
 @pytest.fixture(scope="module")

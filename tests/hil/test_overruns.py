@@ -12,13 +12,13 @@ from runs import configured
 
 from tonus.config import load
 from tonus.config.schema.realtime import Overrun, RealTime
-from tonus.runtime.clock import now_ns
-from tonus.runtime.overruns import Overruns
 from tonus.runtime.states import Operator, State
+from tonus.runtime.timing.clock import now_ns
+from tonus.runtime.timing.overruns import Overruns
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay
-from tonus.tools.run import Order, Result, run
+from tonus.tools.run.composer import Order, Result, run
 
 LATE_AT_NS = 2_800_000_000
 LATE_NS = 4_300_000

@@ -20,7 +20,7 @@ from loop import QUICK
 from tonus.config.document import dotted
 from tonus.config.loader import HERE
 from tonus.config.schema.place import DEFAULTS
-from tonus.runtime.ring import RingReader
+from tonus.runtime.recording.ring import RingReader
 from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay
 

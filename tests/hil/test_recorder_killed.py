@@ -33,7 +33,7 @@ def recorders(ring_dir_of: int) -> list[int]:
             except OSError:
                 continue
             ours = any(re.search(rb"run-%d(/|$)" % ring_dir_of, word) for word in words)
-            if ours and words[1:3] == [b"-m", b"tonus.tools.recorder_process"]:
+            if ours and words[1:3] == [b"-m", b"tonus.tools.run.recorder_process"]:
                 found.append(int(entry.name))
     return found
 

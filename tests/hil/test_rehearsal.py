@@ -11,7 +11,7 @@ import pytest
 PLAY = """
 import sys
 from numba.core.dispatcher import Dispatcher
-from tonus.runtime.rehearsal import rehearse
+from tonus.runtime.operation.rehearsal import rehearse
 from tonus.runtime.states import State
 from tests.loop import QUICK, ClosedLoop, configured
 

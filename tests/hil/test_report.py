@@ -17,7 +17,7 @@ from tonus.tools.report.page import report
 from tonus.tools.report.panels import position_error
 from tonus.tools.report.story import Story
 from tonus.tools.report.thin import thin
-from tonus.tools.summary import Indicators, summarise
+from tonus.tools.run.summary import Indicators, summarise
 
 SECTIONS = ["time", "envelope", "spectra", "timing", "events", "settings"]
 

@@ -13,7 +13,7 @@ from interop.local_nodes import Cell, Drive, epos4, force_cell, local_nodes, rob
 from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.fieldbus import BusEvent
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
-from tonus.runtime.clock import RealTimeLoop
+from tonus.runtime.timing.clock import RealTimeLoop
 
 PAUSE_S = 0.004
 """wall time between two ticks: the nodes answer from threads of their own"""

@@ -25,7 +25,7 @@ from tonus.drivers.canopen.sdo import SdoClient
 from tonus.drivers.errors import BringUpError, SdoAbortError, SdoError, SdoTimeoutError
 from tonus.drivers.events import EventLog
 from tonus.drivers.process_image import ProcessImage
-from tonus.runtime.clock import RealTimeLoop
+from tonus.runtime.timing.clock import RealTimeLoop
 
 
 def served() -> ObjectDictionary:

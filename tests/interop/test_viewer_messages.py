@@ -11,8 +11,8 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tonus.config import load
-from tonus.runtime.kinematics import Kinematics
-from tonus.runtime.viewer import BASE, PLATFORM, Scene
+from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.recording.viewer import BASE, PLATFORM, Scene
 
 TICKS = 200
 TOPICS = ("/tf", "/viewer/pose", "/viewer/desired", "/viewer/winches", "/viewer/markers")
@@ -49,7 +49,7 @@ def messages(rows: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> dict
 
 @pytest.mark.parametrize("topic", TOPICS)
 def test_our_definitions_are_those_of_the_distribution(topic: str) -> None:
-    from tonus.runtime.viewer_messages import DEFINITIONS
+    from tonus.runtime.recording.viewer_messages import DEFINITIONS
 
     for name, definition in DEFINITIONS.items():
         for part, (_, fields) in get_types_from_msg(definition, name).items():

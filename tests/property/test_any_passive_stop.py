@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from tonus.config import load
 from tonus.config.loader import HERE
 from tonus.config.schema.robot import CABLES
-from tonus.runtime.guard import Guard
+from tonus.runtime.safety.guard import Guard
 from tonus.sim.plant import Plant
 
 CONFIG, _ = load(str(HERE / "can.yaml"), scenario="hold")

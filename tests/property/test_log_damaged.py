@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from synthetic_run import record
 
-from tonus.runtime.mcap_file import McapFile
+from tonus.runtime.recording.mcap_file import McapFile
 from tonus.tools.cli.log import log as command
 from tonus.tools.cli.log_info import describe
 from tonus.tools.errors import ToolError

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from tonus.config import load
-from tonus.runtime.margin import tension_loop_margins
+from tonus.tools.margins.tension_loop import tension_loop_margins
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT = CONFIG.robot

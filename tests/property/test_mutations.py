@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-import tonus.runtime.envelope
-import tonus.runtime.passivity
-import tonus.runtime.stiffness
+import tonus.runtime.control.passivity
+import tonus.runtime.control.stiffness
+import tonus.runtime.safety.envelope
 from tonus.config import load
 from tonus.runtime.signals import Bound, Grade
 from tonus.runtime.states import Fault
@@ -81,7 +81,10 @@ def limiter_keeps_bounds_and_cap(module: ModuleType) -> None:
 def limiter_keeps_the_rate_bound(module: ModuleType) -> None:
     """K' + alpha D' <= 2 alpha K, with alpha from figures of its own."""
     alpha = (
-        2.0 * RATIO * math.sqrt(LAW.minimum * MASS) / tonus.runtime.passivity.felt_inertia(ROBOT)
+        2.0
+        * RATIO
+        * math.sqrt(LAW.minimum * MASS)
+        / tonus.runtime.control.passivity.felt_inertia(ROBOT)
     )
     limiter = limiter_of(module)
     for _ in range(3000):
@@ -234,9 +237,9 @@ class Mutation(NamedTuple):
 
 
 LAW_CODE, LIMITER, ENVELOPE = (
-    tonus.runtime.stiffness,
-    tonus.runtime.passivity,
-    tonus.runtime.envelope,
+    tonus.runtime.control.stiffness,
+    tonus.runtime.control.passivity,
+    tonus.runtime.safety.envelope,
 )
 MUTATIONS = (
     Mutation(LAW_CODE, "c.velocity_gain", "c.force_gain", law_is_equation_3),

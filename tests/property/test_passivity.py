@@ -14,7 +14,7 @@ from scipy.linalg import expm
 
 from tonus.config import load
 from tonus.config.schema.control import Passivity
-from tonus.runtime.passivity import Limiter, damping
+from tonus.runtime.control.passivity import Limiter, damping
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, LAW, TANK = CONFIG.robot, CONFIG.control.stiffness, CONFIG.control.passivity

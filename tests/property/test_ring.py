@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tonus.runtime.ring import RingReader, RingWriter
+from tonus.runtime.recording.ring import RingReader, RingWriter
 
 SIZE, CAPACITY = 24, 7
 steps = st.lists(

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tonus.config import load
-from tonus.runtime.compiled import rotate
-from tonus.runtime.distribution import TensionDistribution
-from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.control.compiled import rotate
+from tonus.runtime.control.distribution import TensionDistribution
+from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.signals import Solver
 
 CONFIG, _ = load("config/can.yaml")

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tonus.config import load
-from tonus.runtime.envelope import Envelope
+from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.signals import Bound, Grade
 from tonus.runtime.states import Fault
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tonus.config import load
 from tonus.config.schema.scenario import Path, Waypoint
-from tonus.runtime.guide import Guide
+from tonus.runtime.control.guide import Guide
 from tonus.runtime.states import State
 
 CONFIG, SCENARIO = load("config/can.yaml", scenario="sine_x")

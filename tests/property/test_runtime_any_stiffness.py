@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tonus.config import load
-from tonus.runtime.stiffness import Law
+from tonus.runtime.control.stiffness import Law
 
 LAW = load("config/can.yaml")[0].control.stiffness
 size = st.floats(0.0, 1e300)

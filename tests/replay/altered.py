@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tonus.runtime.mcap_file import Block, McapFile
+from tonus.runtime.recording.mcap_file import Block, McapFile
 from tonus.tools.log.chunks import content, runs, scan
 from tonus.tools.log.schema import body_dtype
 

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hil.runs import configured, virtual
 
-from tonus.runtime.controllers import CONTROLLERS
+from tonus.runtime.control.controllers import CONTROLLERS
 from tonus.tools.log.replay import replay
 
 

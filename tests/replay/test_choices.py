@@ -13,13 +13,13 @@ import pytest
 from hil.runs import configured
 
 from tonus.config.loader import load_scenario
-from tonus.runtime import clock
 from tonus.runtime.states import State
+from tonus.runtime.timing import clock
 from tonus.tools.control_client import ControlClient
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay
-from tonus.tools.run import Order, run
+from tonus.tools.run.composer import Order, run
 
 NAMES = ("sine_x", "sine_z")
 

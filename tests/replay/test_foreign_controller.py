@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hil.runs import configured, virtual
 
-from tonus.runtime.controllers import CONTROLLERS
-from tonus.runtime.controllers.base import Motion
-from tonus.runtime.controllers.impedance import Pd
+from tonus.runtime.control.controllers import CONTROLLERS
+from tonus.runtime.control.controllers.base import Motion
+from tonus.runtime.control.controllers.impedance import Pd
 from tonus.tools.log.replay import replay
 
 

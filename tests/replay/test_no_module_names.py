@@ -43,8 +43,8 @@ def test_a_log_names_no_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ]
     names = "|".join(re.escape(name).replace("/", "[./]") for name in modules)
     named = re.compile(rf"\btonus\.(?:{'|'.join(ROOMS)})\b|\b(?:{names})\b".encode())
-    assert named.search(b"see runtime/keyframe.py")
-    assert named.search(b"tonus.runtime.keyframe")
+    assert named.search(b"see runtime/recording/keyframe.py")
+    assert named.search(b"tonus.runtime.recording.keyframe")
     places = set()
     for place, data in content(log.path):
         found = named.search(data)

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from replay.altered import altered
 
-from tonus.runtime.controllers import CONTROLLERS
+from tonus.runtime.control.controllers import CONTROLLERS
 from tonus.runtime.states import Operator, State
 from tonus.tools.cli.log import log as log_command
 from tonus.tools.errors import ToolError

@@ -17,7 +17,7 @@ import numpy as np
 from tonus.config import load
 from tonus.runtime.states import Fault, State
 from tonus.tools.log import open as open_log
-from tonus.tools.run import Order, Result, run
+from tonus.tools.run.composer import Order, Result, run
 
 SAMPLE_S = 1.0
 WARM = 0.25

@@ -18,7 +18,7 @@ from tonus.drivers.canopen.frames import data_of
 from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.fieldbus import FrameTap
 from tonus.drivers.process_image import ProcessImage
-from tonus.runtime.clock import VirtualTimeLoop
+from tonus.runtime.timing.clock import VirtualTimeLoop
 
 Result = TypeVar("Result")
 DRIVE_TPDO = struct.Struct("<Hih")

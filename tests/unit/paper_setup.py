@@ -13,7 +13,7 @@ from tonus.config import load
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Path as Way
 from tonus.config.schema.scenario import Scenario, Waypoint
-from tonus.runtime.reference import trajectory
+from tonus.runtime.control.reference import trajectory
 from tonus.tools.paper.case import Case, Kind, Run
 from tonus.tools.paper.results import Results, Row, Traces
 from tonus.tools.paper.trial import Trial

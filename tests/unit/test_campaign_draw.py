@@ -38,7 +38,7 @@ def test_every_kind_of_fault_is_drawn_or_excluded_with_a_reason() -> None:
 
 
 def test_every_controller_is_drawn_or_excluded_with_a_reason() -> None:
-    from tonus.runtime.controllers import CONTROLLERS
+    from tonus.runtime.control.controllers import CONTROLLERS
 
     assert set(STUDY.controllers) | set(STUDY.excluded_controllers) == set(CONTROLLERS)
 

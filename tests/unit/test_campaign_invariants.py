@@ -12,8 +12,8 @@ from loop import QUICK, ClosedLoop, configured
 
 from tonus.config.loader import load_bounds
 from tonus.config.schema.faults import FAULT
+from tonus.runtime.recording.taps import Level
 from tonus.runtime.states import Fault, Operator, State, StopMode
-from tonus.runtime.taps import Level
 from tonus.tools.campaign.invariants import INVARIANTS, Limits, within_bounds
 from tonus.tools.campaign.observed import End, Observed
 from tonus.tools.campaign.strikes import NS, Strike, strikes

@@ -13,18 +13,25 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import linprog
 
-import tonus.tools.mechanics
+import tonus.tools.check.mechanics
 from tonus.config import Config, ConfigError, Scenario, load
 from tonus.config.loader import HERE, load_catalogue, load_plausible, load_scenario
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.plausible import Bound
 from tonus.config.timeouts import master_timeout_ms
-from tonus.runtime.margin import tension_loop_margins
-from tonus.tools.check import Finding, check
+from tonus.tools.check.feasibility import (
+    Poses,
+    against,
+    feasibility,
+    poses,
+    reserves,
+    workspace_poses,
+)
+from tonus.tools.check.mechanics import DIRECTIONS
+from tonus.tools.check.plausibility import plausibility
+from tonus.tools.check.rules import Finding, check
 from tonus.tools.cli.check import check as command
-from tonus.tools.feasibility import Poses, against, feasibility, poses, reserves, workspace_poses
-from tonus.tools.mechanics import DIRECTIONS
-from tonus.tools.plausibility import plausibility
+from tonus.tools.margins.tension_loop import tension_loop_margins
 
 CONFIG, SCENARIO = load("config/can.yaml", scenario="load_test")
 WEIGHT = CONFIG.robot.platform.mass * CONFIG.robot.gravity
@@ -36,7 +43,7 @@ MARGINS = lru_cache(tension_loop_margins)
 @pytest.fixture(autouse=True)
 def _margins_of_one_loop_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are most of a check's time, and few of these tests change the loop."""
-    monkeypatch.setattr(tonus.tools.mechanics, "tension_loop_margins", MARGINS)
+    monkeypatch.setattr(tonus.tools.check.mechanics, "tension_loop_margins", MARGINS)
 
 
 def failed(overrides: dict[str, Any], scenario: Scenario = SCENARIO) -> dict[str, Finding]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from operated import Operated, told
 
-from tonus.runtime.controllers.base import Controller
+from tonus.runtime.control.controllers.base import Controller
 from tonus.runtime.states import Fault, State
 
 

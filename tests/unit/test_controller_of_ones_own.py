@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from tonus.config import ConfigError, load
-from tonus.runtime.controllers import CONTROLLERS, controller_class, make_controller
-from tonus.runtime.controllers.base import Controller
-from tonus.runtime.controllers.linear import LinearLaw
+from tonus.runtime.control.controllers import CONTROLLERS, controller_class, make_controller
+from tonus.runtime.control.controllers.base import Controller
+from tonus.runtime.control.controllers.linear import LinearLaw
 from tonus.runtime.errors import ControllerError
-from tonus.runtime.linearisation import linear_responses
-from tonus.runtime.task_margin import _Loop, least_margins, margins
-from tonus.tools.check_controller import check_controller
+from tonus.tools.check.controller import check_controller
 from tonus.tools.cli.main import main
 from tonus.tools.controller_time import ROUNDS, TICKS, WARM_TICKS, controller_time
 from tonus.tools.log import open as open_log
+from tonus.tools.margins.linearisation import linear_responses
+from tonus.tools.margins.task import _Loop, least_margins, margins
 
 MODULE = '''
 import numpy as np

@@ -10,13 +10,13 @@ import pytest
 
 from tonus.config import load
 from tonus.config.schema.robot import CABLES
-from tonus.runtime.controllers import CONTROLLERS, Motion
-from tonus.runtime.controllers.base import LEVEL, Controller
-from tonus.runtime.controllers.bio import Bio
-from tonus.runtime.controllers.cable_length import PidLength
-from tonus.runtime.controllers.linear import NoLinearLawError
-from tonus.runtime.task_margin import margins
-from tonus.tools.check import check
+from tonus.runtime.control.controllers import CONTROLLERS, Motion
+from tonus.runtime.control.controllers.base import LEVEL, Controller
+from tonus.runtime.control.controllers.bio import Bio
+from tonus.runtime.control.controllers.cable_length import PidLength
+from tonus.runtime.control.controllers.linear import NoLinearLawError
+from tonus.tools.check.rules import check
+from tonus.tools.margins.task import margins
 
 CONFIG, SCENARIO = load("config/can.yaml")
 HOME, PERIOD = np.array(CONFIG.robot.home), CONFIG.control.rates.period

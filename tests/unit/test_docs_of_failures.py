@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tonus import runtime, tools
 from tonus.drivers.events import EVENTS
-from tonus.runtime import firewall
+from tonus.runtime.safety import firewall
 from tonus.runtime.signals import Consistency
 from tonus.runtime.states import Fault
 

@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from tonus.config import load
-from tonus.runtime.histogram import Histogram
-from tonus.runtime.realtime import Grant
+from tonus.runtime.timing.histogram import Histogram
+from tonus.runtime.timing.realtime import Grant
 from tonus.tools.cli.doctor import doctor as command
 from tonus.tools.doctor import doctor, privileges, wakeup
 from tonus.tools.doctor.finding import Finding, Verdict, graded, worst

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tonus import drivers
 from tonus.drivers.events import EVENTS
-from tonus.runtime import firewall
+from tonus.runtime.safety import firewall
 
 DOCS = Path("docs/events.md")
 _TELLS = {"add", "counted", "begin"}

@@ -11,8 +11,8 @@ from tonus.config import ConfigError, load
 from tonus.config.schema.bus import EthercatBus
 from tonus.drivers.errors import BringUpError
 from tonus.drivers.ethercat.soem import SoemMaster
-from tonus.tools.check_ethercat import check_ethercat
-from tonus.tools.check_losses import check_losses
+from tonus.tools.check.ethercat import check_ethercat
+from tonus.tools.check.losses import check_losses
 
 
 @pytest.mark.parametrize(

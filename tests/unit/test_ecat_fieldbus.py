@@ -10,9 +10,9 @@ from segment_bench import PERIOD_NS, SegmentBench, run
 
 from tonus.drivers.errors import BringUpError, DriverError, SdoAbortError
 from tonus.drivers.process_image import AxisCommand, AxisState
-from tonus.runtime import clock
-from tonus.runtime.scheduler import Scheduler, VirtualPacing
-from tonus.runtime.steering import SteeredPacing
+from tonus.runtime.timing import clock
+from tonus.runtime.timing.scheduler import Scheduler, VirtualPacing
+from tonus.runtime.timing.steering import SteeredPacing
 from tonus.sim.ethercat.states import State
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tonus.config import load
-from tonus.runtime import clock
+from tonus.runtime.timing import clock
 from tonus.sim import server
 from tonus.sim.lab import Lab
 

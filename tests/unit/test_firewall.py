@@ -17,9 +17,9 @@ from tonus.drivers.fieldbus import RAW_FRAME
 from tonus.drivers.process_image import AxisCommand, AxisState
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.daemon import Outcome
-from tonus.runtime.firewall import Firewall, in_one_line
-from tonus.runtime.guarded_tap import GuardedTap
-from tonus.runtime.operator import Script
+from tonus.runtime.operation.operator import Script
+from tonus.runtime.safety.firewall import Firewall, in_one_line
+from tonus.runtime.safety.guarded_tap import GuardedTap
 from tonus.runtime.states import Fault, Operator, State
 from tonus.tools.cli.run import run
 from tonus.tools.log import open as open_log
@@ -330,7 +330,7 @@ def test_the_command_ends_with_1_and_its_log_is_replayed_up_to_there(
     arguments = ["config/direct.yaml", "--virtual", "--scenario", "hold", "--duration", "0.2"]
     with monkeypatch.context() as broken:
         # What compiles the cycle beforehand uses another one, which must not fail.
-        broken.setattr("tonus.tools.run.rehearse", lambda *_: True)
+        broken.setattr("tonus.tools.run.composer.rehearse", lambda *_: True)
         broken.setattr(ControlCycle, "act", failing)
         result = CliRunner().invoke(run, [*arguments, "--out", str(tmp_path)])
     assert result.exit_code == 1, result.output

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from synthetic_run import MS, recording
 
 from tonus.config import load
-from tonus.runtime.recorder import Recorder
-from tonus.runtime.ring import RingWriter
+from tonus.runtime.recording.recorder import Recorder
+from tonus.runtime.recording.ring import RingWriter
 from tonus.runtime.signals import CYCLE, TOPICS
 from tonus.runtime.states import State
 from tonus.runtime.topics import to_json

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tonus.config import load
-from tonus.runtime import clock
-from tonus.tools.idle_pacing import IdlePacing
+from tonus.runtime.timing import clock
+from tonus.tools.run.idle_pacing import IdlePacing
 
 PERIOD_NS = 1_000_000
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from loop import QUICK, ClosedLoop, configured
 
 from tonus.runtime.cycle import ControlCycle
-from tonus.runtime.keyframe import Keyframe, KeyframeError, restore
+from tonus.runtime.recording.keyframe import Keyframe, KeyframeError, restore
+from tonus.runtime.recording.taps import KEYFRAME_BYTES
 from tonus.runtime.states import State
-from tonus.runtime.taps import KEYFRAME_BYTES
 
 
 class Run:

@@ -9,7 +9,7 @@ import pytest
 import synthetic_run
 from synthetic_run import MS, Rings, cycles, record, recording, truth
 
-from tonus.runtime.recorder import Recorder
+from tonus.runtime.recording.recorder import Recorder
 from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log

@@ -15,8 +15,8 @@ from mcap.writer import CompressionType, Writer
 from synthetic_run import Rings, cycles, record, recording, truth
 
 from tonus.config.loader import HERE
-from tonus.runtime.recorder import Recorder
-from tonus.runtime.taps import Level
+from tonus.runtime.recording.recorder import Recorder
+from tonus.runtime.recording.taps import Level
 from tonus.tools.cli.log import log as command
 from tonus.tools.cli.log_info import describe
 from tonus.tools.errors import ToolError

@@ -14,7 +14,7 @@ from synthetic_run import Rings, cycles, recording, truth
 
 from tonus.config.loader import HERE
 from tonus.tools.log import open as open_log
-from tonus.tools.recorder_process import start
+from tonus.tools.run.recorder_process import start
 
 TICKS = 500
 ROOT = HERE.parent

@@ -12,7 +12,7 @@ from paper_setup import BASE, CONFIG, TENSION, sine, steps, still
 
 from tonus.config import load
 from tonus.config.schema.lab import LabScript
-from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.signals import Grade
 from tonus.tools.paper import indicators as formula
 from tonus.tools.paper.case import Kind

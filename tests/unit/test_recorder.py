@@ -9,10 +9,10 @@ import pytest
 from mcap.reader import make_reader
 
 from tonus.config.schema.control import Recording
-from tonus.runtime.recorder import Recorder
-from tonus.runtime.ring import RingError, RingReader, RingWriter
+from tonus.runtime.recording.recorder import Recorder
+from tonus.runtime.recording.ring import RingError, RingReader, RingWriter
+from tonus.runtime.recording.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
 from tonus.runtime.signals import CYCLE, TOPICS, CycleRecord
-from tonus.runtime.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
 from tonus.runtime.topics import to_json
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log

@@ -10,9 +10,9 @@ import pytest
 from mcap.reader import make_reader
 from synthetic_run import MS, Rings, cycles, record, recording, truth
 
-from tonus.runtime import recorder as recorder_module
-from tonus.runtime.mcap_file import McapFile
-from tonus.runtime.recorder import Recorder
+from tonus.runtime.recording import recorder as recorder_module
+from tonus.runtime.recording.mcap_file import McapFile
+from tonus.runtime.recording.recorder import Recorder
 from tonus.tools.log import open as open_log
 
 TICKS = 900

@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 from synthetic_run import Rings, cycles, recording, truth
 
-from tonus.runtime.mcap_file import McapFile
-from tonus.runtime.recorder import Recorder
+from tonus.runtime.recording.mcap_file import McapFile
+from tonus.runtime.recording.recorder import Recorder
 from tonus.tools.cli.run import run
 from tonus.tools.log import open as open_log
 
@@ -129,7 +129,7 @@ def test_a_state_too_large_to_be_kept_is_an_event(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A controller with much memory: once is enough to say so."""
-    monkeypatch.setattr("tonus.runtime.taps.KEYFRAME_BYTES", 64)
+    monkeypatch.setattr("tonus.runtime.recording.taps.KEYFRAME_BYTES", 64)
     assert play(tmp_path / "out").exit_code == 0
     events = open_log(tmp_path / "out/run.mcap").events()
     (event,) = (each for each in events if each.name == "keyframe_left_out")

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from synthetic_run import record
 
-from tonus.tools import ring_directory as ring_directory_module
 from tonus.tools.cli.main import COMMANDS, main
+from tonus.tools.run import ring_directory as ring_directory_module
 
 LOG, CUT, TEXT, FIFO, DENIED, FILE = "LOG", "CUT", "TEXT", "FIFO", "/dev/null/x", "FILE"
 """placeholders: a whole log, one that is cut, a text, a pipe, a place for nobody, a plain file"""

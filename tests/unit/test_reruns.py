@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tonus.runtime import realtime
+from tonus.runtime.timing import realtime
 
 pytest_plugins = ["pytester"]
 

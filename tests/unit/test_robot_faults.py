@@ -17,7 +17,7 @@ from tonus.sim.devices.samples import CELL
 from tonus.sim.devices.tracker import DATAGRAM, VALID
 from tonus.sim.door import Door
 from tonus.sim.errors import LabError
-from tonus.tools.check import check
+from tonus.tools.check.rules import check
 
 CONTACT = load("config/can.yaml", scenario="contact")[1].lab
 DIRECT = "config/direct.yaml"

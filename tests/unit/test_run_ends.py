@@ -11,8 +11,8 @@ from hil.runs import configured, virtual
 
 from tonus.config.loader import HERE
 from tonus.sim.can import registry
-from tonus.tools import fieldbuses
 from tonus.tools.errors import ToolError
+from tonus.tools.run import fieldbuses
 
 
 def test_a_run_that_cannot_be_composed_takes_its_lab_with_it(

@@ -11,7 +11,7 @@ from hil.runs import configured, virtual
 from tonus.drivers.errors import DriverError
 from tonus.runtime.daemon import Daemon
 from tonus.tools.errors import ToolError
-from tonus.tools.run_folder import RunFolder, new_folder, next_folder
+from tonus.tools.run.run_folder import RunFolder, new_folder, next_folder
 
 
 def written(folder: Path, text: str) -> None:

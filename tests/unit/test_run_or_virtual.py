@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from tonus.config import load
 from tonus.tools.cli.run import _disturbed, run
-from tonus.tools.run import Order
+from tonus.tools.run.composer import Order
 
 
 @pytest.mark.parametrize(

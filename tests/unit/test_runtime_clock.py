@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from tonus.runtime.clock import Stopwatch, now_ns, run
+from tonus.runtime.timing.clock import Stopwatch, now_ns, run
 
 HOUR = 3600.0
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from tonus.config import ConfigError, load
 from tonus.config.schema.controller import ControllerName
 from tonus.config.schema.scenario import Scenario
-from tonus.runtime.controllers import CONTROLLERS, Controller, Motion
-from tonus.runtime.kinematics import Kinematics
-from tonus.runtime.passivity import damping
+from tonus.runtime.control.controllers import CONTROLLERS, Controller, Motion
+from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.control.passivity import damping
 from tonus.runtime.states import Fault, State
 
 CONFIG, _ = load("config/can.yaml")

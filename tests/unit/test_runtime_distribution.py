@@ -9,9 +9,9 @@ from scipy.optimize import lsq_linear
 
 from tonus.config import load
 from tonus.config.schema.control import Distribution
-from tonus.runtime.compiled import rotate
-from tonus.runtime.distribution import TensionDistribution, opposition
-from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.control.compiled import rotate
+from tonus.runtime.control.distribution import TensionDistribution, opposition
+from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.signals import Solver
 
 CONFIG, _ = load("config/can.yaml")

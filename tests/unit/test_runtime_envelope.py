@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tonus.config import load
-from tonus.runtime.envelope import Envelope
+from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.signals import Bound, Grade
 from tonus.runtime.states import Fault
 

@@ -11,8 +11,8 @@ from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 
 from tonus.config import load
-from tonus.runtime.compiled import filter_tick, rotate, rotation_between, track
-from tonus.runtime.kinematics import Kinematics
+from tonus.runtime.control.compiled import filter_tick, rotate, rotation_between, track
+from tonus.runtime.control.kinematics import Kinematics
 
 ROBOT = load("config/can.yaml")[0].robot
 EA, PERIOD = ROBOT.cable.axial_stiffness, 1e-3

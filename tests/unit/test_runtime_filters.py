@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from tonus.runtime.filters import ButterworthBank
+from tonus.runtime.control.filters import ButterworthBank
 
 RATE, CUTOFF = 1000.0, 50.0
 

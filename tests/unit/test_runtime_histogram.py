@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tonus.runtime.histogram import RESOLUTION, Histogram
+from tonus.runtime.timing.histogram import RESOLUTION, Histogram
 
 
 def filled(values: list[int]) -> Histogram:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tonus.config import load
 from tonus.config.schema.bus import CELLS
 from tonus.config.schema.robot import CABLES
-from tonus.runtime.isolation import Isolation
+from tonus.runtime.safety.isolation import Isolation
 from tonus.runtime.states import Fault
 
 Array = NDArray[np.float64]

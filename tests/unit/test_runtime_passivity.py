@@ -9,7 +9,7 @@ import pytest
 
 from tonus.config import load
 from tonus.config.schema.control import Passivity
-from tonus.runtime.passivity import Limiter, Tank, damping, felt_inertia
+from tonus.runtime.control.passivity import Limiter, Tank, damping, felt_inertia
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, CONTROL = CONFIG.robot, CONFIG.control

@@ -11,10 +11,10 @@ import pytest
 
 from tonus.config import load
 from tonus.config.schema.realtime import RealTime
-from tonus.runtime import realtime
-from tonus.runtime.awake import Choice, Comparison, compare
-from tonus.runtime.realtime import Hygiene, RefusedError, compared, demand, prepare, settled
-from tonus.tools.run import Order, run
+from tonus.runtime.timing import realtime
+from tonus.runtime.timing.awake import Choice, Comparison, compare
+from tonus.runtime.timing.realtime import Hygiene, RefusedError, compared, demand, prepare, settled
+from tonus.tools.run.composer import Order, run
 
 NO_SUCH_PROCESSOR = 1023
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tonus.config.schema.scenario import Component, Hold, Multisine, Path, Reference, Sine, Waypoint
-from tonus.runtime.reference import Move, minimum_jerk, trajectory
+from tonus.runtime.control.reference import Move, minimum_jerk, trajectory
 
 SINE = Sine(kind="sine", direction=(0.0, 3.0, 4.0), amplitude=0.03, frequency=0.5, fade=2.0)
 PATH = Path(

@@ -10,8 +10,14 @@ from typing import Any
 
 import pytest
 
-from tonus.runtime.clock import Stopwatch, Unused, now_ns, run
-from tonus.runtime.scheduler import Disturbances, Pacing, Scheduler, TimerPacing, VirtualPacing
+from tonus.runtime.timing.clock import Stopwatch, Unused, now_ns, run
+from tonus.runtime.timing.scheduler import (
+    Disturbances,
+    Pacing,
+    Scheduler,
+    TimerPacing,
+    VirtualPacing,
+)
 
 PERIOD = 1_000_000
 START = 5 * PERIOD

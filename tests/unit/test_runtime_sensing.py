@@ -7,7 +7,7 @@ import pytest
 
 from tonus.config import load
 from tonus.drivers.process_image import NEVER, ProcessImage
-from tonus.runtime.sensing import Sensing
+from tonus.runtime.control.sensing import Sensing
 
 CONFIG = load("config/can.yaml")[0]
 ROBOT, CONTROL = CONFIG.robot, CONFIG.control

@@ -9,7 +9,7 @@ import pytest
 
 from tonus.config import load
 from tonus.config.schema.scenario import Command
-from tonus.runtime.operator import Script
+from tonus.runtime.operation.operator import Script
 from tonus.runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State
 from tonus.runtime.words import describe, place, reaction
 

@@ -6,7 +6,7 @@ import pytest
 
 from tonus.config import load
 from tonus.config.schema.control import StiffnessLaw
-from tonus.runtime.stiffness import Law
+from tonus.runtime.control.stiffness import Law
 
 LAW = load("config/can.yaml")[0].control.stiffness
 

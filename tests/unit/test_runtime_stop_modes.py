@@ -9,7 +9,7 @@ import pytest
 from statue import CABLES, CONFIG, CONTROL, Statue
 
 from tonus.drivers.process_image import AxisCommand, ProcessImage
-from tonus.runtime.sequence import FEWEST
+from tonus.runtime.safety.sequence import FEWEST
 from tonus.runtime.states import Fault, Operator, State, StopMode
 
 STALE = CONTROL.freshness.stale_stop_ticks

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tonus.config import load
-from tonus.runtime.controllers import CONTROLLERS
-from tonus.runtime.kinematics import Kinematics
-from tonus.runtime.margin import tension_loop_margins
-from tonus.runtime.task_margin import margins
+from tonus.runtime.control.controllers import CONTROLLERS
+from tonus.runtime.control.kinematics import Kinematics
+from tonus.tools.margins.task import margins
+from tonus.tools.margins.tension_loop import tension_loop_margins
 
 CONFIG, _ = load("config/can.yaml")
 FLOOR = CONFIG.control.tension_loop

@@ -13,9 +13,9 @@ from scipy import signal
 
 from tonus.config import load
 from tonus.config.schema.control import TensionLoop as Settings
-from tonus.runtime.kinematics import Kinematics
-from tonus.runtime.margin import DELAY_TICKS, Margins, margins_of, tension_loop_margins
-from tonus.runtime.tension import TensionLoop
+from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.control.tension import TensionLoop
+from tonus.tools.margins.tension_loop import DELAY_TICKS, Margins, margins_of, tension_loop_margins
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, SETTINGS = CONFIG.robot, CONFIG.control.tension_loop

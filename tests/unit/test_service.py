@@ -13,9 +13,9 @@ import pytest
 from operated import Operated
 
 from tonus import tools
-from tonus.runtime.notify import Notifier
+from tonus.runtime.operation.notify import Notifier
+from tonus.runtime.recording.taps import EventRing, Level
 from tonus.runtime.states import State
-from tonus.runtime.taps import EventRing, Level
 from tonus.tools.event_lines import EventLines, for_journal
 
 UNIT = Path(tools.__file__).parent / "service" / "tonus.service"

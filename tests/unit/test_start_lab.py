@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tonus.config import load
-from tonus.tools import lab_process
 from tonus.tools.errors import ToolError
-from tonus.tools.lab_process import LabProcess, start_lab
+from tonus.tools.run import lab_process
+from tonus.tools.run.lab_process import LabProcess, start_lab
 
 
 def start(

@@ -17,9 +17,9 @@ from tonus import config as config_room
 from tonus.config import load
 from tonus.config.loader import load_tuning
 from tonus.config.schema.tuning import Tuning
-from tonus.runtime.task_margin import margins
 from tonus.tools.cli.tune import tune
 from tonus.tools.errors import ToolError
+from tonus.tools.margins.task import margins
 from tonus.tools.tune.judge import Part, lack
 from tonus.tools.tune.landing import land
 from tonus.tools.tune.search import Found, Search

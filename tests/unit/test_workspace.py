@@ -14,8 +14,8 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from tonus.config import load
+from tonus.tools.check.feasibility import Poses, against, closures, poses, reserves
 from tonus.tools.cli.main import tonus
-from tonus.tools.feasibility import Poses, against, closures, poses, reserves
 from tonus.tools.workspace import compute, grid
 from tonus.tools.workspace.stiffness import balanced, matrices, stiffness
 

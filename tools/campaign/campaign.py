@@ -9,8 +9,8 @@ from pathlib import Path
 
 from tonus.config import load
 from tonus.config.schema.campaign import BusName, Study
-from tonus.runtime import clock
-from tonus.runtime.rehearsal import rehearse
+from tonus.runtime.operation.rehearsal import rehearse
+from tonus.runtime.timing import clock
 from tonus.sim.lab import Lab
 from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.draw import episodes, grouped

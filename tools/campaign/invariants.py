@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from tonus.config.loader import load_bounds
 from tonus.config.schema.bounds import Bounds
+from tonus.runtime.recording.taps import Level
 from tonus.runtime.states import ARMED, Fault, Operator, State
-from tonus.runtime.taps import Level
 from tonus.tools.campaign.again import first_difference
 from tonus.tools.campaign.allowance import Allowance, Limits, for_torn_cables
 from tonus.tools.campaign.observed import FAULTED, GOOD, Observed, of_log

@@ -18,7 +18,7 @@ from tonus.tools.campaign.strikes import Strike, strikes
 from tonus.tools.errors import ToolError
 from tonus.tools.log.log import Event, Log
 from tonus.tools.log.replay import configuration, played
-from tonus.tools.summary import TRUTH
+from tonus.tools.run.summary import TRUTH
 
 Ints = NDArray[np.int64]
 Rows = NDArray[np.void]

@@ -14,21 +14,21 @@ from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.drivers.process_image import ProcessImage
 from tonus.drivers.tracker import TrackerInput
-from tonus.runtime import clock
 from tonus.runtime.daemon import Daemon, Outcome
-from tonus.runtime.operator import Script
-from tonus.runtime.scheduler import VirtualPacing
-from tonus.runtime.sequence import Sequence
+from tonus.runtime.operation.operator import Script
+from tonus.runtime.recording.taps import Level
+from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.signals import CYCLE
 from tonus.runtime.states import Fault, Operator, State
-from tonus.runtime.taps import Level
+from tonus.runtime.timing import clock
+from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.lab import Lab
 from tonus.sim.truth import TRUTH
-from tonus.tools import fieldbuses
 from tonus.tools.campaign.episode import Episode
 from tonus.tools.campaign.observed import FAULTED, GOOD, End, Observed
 from tonus.tools.campaign.strikes import strikes
 from tonus.tools.log.log import Event
+from tonus.tools.run import fieldbuses
 
 
 class Rows:

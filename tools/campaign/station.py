@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable
 
 from tonus.config.schema.campaign import Study
-from tonus.runtime import clock
+from tonus.runtime.timing import clock
 from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.episode import Episode, Group
 from tonus.tools.campaign.judge import Row, failed, row_of

@@ -10,9 +10,9 @@ import click
 
 from tonus.config import load
 from tonus.config.loader import load_catalogue
-from tonus.tools import check as rules
+from tonus.tools.check import rules as rules
+from tonus.tools.check.finding import Finding
 from tonus.tools.cli.settings import overrides_of
-from tonus.tools.finding import Finding
 
 
 @click.command()

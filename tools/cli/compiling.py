@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 from tonus import runtime
-from tonus.runtime.clock import wall_seconds
+from tonus.runtime.timing.clock import wall_seconds
 
 VARIABLE = "NUMBA_CACHE_DIR"
 _SILENT_S, _STEP_S = 1.5, 5.0

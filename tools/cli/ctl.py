@@ -13,9 +13,9 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from tonus.runtime import clock
-from tonus.runtime.control_door import VERBS
+from tonus.runtime.operation.control_door import VERBS
 from tonus.runtime.states import State
+from tonus.runtime.timing import clock
 from tonus.tools import output
 from tonus.tools.cli.numbers import FiniteRange
 from tonus.tools.control_client import ControlClient

@@ -18,7 +18,7 @@ from rich.table import Table
 
 from tonus.config.faults import KINDS, FaultField, FaultKind
 from tonus.tools.cli.numbers import FiniteRange
-from tonus.tools.lab_door import ask
+from tonus.tools.run.lab_door import ask
 
 _HEXADECIMAL = ("code", "identifier", "index", "vendor", "product", "revision")
 _SOCKET = click.Option(

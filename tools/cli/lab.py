@@ -13,10 +13,10 @@ from tonus.config.places import runtime_dir
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
-from tonus.runtime import clock
+from tonus.runtime.timing import clock
 from tonus.tools import output
 from tonus.tools.errors import ToolError
-from tonus.tools.lab_process import work
+from tonus.tools.run.lab_process import work
 
 
 @click.command()

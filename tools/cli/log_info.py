@@ -16,7 +16,7 @@ from rich.table import Table
 from tonus.runtime.states import State
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
-from tonus.tools.summary import find_faults
+from tonus.tools.run.summary import find_faults
 
 _S = 1e-9
 _CYCLE_FIELDS = {

@@ -15,21 +15,21 @@ from tonus.config.loader import load_catalogue
 from tonus.drivers.fieldbus import Progress
 from tonus.runtime.states import Fault, State
 from tonus.tools import output
-from tonus.tools.check import check
+from tonus.tools.check.rules import check
 from tonus.tools.cli.numbers import FiniteRange
 from tonus.tools.cli.settings import overrides_of
 from tonus.tools.draft import drafted, write_whole
 from tonus.tools.errors import ToolError
-from tonus.tools.latencies import buckets
-from tonus.tools.latencies import rows as latency_rows
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.log.several import segments
 from tonus.tools.report.overview import overview
-from tonus.tools.run import Order, Result
-from tonus.tools.run import run as carry_out
-from tonus.tools.run_folder import discard_empty, new_folder, next_folder
-from tonus.tools.summary import Summary, missed_in, summarise, truth_at_cycles
+from tonus.tools.run.composer import Order, Result
+from tonus.tools.run.composer import run as carry_out
+from tonus.tools.run.latencies import buckets
+from tonus.tools.run.latencies import rows as latency_rows
+from tonus.tools.run.run_folder import discard_empty, new_folder, next_folder
+from tonus.tools.run.summary import Summary, missed_in, summarise, truth_at_cycles
 
 
 @click.command()

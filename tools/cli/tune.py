@@ -14,7 +14,7 @@ from rich.table import Table
 from tonus.config import load
 from tonus.config.loader import load_tuning
 from tonus.config.schema.tuning import Tuning
-from tonus.runtime.clock import wall_seconds
+from tonus.runtime.timing.clock import wall_seconds
 from tonus.tools.errors import ToolError
 from tonus.tools.folders import make_folder
 from tonus.tools.tune.landing import land, provenance, write

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tonus.config.places import IN_MEMORY, file_system, runtime_dir
 from tonus.config.schema.realtime import HostLimits
-from tonus.runtime.clock import wall_seconds
+from tonus.runtime.timing.clock import wall_seconds
 from tonus.tools.doctor.finding import Finding, Verdict, graded
 from tonus.tools.errors import ToolError
 

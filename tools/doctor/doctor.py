@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tonus.config.schema.root import Config
-from tonus.runtime.clock import wall_seconds
+from tonus.runtime.timing.clock import wall_seconds
 from tonus.tools.doctor import disk, kernel, network, privileges, wakeup
 from tonus.tools.doctor.files import read
 from tonus.tools.doctor.finding import Finding, worst

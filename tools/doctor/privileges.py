@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tonus.runtime.realtime import Grant
+from tonus.runtime.timing.realtime import Grant
 from tonus.tools.doctor.finding import Finding, Verdict
 
 _LIMITS = "/etc/security/limits.d/tonus.conf"

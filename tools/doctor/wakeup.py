@@ -9,9 +9,9 @@ import subprocess
 from collections.abc import Callable
 
 from tonus.config.schema.realtime import HostLimits, RealTime
-from tonus.runtime.clock import Stopwatch
-from tonus.runtime.histogram import Histogram
-from tonus.runtime.realtime import Grant, Hygiene, stolen_jiffies
+from tonus.runtime.timing.clock import Stopwatch
+from tonus.runtime.timing.histogram import Histogram
+from tonus.runtime.timing.realtime import Grant, Hygiene, stolen_jiffies
 from tonus.tools.doctor.finding import Finding, Verdict, graded
 
 _CLOCK_MONOTONIC, _TIMER_ABSTIME = 1, 1

@@ -13,7 +13,7 @@ from tonus.sim.plant import Plant
 from tonus.tools.errors import ToolError
 from tonus.tools.identify.record import Record
 from tonus.tools.identify.response import estimates, response_between
-from tonus.tools.summary import TRUTH, truth_at_cycles
+from tonus.tools.run.summary import TRUTH, truth_at_cycles
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-from tonus.runtime.mcap_file import Index, McapFile
+from tonus.runtime.recording.mcap_file import Index, McapFile
 from tonus.tools.errors import ToolError
 from tonus.tools.log.chunks import (
     DamageError,

@@ -20,8 +20,8 @@ from tonus.config.schema.scenario import Scenario
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.errors import ControllerError
-from tonus.runtime.keyframe import KeyframeError, restore
-from tonus.runtime.messages import KEYFRAME_TOPIC
+from tonus.runtime.recording.keyframe import KeyframeError, restore
+from tonus.runtime.recording.messages import KEYFRAME_TOPIC
 from tonus.runtime.signals import CYCLE, TOPICS
 from tonus.runtime.states import Fault, Operator
 from tonus.tools.errors import ToolError

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.runtime.messages import KEYFRAME_TOPIC
+from tonus.runtime.recording.messages import KEYFRAME_TOPIC
 from tonus.runtime.signals import TOPICS
 from tonus.tools.errors import ToolError
 from tonus.tools.log.decode import Column
 from tonus.tools.log.log import Log
-from tonus.tools.truth import TOPIC as TRUTH
+from tonus.tools.run.truth import TOPIC as TRUTH
 
 _NS = 1e-9
 _UNITS = {

@@ -24,8 +24,8 @@ from tonus import config as config_room
 from tonus import drivers, runtime, sim
 from tonus.config.schema.protocol import Protocol
 from tonus.config.schema.root import Config
-from tonus.runtime import clock
 from tonus.runtime.signals import SCHEMA_VERSION
+from tonus.runtime.timing import clock
 from tonus.tools.folders import make_folder
 from tonus.tools.paper import metrics
 from tonus.tools.paper.case import Run

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.scenario import Path, Press, Sine
-from tonus.runtime.reference import trajectory
+from tonus.runtime.control.reference import trajectory
 from tonus.runtime.signals import Grade
 from tonus.tools.paper import indicators as formula
 from tonus.tools.paper.case import Kind

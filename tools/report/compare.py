@@ -28,7 +28,7 @@ from tonus.tools.paper.printed import OURS, TABLE3
 from tonus.tools.paper.results import Results, Row
 from tonus.tools.paper.table import Column, Table
 from tonus.tools.paper.trial import Trial
-from tonus.tools.summary import find_faults
+from tonus.tools.run.summary import find_faults
 
 TRUTH = "/tonus/truth"
 _NEEDED = ("timing", "state", "pose", "stiffness", "tension", "wrench", "drives", "energy")

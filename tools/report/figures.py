@@ -18,7 +18,7 @@ from tonus.tools.report import panels, style
 from tonus.tools.report.pieces import Array, Piece
 from tonus.tools.report.sheet import Sheet
 from tonus.tools.report.story import Story
-from tonus.tools.summary import tensions, truth_at_cycles
+from tonus.tools.run.summary import tensions, truth_at_cycles
 
 _ARMED = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 _DOTS = 3000

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from tonus.runtime.control_door import STATUS, VERBS
+from tonus.runtime.operation.control_door import STATUS, VERBS
 
 
 def tables() -> str:

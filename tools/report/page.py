@@ -18,7 +18,7 @@ from tonus.tools.report import figures, panels
 from tonus.tools.report.pieces import Piece, Progress
 from tonus.tools.report.story import Story
 from tonus.tools.report.verdict import Verdict, judge
-from tonus.tools.summary import Indicators
+from tonus.tools.run.summary import Indicators
 
 _BEFORE_S, _AFTER_S = 0.6, 0.4
 """s round a fault that are drawn tick by tick"""

@@ -12,7 +12,7 @@ from tonus.tools.report import style
 from tonus.tools.report.pieces import Array, Piece
 from tonus.tools.report.sheet import Sheet
 from tonus.tools.report.story import Story
-from tonus.tools.summary import tensions, truth_at_cycles
+from tonus.tools.run.summary import tensions, truth_at_cycles
 
 Panel = Callable[[Sheet, Piece], None]
 """Puts what it shows of a piece on its sheet."""

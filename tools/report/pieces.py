@@ -16,7 +16,7 @@ from tonus.tools.log import Log
 from tonus.tools.log.decode import Column, joined
 from tonus.tools.log.log import EVENTS
 from tonus.tools.report.thin import POINTS
-from tonus.tools.summary import TRUTH
+from tonus.tools.run.summary import TRUTH
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]

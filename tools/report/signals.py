@@ -9,7 +9,7 @@ import sys
 
 from tonus.runtime.signals import SCHEMA_VERSION, TOPICS
 from tonus.runtime.topics import Topic
-from tonus.tools.truth import TOPIC as TRUTH
+from tonus.tools.run.truth import TOPIC as TRUTH
 
 _HEAD = """# The log
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from tonus.runtime.sequence import FEWEST
+from tonus.runtime.safety.sequence import FEWEST
 from tonus.runtime.states import (
     ARMED,
     MEANING,

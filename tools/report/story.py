@@ -17,7 +17,7 @@ from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.report.pieces import CYCLE, Array, Piece, Progress, cut, outline
 from tonus.tools.report.thin import POINTS
-from tonus.tools.summary import find_faults
+from tonus.tools.run.summary import find_faults
 
 _PIECE = 30_000
 """cycles that are in memory with all their topics at once"""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from tonus.runtime.states import State
 from tonus.tools.report.story import Story
-from tonus.tools.summary import Indicators, Summary, summarise
+from tonus.tools.run.summary import Indicators, Summary, summarise
 
 _ENDED_WELL = (State.OFF, State.STANDBY)
 

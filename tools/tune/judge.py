@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.config.schema.tuning import Tuning
-from tonus.runtime.reference import trajectory
+from tonus.runtime.control.reference import trajectory
 from tonus.runtime.states import Fault
-from tonus.runtime.task_margin import margins
+from tonus.tools.margins.task import margins
 from tonus.tools.tune.trial import Trial, play
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from scipy.stats import qmc
 from tonus.config import load
 from tonus.config.schema.root import Config
 from tonus.config.schema.tuning import Tuning
-from tonus.runtime.margin import Margins
-from tonus.runtime.task_margin import margins
 from tonus.tools.errors import ToolError
+from tonus.tools.margins.task import margins
+from tonus.tools.margins.tension_loop import Margins
 from tonus.tools.tune.judge import CUTS, Part, lack
 from tonus.tools.tune.work import Evaluator, Gains
 

@@ -13,13 +13,13 @@ from tonus.config.schema.scenario import Scenario
 from tonus.drivers.direct import DirectFieldbus
 from tonus.drivers.process_image import ProcessImage
 from tonus.drivers.tracker import TrackerInput
-from tonus.runtime import clock
 from tonus.runtime.daemon import Daemon
-from tonus.runtime.operator import Script
-from tonus.runtime.scheduler import VirtualPacing
-from tonus.runtime.sequence import Sequence
+from tonus.runtime.operation.operator import Script
+from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.signals import CYCLE
 from tonus.runtime.states import Fault, Operator, State
+from tonus.runtime.timing import clock
+from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.lab import Lab
 from tonus.sim.truth import TRUTH
 

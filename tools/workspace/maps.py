@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config import Config
-from tonus.tools.feasibility import Poses, against, closures, reserves, workspace_poses
+from tonus.tools.check.feasibility import Poses, against, closures, reserves, workspace_poses
 from tonus.tools.workspace.stiffness import stiffness
 
 Array = NDArray[np.float64]

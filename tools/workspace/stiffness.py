@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.robot import Robot
-from tonus.tools.feasibility import Poses
+from tonus.tools.check.feasibility import Poses
 
 Array = NDArray[np.float64]
 

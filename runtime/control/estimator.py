@@ -1,0 +1,411 @@
+"""Where the platform is, how fast it moves, and what pushes it.
+
+Two sources that fail differently: the cables (each tick, precise, but wrong by what calibration
+missed) and the optical tracker (its own rate and latency, coarse, but right). One error-state
+extended Kalman filter holds both, 27 states: pose, twist, external wrench, and the constants of
+calibration, an offset of each cable's length and the excess of the cables' compliance over the
+nominal one. The orientation is a quaternion; only its error, a rotation vector in the base frame,
+has a covariance. Predict and correct are filterpy's algebra, compiled
+(`tonus.runtime.control.compiled`) and held against filterpy by test.
+
+- The measured cable wrench drives the prediction as an accelerometer would, so that velocity needs
+  no differentiation; what it leaves unexplained is the external wrench.
+- The lengths correct each tick, one after the other, a cable without a measurement left out.
+- A tracker pose is compared with what the cables said at its exposure. In that difference the pose
+  itself cancels and only constants of calibration are left, so that its age matters neither to the
+  result nor to the cost.
+
+While the tracker is silent the offsets drift, and the covariance says by how much.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.config.schema.bus import Tracker
+from tonus.config.schema.control import Control
+from tonus.config.schema.control import Estimator as Settings
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.runtime.control.compiled import (
+    ERRORS,
+    EXCESS,
+    EXTERNAL,
+    OFFSETS,
+    TWIST,
+    carry_forward,
+    elongation,
+    estimate_tick,
+    rotate,
+    rotation_between,
+    track,
+)
+from tonus.runtime.control.disagreement import Disagreement
+from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.signals import Consistency
+
+Array = NDArray[np.float64]
+_FIT_ITERATIONS = 2
+"""Enough for what a platform does in a tick."""
+_CONDITION_TICKS = 8
+"""The condition number, which changes as slowly as the pose, is computed once in so many ticks."""
+
+
+@dataclass
+class Estimate:
+    """The platform at the present tick, base frame."""
+
+    position: Array
+    quaternion: Array
+    velocity: Array
+    angular_velocity: Array
+    external: Array
+    """(6,) force and moment that the cables and gravity do not explain"""
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """When a length is not believed, and what is less certain once the estimate is loosened."""
+
+    slack: float = 0.0
+    """N below which a cable has no length to tell"""
+    jump: float = math.inf
+    """m of innovation beyond which a length is left out"""
+    unrest: float = 1.0
+    """process noise, in times the usual one"""
+    length_sigma: float = 1.0e-3
+    """m"""
+
+    @classmethod
+    def of(cls, control: Control) -> Doubts:
+        """As configured."""
+        stop, jump = control.stop, control.isolation.length_jump
+        return cls(stop.taut_tension, jump, stop.unrest, stop.length_sigma)
+
+
+def _noise(settings: Settings, period: float, unrest: float = 1.0) -> Array:
+    """Variances (27,) that a tick adds to the error state; ``unrest``: times what the accelerations
+    usually miss."""
+    density = np.zeros(ERRORS)
+    density[TWIST : TWIST + 3] = settings.acceleration_sigma * unrest
+    density[TWIST + 3 : EXTERNAL] = settings.angular_acceleration_sigma * unrest
+    density[EXTERNAL : EXTERNAL + 3] = settings.force_drift
+    density[EXTERNAL + 3 : OFFSETS] = settings.moment_drift
+    density[OFFSETS:EXCESS] = settings.offset_drift
+    density[EXCESS] = settings.compliance_drift
+    return np.asarray(density**2 * period)
+
+
+class PoseEstimator:
+    """Fuses cable lengths and tensions with tracker poses. The inputs of a tick are of one sampling
+    instant, a period ago; the estimate is carried forward to the present."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        settings: Settings,
+        tracker: Tracker,
+        kinematics: Kinematics,
+        period: float,
+        doubts: Doubts | None = None,
+    ) -> None:
+        doubts = doubts or Doubts()
+        self._settings, self._period = settings, period
+        self._limits = self._usual_limits = (doubts.slack, doubts.jump)
+        self._kinematics, self._cables = kinematics, Kinematics(robot.geometry)
+        self._seen = Kinematics(robot.geometry)
+        inertia = np.array(robot.platform.inertia)
+        body = robot.platform
+        self._body = (body.mass, inertia, robot.gravity, robot.cable.axial_stiffness)
+        self._anchors = (kinematics.frame, kinematics.platform)
+        self._moment_length = robot.geometry.moment_length
+        length, share = settings.length_sigma**2, period / settings.elongation_time
+        self._usual_noise = (_noise(settings, period), length, share)
+        self._restless_noise = (
+            _noise(settings, period, doubts.unrest),
+            doubts.length_sigma**2,
+            share,
+        )
+        self._noise = self._usual_noise
+        self._variances = (
+            tracker.position_sigma**2,
+            tracker.rotation_sigma**2,
+            settings.length_sigma**2,
+        )
+        self._position, self._quaternion = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+        self._rest = np.zeros(ERRORS - TWIST)
+        """twist, external wrench, offsets, excess: the error state without the pose"""
+        self.covariance = np.zeros((ERRORS, ERRORS))
+        """(27, 27) of the error state, at the sampling instant"""
+        self._stretch = np.zeros(CABLES)
+        """m, mean elongations"""
+        self._state = (
+            self._position,
+            self._quaternion,
+            self._rest,
+            self.covariance,
+            self._stretch,
+        )
+        depth = math.ceil(tracker.maximum_age_ms * 1e-3 / period) + 2
+        self._past_lengths = np.zeros((depth, CABLES))
+        self._past_tensions = np.zeros((depth, CABLES))
+        self._past_usable = np.zeros((depth, CABLES), dtype=bool)
+        self._past_positions = np.zeros((depth, 3))
+        self._past_quaternions = np.zeros((depth, 4))
+        self._count = 0
+        self._tensions = np.zeros(CABLES)
+        self._innovation = np.zeros(CABLES)
+        self.innovations = np.zeros(CABLES)
+        """m, of this tick's lengths before they corrected anything; not a number where none was"""
+        self.believed = np.zeros(CABLES, dtype=bool)
+        """whose lengths corrected the estimate in this tick"""
+        self.cable_position, self._cable_quaternion = np.zeros(3), self._quaternion.copy()
+        """as solved from the lengths alone, with nothing calibrated"""
+        self._by_cables = (
+            self.cable_position,
+            self._cable_quaternion,
+            self._cables.lengths,
+            self._cables.matrix,
+        )
+        self.residual = 0.0
+        """m, RMS disagreement of the eight lengths with that pose"""
+        self.inconsistency = 1.0
+        """mean squared innovation of the lengths in their own sigmas, smoothed; about 1"""
+        self._odd = False
+        self.condition = 1.0
+        """of the structure matrix"""
+        self.disagreement = Disagreement(settings, tracker)
+        self.estimate = Estimate(
+            np.zeros(3), self._quaternion.copy(), np.zeros(3), np.zeros(3), np.zeros(6)
+        )
+        self._published = (
+            self.estimate.position,
+            self.estimate.quaternion,
+            self.estimate.velocity,
+            self.estimate.angular_velocity,
+        )
+
+    @property
+    def bias(self) -> Array:
+        """(3,) m, what the cables' position is wrong by."""
+        return self.cable_position - self._position
+
+    @property
+    def offsets(self) -> Array:
+        """(8,) m, to be added to the cables' lengths."""
+        return self._rest[OFFSETS - TWIST : EXCESS - TWIST]
+
+    @property
+    def compliance(self) -> float:
+        """of the cables, over the nominal one."""
+        return 1.0 + float(self._rest[EXCESS - TWIST])
+
+    @property
+    def sigma(self) -> float:
+        """m, standard deviation of the position along its worst axis."""
+        item = self.covariance.item
+        return math.sqrt(max(0.0, item(0, 0), item(1, 1), item(2, 2)))
+
+    @property
+    def consistency(self) -> Consistency:
+        """Whether what is measured fits together."""
+        settings = self._settings
+        if not self.condition <= settings.condition_limit:
+            return Consistency.SINGULAR
+        if self._odd:
+            return Consistency.CABLES
+        return Consistency.TRACKER if self.disagreement.lasting else Consistency.GOOD
+
+    def start(self, position: Array, quaternion: Array, tensions: Array, samples: int) -> None:
+        """Begin at rest at a referenced pose, the mean of ``samples`` tracker poses, under
+        ``tensions`` (8,): whatever else holds the platform is the first external load."""
+        mass, _, gravity, stiffness = self._body
+        kinematics = self._kinematics
+        kinematics.evaluate(position, quaternion)
+        self._position[:], self._quaternion[:] = position, quaternion
+        self.cable_position[:], self._cable_quaternion[:] = position, quaternion
+        self._rest[:] = 0.0
+        external = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
+        external[:] = -kinematics.matrix @ tensions
+        external[2] += mass * gravity
+        for i, cable in enumerate(zip(kinematics.lengths, tensions, strict=True)):
+            self._stretch[i] = elongation(*cable, stiffness)
+        self._tensions[:] = tensions
+        self._begin(samples)
+        self._count = 0
+        self._limits, self._noise = self._usual_limits, self._usual_noise
+        self.inconsistency, self._odd = 1.0, False
+        self.disagreement.reset()
+        self._publish()
+
+    def _begin(self, samples: int) -> None:
+        """Covariance after a reference: what was wrong in the pose, and in the elongation taken out
+        of the lengths, is wrong in the offsets, the other way round."""
+        covariance, settings, stretch = self.covariance, self._settings, self._stretch
+        position, rotation, length = self._variances
+        pose = np.diag([position] * 3 + [rotation] * 3) / samples
+        loose = settings.compliance_sigma**2 * np.outer(stretch, stretch)
+        shift = -self._kinematics.matrix.T
+        covariance[:] = 0.0
+        covariance[:TWIST, :TWIST] = pose
+        speed = settings.start_speed_sigma
+        turning = speed / self._moment_length
+        covariance[TWIST:EXTERNAL, TWIST:EXTERNAL] = np.diag([speed**2] * 3 + [turning**2] * 3)
+        covariance[OFFSETS:EXCESS, :TWIST] = shift @ pose
+        covariance[:TWIST, OFFSETS:EXCESS] = pose @ shift.T
+        covariance[OFFSETS:EXCESS, OFFSETS:EXCESS] = shift @ pose @ shift.T + loose
+        covariance[OFFSETS:EXCESS, OFFSETS:EXCESS] += length * np.eye(CABLES)
+        covariance[EXCESS, OFFSETS:EXCESS] = -(settings.compliance_sigma**2) * stretch
+        covariance[OFFSETS:EXCESS, EXCESS] = covariance[EXCESS, OFFSETS:EXCESS]
+        covariance[EXCESS, EXCESS] = settings.compliance_sigma**2
+
+    def loosen(self) -> None:
+        """From now on cables are gone and others go slack: the platform may move as it could not
+        before, too few lengths may say where it is, and the tracker corrects the pose itself."""
+        self._limits = (self._usual_limits[0], math.inf)
+        self._noise = self._restless_noise
+
+    @property
+    def _loose(self) -> bool:
+        return self._noise is self._restless_noise
+
+    def step(self, lengths: Array, tensions: Array, usable: NDArray[np.bool_]) -> Estimate:
+        """One tick with measured cable lengths (8,), nominal elongation included, and tensions
+        (8,). A cable that is not ``usable``, slack or far off says nothing about the pose."""
+        kinematics, cables, settings = self._kinematics, self._cables, self._settings
+        self._tensions[:] = tensions
+        squared, self.residual = estimate_tick(
+            self._state,
+            self._body,
+            self._period,
+            self._noise,
+            self._anchors,
+            (lengths, tensions, usable),
+            self._limits,
+            kinematics.lengths,
+            kinematics.matrix,
+            self.innovations,
+            self.believed,
+            self._by_cables,
+            _FIT_ITERATIONS,
+            self._published,
+        )
+        share = self._period / settings.consistency_time
+        self.inconsistency += share * (squared - self.inconsistency)
+        # Half the limit, once beyond it: said once an episode.
+        limit = settings.consistency_limit * (0.5 if self._odd else 1.0)
+        self._odd = not self.inconsistency <= limit
+        if self._count % _CONDITION_TICKS == 0:
+            self.condition = cables.condition
+        slot = self._count % len(self._past_lengths)
+        self._past_lengths[slot] = lengths
+        self._past_tensions[slot] = tensions
+        self._past_positions[slot] = self._position
+        self._past_quaternions[slot] = self._quaternion
+        self._past_usable[slot] = self.believed
+        self._count += 1
+        self.estimate.external[:] = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
+        return self.estimate
+
+    def track(self, position: Array, quaternion: Array, delay: float) -> bool:
+        """Use a tracker pose taken ``delay`` s before this tick.
+
+        Returns False, and changes no estimate, when the pose is too old or beyond the gate.
+        """
+        # What the cables say lags the tick by one period: the newest entry is that far back.
+        back = delay / self._period - 1.0
+        depth = len(self._past_lengths)
+        if not 0.0 <= back <= min(self._count, depth) - 2:
+            return False
+        whole = int(back)
+        share = back - whole
+        newer = (self._count - 1 - whole) % depth
+        older = (newer - 1) % depth
+        if self._loose:
+            return self._correct(position, quaternion, share, newer, older)
+        then = (
+            (1.0 - share) * self._past_lengths[newer] + share * self._past_lengths[older],
+            (1.0 - share) * self._past_tensions[newer] + share * self._past_tensions[older],
+            self._past_usable[newer] & self._past_usable[older],
+        )
+        seen, gate = self._seen, self._settings.gate
+        chi_square = track(
+            self._state,
+            (position, quaternion),
+            self._variances,
+            then,
+            self._anchors,
+            self._body[3],
+            gate,
+            self._innovation,
+            seen.matrix,
+        )
+        if chi_square <= gate:
+            self.disagreement.end()
+            self._publish()
+            return True
+        if math.isfinite(chi_square):
+            self._doubt()
+        return False
+
+    def _correct(
+        self, position: Array, quaternion: Array, share: float, newer: int, older: int
+    ) -> bool:
+        """What a tracker pose differs by from the estimate of its instant is what the present one
+        is wrong by: a Kalman step on the pose (Larsen et al., CDC 1998, without their correction of
+        the gain)."""
+        places, turns = self._past_positions, self._past_quaternions
+        then = (1.0 - share) * places[newer] + share * places[older]
+        turn = rotation_between(turns[newer], turns[older])
+        innovation = np.concatenate(
+            [position - then, rotation_between(rotate(turns[newer], share * turn), quaternion)]
+        )
+        if not np.isfinite(innovation).all():
+            return False
+        spread = self.covariance[:TWIST, :TWIST].copy()
+        spread[range(TWIST), range(TWIST)] += [self._variances[0]] * 3 + [self._variances[1]] * 3
+        gain = np.linalg.solve(spread, self.covariance[:TWIST]).T
+        error = gain @ innovation
+        self.covariance -= gain @ self.covariance[:TWIST]
+        self.covariance[:] = 0.5 * (self.covariance + self.covariance.T)
+        # The past moves with the present: what has been corrected must not be corrected again.
+        places += error[:3]
+        for slot in range(len(turns)):
+            turns[slot] = rotate(turns[slot], error[3:TWIST])
+        self._position += error[:3]
+        self._quaternion[:] = rotate(self._quaternion, error[3:TWIST])
+        self._rest += error[TWIST:]
+        self._publish()
+        return True
+
+    def _doubt(self) -> None:
+        """A pose beyond the gate. Where many agree, the pose and the offsets are made as uncertain,
+        along the difference, as that is large, and the next pose is believed."""
+        matrix, disagreement = self._seen.matrix, self.disagreement
+        shift = np.linalg.solve(matrix @ matrix.T, -matrix @ self._innovation)
+        disagreement.add(np.asarray(shift, dtype=np.float64))
+        if disagreement.learnable:
+            direction = np.zeros(ERRORS)
+            direction[:TWIST] = disagreement.shift
+            direction[OFFSETS:EXCESS] = -matrix.T @ disagreement.shift
+            self.covariance += np.outer(direction, direction)
+            disagreement.learn()
+
+    def _publish(self) -> Estimate:
+        """The estimate one period on."""
+        estimate, kinematics = self.estimate, self._kinematics
+        carry_forward(
+            self._state,
+            self._body,
+            self._period,
+            kinematics.matrix @ self._tensions,
+            self._anchors,
+            kinematics.lengths,
+            kinematics.matrix,
+            self._published,
+        )
+        estimate.external[:] = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
+        return estimate

@@ -1,0 +1,195 @@
+"""The inner loop: from tension reference to drum torque (eq. 6 and 9, completed).
+
+Eq. (9) alone is proportional and has neither feed-forward nor damping; docs/paper.md, row 13, shows
+why that cannot reach half a per cent. Here
+
+    torque = r (T_ref + K_T (T_ref - T) + I) + C_d (rate_ref - rate) + M(T_ref, rate_d, acc_d)
+    rate_ref = (u . v + lead l/EA dT_ref/dt) / r
+
+so that the damping acts neither on the platform, whose motion the drums follow, nor on a change of
+tension that is asked for: a cable of length l needs its drum to turn by l/(EA r) for each newton.
+Without this lead a damped loop lags, and the loop round it has no phase left (docs/control.md). It
+is filtered, and bounded so that a jump of T_ref gives no blow. M is what the drive itself will take
+on the desired motion: the drum's inertia and friction, and the gearbox's loss, which helps to hold
+a cable that runs out. It follows the desired motion and never the measured one: friction fed back
+by its own measured rate drives what it should cancel. Drum rate and tension are taken unfiltered: a
+filter's delay would cost the phase margin that `tonus.tools.margins.tension_loop` computes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tonus.config.schema.control import TensionLoop as Settings
+from tonus.config.schema.robot import CABLES, Robot
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def drum_motion(
+    matrix: Array,
+    wrench: Array,
+    tension: Array,
+    twist: tuple[Array, Array],
+    desired: tuple[Array, Array],
+    radius: float,
+    axial_stiffness: float,
+    rate: Array,
+    desired_rate: Array,
+    desired_acceleration: Array,
+) -> bool:
+    """Drum rates (8,) that follow the platform's ``twist`` at constant tension (eq. 1), and rates
+    and accelerations on the ``desired`` motion (velocity, acceleration), level. Whether the rates
+    and the ``wrench`` are numbers.
+    """
+    finite = True
+    for row in range(6):
+        finite = finite and math.isfinite(wrench[row])
+    for i in range(rate.shape[0]):
+        following = wanted = bend = 0.0
+        for row in range(3):
+            following += matrix[row, i] * twist[0][row] + matrix[3 + row, i] * twist[1][row]
+            wanted += matrix[row, i] * desired[0][row]
+            bend += matrix[row, i] * desired[1][row]
+        rate[i] = following / (radius * (1.0 + tension[i] / axial_stiffness))
+        desired_rate[i] = wanted / radius
+        desired_acceleration[i] = bend / radius
+        finite = finite and math.isfinite(rate[i]) and math.isfinite(desired_rate[i])
+    return finite
+
+
+@njit(cache=True)
+def _expected(
+    tension: Array,
+    rate: Array,
+    acceleration: Array,
+    drive: tuple[float, float, float, float, float, float, float],
+    torque: Array,
+) -> None:
+    radius, inertia, viscous, coulomb, load, efficiency, slip = drive
+    for i in range(tension.shape[0]):
+        way, pull = math.tanh(rate[i] / slip), radius * tension[i]
+        needed = pull + way * (radius * coulomb + load * pull)
+        needed += viscous * rate[i] + inertia * acceleration[i]
+        through = efficiency if way < 0.0 else 1.0 / efficiency
+        torque[i] = needed * (1.0 + abs(way) * (through - 1.0)) - pull
+
+
+@njit(cache=True)
+def _torques(
+    reference: Array,
+    measured: Array,
+    rate_reference: Array,
+    rate: Array,
+    expected: Array,
+    usable: NDArray[np.bool_],
+    gains: tuple[float, float, float, float, float, float, float],
+    leading: tuple[float, float, float],
+    lengths: Array,
+    past: tuple[Array, Array],
+    integral: Array,
+    torque: Array,
+) -> None:
+    radius, forward, proportional, integral_step, integral_limit, damping, limit = gains
+    turn, follow, fastest = leading
+    last, slope = past
+    for i in range(reference.shape[0]):
+        torque[i] = 0.0
+        moved = reference[i] - last[i]
+        last[i] = reference[i]
+        if math.isfinite(moved):  # it is not in the first tick, nor round what is no number
+            slope[i] += follow * (min(max(moved, -fastest), fastest) - slope[i])
+        if not usable[i]:
+            integral[i] = slope[i] = 0.0
+            continue
+        error = reference[i] - measured[i]
+        grown = integral[i] + (integral_step * error if math.isfinite(error) else 0.0)
+        integral[i] = min(max(grown, -integral_limit), integral_limit)
+        wanted = radius * (forward * reference[i] + proportional * error + integral[i])
+        ahead = turn * lengths[i] * slope[i]
+        wanted += damping * (rate_reference[i] + ahead - rate[i]) + forward * expected[i]
+        if math.isfinite(wanted):
+            torque[i] = min(max(wanted, -limit), limit)
+
+
+class TensionLoop:
+    """One tick of eight independent loops."""
+
+    def __init__(self, robot: Robot, settings: Settings, period: float) -> None:
+        motor, ratio = robot.motor, robot.gearbox.ratio
+        self._gains = (
+            robot.drum.radius,
+            settings.feed_forward,
+            settings.proportional,
+            settings.integral * period,
+            settings.integral_limit,
+            settings.rate_damping,
+            motor.current_limit * motor.torque_constant * ratio,
+        )
+        self._lead = (
+            settings.lead / (robot.cable.axial_stiffness * robot.drum.radius * period),
+            1.0 - math.exp(-2.0 * math.pi * settings.lead_cutoff_hz * period),
+            settings.lead_rate * period,
+        )
+        self._past = (np.full(CABLES, np.nan), np.zeros(CABLES))
+        drum, friction = robot.drum, settings.friction
+        self._drive = (
+            drum.radius,
+            drum.inertia,
+            drum.viscous_friction,
+            friction.coulomb,
+            friction.load,
+            robot.gearbox.efficiency,
+            friction.slip / drum.radius,
+        )
+        self._still = (np.zeros(CABLES), np.zeros(CABLES))
+        self._expected = np.zeros(CABLES)
+        self._torque = np.zeros(CABLES)
+        self.integral = np.zeros(CABLES)
+        """N"""
+
+    def reset(self) -> None:
+        self.integral[:] = 0.0
+        last, slope = self._past
+        last[:], slope[:] = np.nan, 0.0
+
+    def take_over(self, before: TensionLoop) -> None:
+        """Go on where another loop has been, if there is an integral to go on with."""
+        self.reset()
+        if self._gains[3] > 0.0:
+            self.integral[:] = before.integral
+
+    def __call__(
+        self,
+        reference: Array,
+        measured: Array,
+        rate_reference: Array,
+        rate: Array,
+        usable: NDArray[np.bool_],
+        lengths: Array,
+        desired: tuple[Array, Array] | None = None,
+    ) -> Array:
+        """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N, rates
+        in rad/s, winding in positive, cable ``lengths`` in m; ``desired``: rate and acceleration of
+        the desired motion, None for none."""
+        _expected(reference, *(desired or self._still), self._drive, self._expected)
+        _torques(
+            reference,
+            measured,
+            rate_reference,
+            rate,
+            self._expected,
+            usable,
+            self._gains,
+            self._lead,
+            lengths,
+            self._past,
+            self.integral,
+            self._torque,
+        )
+        return self._torque

@@ -1,0 +1,107 @@
+"""A throwaway cycle, played from OFF to ACTIVE against a robot that does as it is told: so that
+everything compiled is compiled, and every cache warm, before anything is armed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tonus.config.schema.robot import CABLES
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.control.controllers import controller_class
+from tonus.runtime.control.controllers.registry import is_foreign
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.errors import ControllerError
+from tonus.runtime.safety.descent import Descent
+from tonus.runtime.safety.envelope import Envelope
+from tonus.runtime.states import Operator, State
+
+TICKS_AFTER_START = 50
+_TRACKER_DIVISOR = 8
+_DELAY_TICKS = 10
+_UNSEEN = {
+    "length_jump": 1e9,
+    "tension_error": 1e9,
+    "torque_error": 1e9,
+    "travel": 1e9,
+    "innovation": 1e9,
+    "frozen_ticks": 10**9,
+}
+"""An isolation that finds nothing."""
+
+
+def rehearse(config: Config, scenario: Scenario) -> bool:
+    """Returns whether the cycle came as far as ACTIVE, which it does with a sound configuration.
+    Raises `ControllerError` for a controller that is not ours and raises."""
+    name = config.control.controller
+    if not is_foreign(controller_class(name)):
+        return _rehearse(config, scenario)
+    try:
+        return _rehearse(config, scenario)
+    except ControllerError:
+        raise
+    except Exception as error:
+        said = f"{type(error).__name__}: {error}"
+        raise ControllerError(f"controller {name}: raised {said}") from error
+
+
+def _rehearse(config: Config, scenario: Scenario) -> bool:
+    _watch(config)
+    # This robot's drums do not turn, which neither the envelope nor the isolation would let pass.
+    changes = {
+        "envelope": config.control.envelope.model_copy(update={"enabled": False}),
+        "isolation": config.control.isolation.model_copy(update=_UNSEEN),
+    }
+    control = config.control.model_copy(update=changes)
+    cycle = ControlCycle(config.robot, control, config.tracker, scenario.reference)
+    image = ProcessImage()
+    image.axes["age"] = image.cells["age"] = 0
+    image.tracker["position"] = config.robot.rest
+    image.tracker["delay"] = _DELAY_TICKS * config.control.rates.period
+    sequence = config.control.sequence
+    longest = 2.0 * (
+        sequence.tare_s
+        + sequence.referencing_settle_s
+        + sequence.referencing_average_s
+        + sequence.pretension_s
+        + sequence.lift_s
+    )
+    left = TICKS_AFTER_START
+    for tick in range(int(longest / config.control.rates.period)):
+        state = cycle.sequence.state
+        command = Operator.NONE
+        if state is State.STANDBY:
+            command = Operator.ARM
+        elif state is State.HOLD:
+            command = Operator.START
+        elif state is State.ACTIVE:
+            left -= 1
+        if not left:
+            return True
+        enabled = image.commands["command"] == AxisCommand.ENABLE
+        image.axes["state"] = np.where(
+            enabled, AxisState.OPERATION_ENABLED, AxisState.SWITCH_ON_DISABLED
+        )
+        image.tracker["fresh"] = tick % _TRACKER_DIVISOR == 0
+        image.cells["force"][: len(enabled)] = cycle.record.tension.reference
+        cycle.step(image, tick, command)
+    return False
+
+
+def _watch(config: Config) -> None:
+    """The envelope's own part, and a stop's."""
+    control = config.control
+    envelope = Envelope(
+        control.envelope,
+        control.tension,
+        control.stiffness,
+        config.robot,
+        control.rates.period,
+    )
+    descent = Descent(config.robot, control, control.rates.period)
+    every, still = np.ones(CABLES, dtype=bool), np.zeros(CABLES)
+    descent.bound(ProcessImage().commands["torque"], still, still, every)
+    descent.guard.passive(still, every)
+    tension, bearing = np.full(CABLES, control.tension.pre), np.ones(CABLES, dtype=bool)
+    envelope(tension, 0.0, np.array(config.robot.home), np.zeros(3), bearing)

@@ -1,0 +1,140 @@
+"""What changes in the cycle from one tick to the next, told as events."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from tonus.config.schema.root import Config
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.recording.taps import Level
+from tonus.runtime.safety.sequence import MOVING
+from tonus.runtime.signals import Consistency, Grade
+from tonus.runtime.states import ARMED, Fault, State, StopMode
+from tonus.runtime.words import STOP_TEXT, describe, place, reaction
+
+_CONSISTENCY = {
+    Consistency.GOOD: "lengths, tensions and tracker fit together again",
+    Consistency.CABLES: "the cable lengths contradict each other or the motion",
+    Consistency.TRACKER: "the tracker's poses are not believed",
+    Consistency.SINGULAR: "the cables hardly determine the pose",
+}
+
+
+class EventSink(Protocol):
+    """Where events go."""
+
+    def __call__(
+        self, stamp_ns: int, tick: int, level: Level, name: str, where: str, text: str
+    ) -> None: ...
+
+
+class Reporter:
+    """Looks at each tick's record and tells what is new, once."""
+
+    def __init__(self, config: Config, cycle: ControlCycle, events: EventSink) -> None:
+        self._config, self._events = config, events
+        self._sequence, self._record = cycle.sequence, cycle.record
+        self.fault = ""
+        """the present one in words, and what is done about it; empty: there is none"""
+        self._stamp_ns = self._tick = 0
+        self._state = State.OFF
+        self._grade = Grade.GREEN
+        self._fault = Fault.NONE
+        self._count, self._known = 0, cycle.sequence.faults.found.copy()
+        self._stop = StopMode.NONE
+        self._short = False
+        self._consistency, self._learnt = Consistency.GOOD, 0
+        self._tracker_tick, self._tracker_silent = 0, False
+        patience = config.tracker.maximum_age_ms * 1e-3 / config.control.rates.period
+        self._tracker_patience = int(patience)
+
+    def look(self, stamp_ns: int, tick: int) -> None:
+        """At what the cycle has just recorded; events are stamped ``stamp_ns``."""
+        self._stamp_ns, self._tick = stamp_ns, tick
+        sequence = self._sequence
+        if sequence.fault is not self._fault:
+            self._report_fault()
+        if sequence.faults.count != self._count:
+            self._report_more()
+        if sequence.stop_mode is not self._stop:
+            self._stop = sequence.stop_mode
+            if self._stop is not StopMode.NONE:
+                level = Level.INFO if self._stop is StopMode.ON_PATH else Level.WARNING
+                text = f"{self._stop.name.lower()}: {STOP_TEXT[self._stop]}"
+                self._tell(level, "stop_mode", "", text)
+        if sequence.state is not self._state:
+            before, self._state = self._state, sequence.state
+            self._tell(Level.INFO, "state", "", f"{before.name} to {sequence.state.name}")
+        grade = Grade(int(self._record.envelope.grade))
+        if grade is not self._grade:
+            self._grade = grade
+            level = Level.INFO if grade is Grade.GREEN else Level.WARNING
+            self._tell(level, "envelope", "", f"grade {grade.name.lower()}")
+        self._watch_tracker()
+        self._watch_estimator()
+        self._watch_deficit()
+
+    def _watch_tracker(self) -> None:
+        """Without poses the estimator runs on the cables alone: a degraded mode, and said so."""
+        tracker = self._record.tracker
+        believed = tracker.accepted if self._state in MOVING else tracker.fresh
+        if believed:
+            if self._tracker_silent:
+                self._tell(Level.INFO, "tracker_back", "tracker", "poses are believed again")
+            self._tracker_tick, self._tracker_silent = self._tick, False
+        elif self._tick - self._tracker_tick > self._tracker_patience and not self._tracker_silent:
+            self._tracker_silent = True
+            text = "no pose that can be believed; the estimate rests on the cables alone"
+            self._tell(Level.WARNING, "tracker_lost", "tracker", text)
+
+    def _watch_estimator(self) -> None:
+        """Measurements that contradict each other, and what the estimator made of it."""
+        pose, tracker = self._record.pose, self._record.tracker
+        away = 1e3 * float(tracker.disagreement)
+        consistency, learnt = Consistency(int(pose.consistency)), int(tracker.learnt)
+        if consistency is not self._consistency:
+            self._consistency = consistency
+            level = Level.INFO if consistency is Consistency.GOOD else Level.WARNING
+            text = _CONSISTENCY[consistency]
+            if consistency is Consistency.TRACKER:
+                text += f", {away:.1f} mm away"
+            self._tell(level, f"pose_{consistency.name.lower()}", "estimator", text)
+        if learnt > self._learnt:
+            text = f"the tracker insists on {away:.1f} mm: the cable lengths are referenced anew"
+            self._tell(Level.WARNING, "tracker_learnt", "estimator", text)
+        self._learnt = learnt
+
+    def _watch_deficit(self) -> None:
+        """A wrench the cables cannot deliver inside their bounds: said once an episode."""
+        deficit = float(self._record.wrench.deficit)
+        short = deficit > self._config.control.distribution.deficit_limit
+        if short and not self._short:
+            text = f"{deficit:.1f} N of the commanded wrench cannot be delivered"
+            self._tell(Level.WARNING, "wrench_deficit", "", text)
+        self._short = short
+
+    def _report_fault(self) -> None:
+        sequence = self._sequence
+        fault = self._fault = sequence.fault
+        if fault is Fault.NONE:
+            self.fault = ""
+            return
+        at = place(self._config, fault, sequence.where)
+        answer = reaction(fault, armed=self._state in ARMED)
+        self.fault = f"{describe(self._config, fault, sequence.where, sequence.reason)}; {answer}"
+        self._tell(Level.ERROR, fault.name.lower(), at, self.fault)
+
+    def _report_more(self) -> None:
+        """What was found after the first fault: the stop goes on with what is left."""
+        faults = self._sequence.faults
+        new = faults.found & ~self._known
+        self._count, self._known[:] = faults.count, faults.found
+        for row, column in zip(*new.nonzero(), strict=True):
+            fault, where = Fault(int(row)), int(column) - 1
+            if (fault, where) != (faults.first, faults.where):
+                text = describe(self._config, fault, where)
+                at = place(self._config, fault, where)
+                self._tell(Level.WARNING, fault.name.lower(), at, f"{text}; found while stopping")
+
+    def _tell(self, level: Level, name: str, where: str, text: str) -> None:
+        self._events(self._stamp_ns, self._tick, level, name, where, text)

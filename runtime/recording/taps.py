@@ -1,0 +1,198 @@
+"""Rings with a payload of their own: raw bus frames, events for people, and keyframes."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from enum import IntEnum
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tonus.drivers.fieldbus import RAW_FRAME
+from tonus.runtime.recording.ring import RingWriter
+
+FRAME = np.dtype(
+    [
+        ("identifier", "<u4"),  # bit 31 extended, 30 remote, 29 error
+        ("channel", "u1"),  # index into the ring's meta "channels"
+        ("dlc", "u1"),
+        ("flags", "u1"),  # SENT
+        ("padding", "u1"),
+        ("data", "u1", (8,)),
+    ]
+)
+SENT = 1
+"""flag of a frame that we sent"""
+
+EVENT = np.dtype(
+    [
+        ("tick", "<u8"),
+        ("level", "u1"),  # Level
+        ("name", "S32"),
+        ("where", "S32"),
+        ("text", "S439"),
+    ]
+)
+
+KEYFRAME_BYTES = 1 << 17
+KEYFRAME = np.dtype([("tick", "<u8"), ("size", "<u8"), ("state", "u1", (KEYFRAME_BYTES,))])
+
+
+class Level(IntEnum):
+    """As in rcl_interfaces/msg/Log."""
+
+    DEBUG = 10
+    INFO = 20
+    WARNING = 30
+    ERROR = 40
+    FATAL = 50
+
+
+_FRAME = struct.Struct("<qIBBBx8s")
+_REMOTE = 1 << 30
+_CHANNEL_BIT, _LENGTH_BIT = 32, 40
+
+
+@njit(cache=True)
+def _invalidate(words: NDArray[np.int64], ring: tuple[int, int, int], slot: int, n: int) -> None:
+    """Take the positions of ``n`` slots away. A function of its own, as the other two are: within
+    one a compiler may leave out, or put off, what only another process sees."""
+    first, stride, end = ring
+    for _ in range(n):
+        words[slot] = 0
+        slot = slot + stride if slot + stride != end else first
+
+
+@njit(cache=True)
+def _fill(
+    words: NDArray[np.int64],
+    ring: tuple[int, int, int],
+    slot: int,
+    frames: NDArray[np.void],
+    channel: int,
+    now_ns: int,
+) -> None:
+    first, stride, end = ring
+    for i in range(frames.shape[0]):
+        frame = frames[i]
+        if frame.own:
+            continue
+        length = 0 if frame.identifier & _REMOTE else 8 if frame.dlc > 8 else int(frame.dlc)
+        head = int(frame.identifier) | channel << _CHANNEL_BIT | length << _LENGTH_BIT
+        words[slot + 1] = frame.stamp_ns if 0 < frame.stamp_ns < now_ns else now_ns
+        words[slot + 2] = head
+        words[slot + 3] = frame.data & ((1 << 8 * length) - 1 if length < 8 else -1)
+        slot = slot + stride if slot + stride != end else first
+
+
+@njit(cache=True)
+def _validate(
+    words: NDArray[np.int64], ring: tuple[int, int, int], slot: int, n: int, count: int
+) -> int:
+    """Give ``n`` slots their positions, the first after ``count``; gives the slot after them."""
+    first, stride, end = ring
+    for i in range(n):
+        words[slot] = count + i + 1
+        slot = slot + stride if slot + stride != end else first
+    return slot
+
+
+@njit(cache=True)
+def _strangers(frames: NDArray[np.void]) -> int:
+    """How many frames are not our own."""
+    count = 0
+    for i in range(frames.shape[0]):
+        count += not frames[i].own
+    return count
+
+
+class FrameRing(RingWriter):
+    """Every frame of a bus, as it is sent and received."""
+
+    _array: NDArray[np.int64]
+    _shape: tuple[int, int, int]
+    """first slot, words from slot to slot, end"""
+
+    @classmethod
+    def open(cls, path: Path, channels: Sequence[str], capacity: int) -> Self:
+        """A new ring for the named channels; frames refer to them by index."""
+        meta = {"kind": "frames", "channels": list(channels)}
+        ring = cls.create(path, FRAME.itemsize, capacity, meta)
+        ring._array = np.frombuffer(ring._memory, np.int64, len(ring._words))
+        ring._shape = (ring._first, ring._stride, ring._end)
+        ring.received(np.zeros(0, RAW_FRAME), 0, 0)  # compiles it before a tick needs it
+        return ring
+
+    def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
+        """As `tonus.drivers.fieldbus.FrameTap` has it, at most as many as the ring holds."""
+        count = _strangers(frames)
+        words, ring, slot = self._array, self._shape, self._slot
+        _invalidate(words, ring, slot, count)
+        _fill(words, ring, slot, frames, channel, now_ns)
+        self._slot = _validate(words, ring, slot, count, self.count)
+        self._publish(count)
+
+    def close(self) -> None:
+        del self._array
+        super().close()
+
+    def frame(
+        self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
+    ) -> None:
+        """Record one frame; ``identifier`` carries its extended, remote and error bits."""
+        slot = self._slot
+        self._words[slot] = 0
+        _FRAME.pack_into(
+            self._memory, slot * 8 + 8, stamp_ns, identifier, channel, len(data), sent, data
+        )
+        self._release(slot)
+
+
+class EventRing(RingWriter):
+    """What a person wants to know about a run: a few a second at most."""
+
+    @classmethod
+    def open(cls, path: Path, capacity: int = 4096) -> Self:
+        return cls.create(path, EVENT.itemsize, capacity, {"kind": "events"})
+
+    def write(
+        self, stamp_ns: int, tick: int, level: Level, name: str, where: str = "", text: str = ""
+    ) -> None:
+        """Record an event; what is too long for its field is cut at a character."""
+        record = np.zeros(1, EVENT)
+        record["tick"], record["level"] = tick, level
+        record["name"], record["where"] = _cut(name, 32), _cut(where, 32)
+        record["text"] = _cut(text, 439)
+        self.publish(record, stamp_ns)
+
+
+class KeyframeRing(RingWriter):
+    """The cycle's whole state, every few seconds."""
+
+    _record: NDArray[np.void]
+
+    @classmethod
+    def open(cls, path: Path, capacity: int = 8) -> Self:
+        ring = cls.create(path, KEYFRAME.itemsize, capacity, {"kind": "keyframes"})
+        ring._record = np.zeros(1, KEYFRAME)
+        return ring
+
+    def write(self, stamp_ns: int, tick: int, state: bytes) -> bool:
+        """Record the state after ``tick``; gives False for one that is too large and left out: a
+        replay then begins at an earlier one."""
+        if len(state) > KEYFRAME_BYTES:
+            return False
+        record = self._record
+        record["tick"], record["size"] = tick, len(state)
+        record["state"][0, : len(state)] = np.frombuffer(state, np.uint8)
+        record["state"][0, len(state) :] = 0
+        self.publish(record, stamp_ns)
+        return True
+
+
+def _cut(text: str, size: int) -> bytes:
+    return text.encode()[:size].decode(errors="ignore").encode()

@@ -1,0 +1,1 @@
+"""What guards a run: the envelope, faults and their isolation, the ways to stop, the firewall."""

@@ -1,0 +1,94 @@
+"""A stop with the cables that are left: what each is asked for, and what no plan may do.
+
+The wrench is the weight and a damper of every motion, forces long before moments: letting the
+platform turn gives the least speed (docs/stop.md). A slack cable cannot pull: its drum follows the
+platform and closes the gap slowly. What a given-up one still pulls counts as a load.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.config.schema.control import Control
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.runtime.control.distribution import TensionDistribution
+from tonus.runtime.control.tension import TensionLoop
+from tonus.runtime.safety.faults import Faults
+from tonus.runtime.safety.guard import Guard
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Descent:
+    """Tension references and torques of a descent, and the guard that bounds them."""
+
+    def __init__(self, robot: Robot, control: Control, period: float) -> None:
+        self._stop, self._period = control.stop, period
+        self.distribution = TensionDistribution(control.distribution, control.stop.moment_length)
+        stiff = {"proportional": control.stop.proportional, "integral": 0.0}
+        self.loop = TensionLoop(robot, control.tension_loop.model_copy(update=stiff), period)
+        self.guard = Guard(robot, control.stop, period)
+        self.taut = np.ones(CABLES, dtype=bool)
+        """(n,) cables that pull; a slack one has to come back above `taut_tension`"""
+        self.centre = np.zeros(CABLES)
+        """N (n,), what tensions are drawn towards: from what they were to the passive tension"""
+        self._most = np.zeros(CABLES)
+        self._release = math.exp(-period / control.stop.release_s)
+        self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
+
+    def begin(self, tension: Array) -> None:
+        """From tensions (n,) of this tick."""
+        self.guard.reset()
+        self.centre[:] = tension
+        self.taut[:] = True
+
+    def pulling(self, tension: Array, faults: Faults) -> Array:
+        """Tensions (n,) as far as they are believed: a given-up cable pulls no more than it did
+        when that was found, and soon not at all if its drum turns freely; without a cell to say
+        so, nothing."""
+        if not faults.failed.any():
+            self._most[:] = tension
+            return tension
+        self._most[~faults.failed] = tension[~faults.failed]
+        self._most[faults.let_go] *= self._release
+        pulls = np.minimum(np.maximum(tension, 0.0), np.maximum(self._most, 0.0))
+        pulls[~faults.failed] = tension[~faults.failed]
+        pulls[faults.failed & ~faults.cells_trusted] = 0.0
+        return pulls
+
+    def plan(
+        self,
+        matrix: Array,
+        wrench: Array,
+        before: Array,
+        tension: Array,
+        carrying: Mask,
+        faults: Faults,
+    ) -> Array:
+        """Tension references (n,) for a ``wrench`` (6,), less, in place, what given-up cables pull.
+        ``before`` and ``tension`` (n,): the last references, and what `pulling` believes."""
+        stop = self._stop
+        self.taut &= tension > 0.5 * stop.taut_tension
+        self.taut |= tension > stop.taut_tension
+        gone = faults.failed
+        if gone.any():
+            wrench -= matrix[:, gone] @ tension[gone]
+        able = carrying & self.taut
+        self.centre += (self._period / stop.ease_s) * (stop.passive_tension - self.centre)
+        reach, least, most = stop.tension_rate * self._period, stop.least_tension, stop.most_tension
+        self._low[:] = np.clip(before - reach, least, most) * able
+        self._high[:] = np.clip(before + reach, least, most) * able
+        drawn = np.clip(self.centre, least, most) * able
+        planned = self.distribution(matrix * able, wrench, drawn, self._low, self._high)
+        planned[carrying & ~self.taut] = stop.passive_tension
+        return planned
+
+    def bound(self, torque: Array, rate: Array, following: Array, usable: Mask) -> None:
+        """The tension loop's torques (n,) made safe in place, at drum rates (n,) rad/s;
+        ``following``: the rates that would follow the platform."""
+        self.guard.take_up(torque, rate, following, usable & ~self.taut)
+        self.guard.bound(torque, rate, usable)

@@ -1,0 +1,1 @@
+"""Clocks, the fixed period, and what keeps it on a host."""

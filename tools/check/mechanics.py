@@ -1,0 +1,254 @@
+"""Whether the robot can do what is asked of it: wrenches, torques, speeds, margins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.config import Config, Scenario
+from tonus.config.schema.lab import Load
+from tonus.config.schema.robot import Robot, Workspace
+from tonus.runtime.control.reference import trajectory
+from tonus.tools.check.feasibility import (
+    Feasibility,
+    Poses,
+    against,
+    feasibility,
+    poses,
+    workspace_poses,
+)
+from tonus.tools.check.finding import Finding
+from tonus.tools.margins.tension_loop import tension_loop_margins
+
+Array = NDArray[np.float64]
+
+GRID = 7
+"""Points per edge of the box; with the turns a few thousand poses in a fraction of a second."""
+SAMPLES = 401
+"""Of the reference, over the scenario's duration."""
+_AFTER_ACTIVE_S = 0.5
+"""s, so that devices that take their time to be enabled do not matter"""
+_DELAY_PERIODS = 3.0
+"""from a drum's mean rate to the middle of its torque"""
+DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
+
+
+def mechanics(config: Config, scenario: Scenario) -> Iterator[Finding]:
+    """The rules that need the robot's geometry and drives."""
+    at = workspace_poses(config.robot.geometry, config.robot.workspace, GRID)
+    yield from _workspace(config, at)
+    yield from _places(config.robot)
+    yield from scenario_rules(config, scenario)
+    yield from _drives(config)
+    yield from _drum_damping(config)
+    yield from _tension_loop(config, at)
+
+
+def _judged(
+    config: Config, rule: str, where: str, at: Poses, outcome: Feasibility, wrenches: str
+) -> Finding:
+    bounds = config.control.tension
+    text = f"{wrenches}: {100 * outcome.share:.1f} % of {len(at.positions)} poses, "
+    place = at.describe(outcome.worst)
+    if outcome.reserve >= 0.0:
+        text += f"tensions stay {outcome.reserve:.1f} N inside their bounds, least at {place}"
+    elif math.isinf(outcome.reserve):
+        text += f"the cables cannot hold the platform at {place}"
+    else:
+        text += (
+            f"tensions must leave {bounds.min:g} to {bounds.max:g} N by {-outcome.reserve:.1f} N "
+            f"at {place}"
+        )
+    return Finding(
+        rule,
+        outcome.reserve >= 0.0,
+        where,
+        text,
+        "widen control.tension, or ask for less force or a smaller space",
+    )
+
+
+def _workspace(config: Config, at: Poses) -> Iterator[Finding]:
+    robot, limit = config.robot, config.control.envelope.contact_limit
+    weight = robot.platform.mass * robot.gravity
+    for force, name in (
+        (0.0, "gravity"),
+        (limit, f"gravity and {limit:g} N either way on an axis"),
+    ):
+        outcome = feasibility(
+            at,
+            against(weight, force * DIRECTIONS),
+            config.control.tension,
+            robot.geometry.moment_length,
+        )
+        yield _judged(config, "workspace", "robot.workspace", at, outcome, name)
+
+
+def _inside(positions: Array, box: Workspace) -> NDArray[np.bool_]:
+    low, high = np.array([box.x, box.y, box.z]).T
+    return np.asarray(np.all((positions >= low) & (positions <= high), axis=-1))
+
+
+def _places(robot: Robot) -> Iterator[Finding]:
+    for name, place in (("home", robot.home), ("rest", robot.rest)):
+        ok = bool(_inside(np.array(place), robot.workspace))
+        yield Finding(
+            "places",
+            ok,
+            f"robot.{name}",
+            f"{list(place)} m is {'inside' if ok else 'outside'} the workspace",
+            "move it into robot.workspace",
+        )
+
+
+def scenario_rules(config: Config, scenario: Scenario) -> Iterator[Finding]:
+    """The rules that judge a scenario on a robot."""
+    robot = config.robot
+    follow = trajectory(scenario.reference)
+    times = np.linspace(0.0, scenario.duration, SAMPLES)
+    path = np.array(robot.home) + np.array([follow(float(t))[0] for t in times])
+    path = np.unique(np.vstack([np.array(robot.home), path]), axis=0)
+    outside = np.flatnonzero(~_inside(path, robot.workspace))
+    text = f"{scenario.name} stays inside the workspace"
+    if outside.size:
+        text = f"{scenario.name} leaves the workspace, at {_place(path[outside[0]])}"
+    yield Finding(
+        "reference",
+        not outside.size,
+        f"scenario {scenario.name}: reference",
+        text,
+        "make the motion smaller, or robot.workspace larger",
+    )
+    if scenario.lab.load is not None:
+        yield _load(config, scenario, scenario.lab.load, path)
+    if config.lab is not None:
+        yield from _begins(config, scenario)
+
+
+def _begins(config: Config, scenario: Scenario) -> Iterator[Finding]:
+    """The lab counts from the moment the drives are enabled, and a load that comes before ACTIVE
+    tests nothing."""
+    lab, times = scenario.lab, config.control.sequence
+    if lab.load is not None:
+        what, profile = "load", [(point.at, point.force) for point in lab.load.profile]
+    elif lab.displacement is not None:
+        what = "displacement"
+        profile = [(point.at, point.distance) for point in lab.displacement.profile]
+    else:
+        return
+    first = next((index for index, (_, value) in enumerate(profile) if value != 0.0), None)
+    if first is None:
+        return
+    begins = profile[max(first - 1, 0)][0]
+    armed = times.referencing_settle_s + times.referencing_average_s
+    armed += times.pretension_s + times.lift_s + 1.0 / times.reference_slew
+    yield Finding(
+        "load",
+        begins >= armed,
+        f"scenario {scenario.name}: lab.{what}.profile",
+        f"the {what} begins {begins:g} s after the drives are enabled, ACTIVE {armed:g} s after "
+        "it at the earliest (control.sequence)",
+        f"let it begin at {armed + _AFTER_ACTIVE_S:.1f} s or later, or shorten control.sequence",
+    )
+
+
+def _load(config: Config, scenario: Scenario, load: Load, path: Array) -> Finding:
+    """Where the reference leads, and as far to either side as the load displaces the platform."""
+    robot, control = config.robot, config.control
+    direction = np.array(load.direction) / np.linalg.norm(load.direction)
+    forces = [point.force for point in load.profile]
+    peak = max(forces, key=abs)
+    stiffness = control.pid.stiffness if control.controller == "pid" else control.stiffness.base
+    aside = abs(peak) / stiffness * direction
+    positions = np.vstack([path, path + aside, path - aside])
+    at = poses(robot.geometry, positions, np.zeros_like(positions))
+    extremes = np.outer([max(forces), min(forces)], direction)
+    wrenches = against(robot.platform.mass * robot.gravity, extremes)
+    wrenches[:, 3:] = -np.cross(load.point, extremes)
+    outcome = feasibility(at, wrenches, control.tension, robot.geometry.moment_length)
+    return _judged(
+        config,
+        "load",
+        f"scenario {scenario.name}: lab.load",
+        at,
+        outcome,
+        f"gravity and {abs(peak):g} N, {1e3 * float(np.linalg.norm(aside)):.0f} mm about the "
+        "reference",
+    )
+
+
+def _drives(config: Config) -> Iterator[Finding]:
+    robot, control = config.robot, config.control
+    current = control.tension.max / robot.tension_per_amp
+    yield Finding(
+        "motor torque",
+        current <= robot.motor.current_limit,
+        "control.tension.max",
+        f"{control.tension.max:g} N need {current:.2f} A of {robot.motor.current_limit:g} A",
+        "lower control.tension.max or raise robot.motor.current_limit",
+    )
+    turns = robot.motor.nominal_speed_rpm / 60.0 / robot.gearbox.ratio
+    speed = 2.0 * math.pi * turns * robot.drum.radius
+    yield Finding(
+        "motor speed",
+        speed >= control.envelope.speed_limit,
+        "control.envelope.speed_limit",
+        f"a cable runs at up to {speed:.3f} m/s, the envelope admits "
+        f"{control.envelope.speed_limit:g} m/s",
+        "lower control.envelope.speed_limit or the gear ratio",
+    )
+
+
+def _drum_damping(config: Config) -> Iterator[Finding]:
+    """A drum that a stop damps by its own rate, without a cable: the rate is the mean of a period,
+    and its torque acts two periods later for one. With mass over delay or less the phase margin is
+    32 deg at least."""
+    robot, period = config.robot, config.control.rates.period
+    most = robot.drum.inertia / robot.drum.radius**2 / (_DELAY_PERIODS * period)
+    for name in ("passive_damping", "take_up_damping", "reel_damping"):
+        damping = float(getattr(config.control.stop, name))
+        yield Finding(
+            "drum damping",
+            damping < most,
+            f"control.stop.{name}",
+            f"{damping:g} N s/m on a drum's own rate; a delay of "
+            f"{1e3 * _DELAY_PERIODS * period:g} ms admits less than {most:.0f} N s/m",
+            f"lower control.stop.{name}, or shorten control.rates.period_us",
+        )
+
+
+def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
+    """Shortest, mean and longest cable; a cable's stiffness goes with one over its length."""
+    loop, response = config.control.tension_loop, config.response
+    where = "control.tension_loop"
+    lengths = [float(length) for length in (at.lengths.min(), at.lengths.mean(), at.lengths.max())]
+    found = [
+        tension_loop_margins(
+            config.robot,
+            loop,
+            config.control.rates.period,
+            cable_length=length,
+            current_loop_hz=response.current_loop_hz,
+            cell_bandwidth_hz=response.force_cell_hz,
+        )
+        for length in lengths
+    ]
+    floors = f"floors {loop.gain_margin_db:g} dB and {loop.phase_margin_deg:g} deg"
+    text = "unstable: a pole of the closed loop lies outside the unit circle"
+    if all(margin.stable for margin in found):
+        gain = min(margin.least_gain_db for margin in found)
+        text = f"margins {gain:.1f} dB and {min(margin.phase_deg for margin in found):.1f} deg"
+    yield Finding(
+        "tension loop",
+        all(margin.meet(loop) for margin in found),
+        where,
+        f"{text} over cables of {lengths[0]:.2f} to {lengths[2]:.2f} m, {floors}",
+        "lower proportional, or change rate_damping",
+    )
+
+
+def _place(position: Array) -> str:
+    return "({:+.3f}, {:+.3f}, {:+.3f}) m".format(*position)

@@ -1,0 +1,1 @@
+"""Stability margins of the tension loop and of whole controllers."""

@@ -1,0 +1,206 @@
+"""Stability margins of a whole controller: task-space loop round tension loop round plant.
+
+Translation along one axis at home, linear and frictionless, as in
+`tonus.tools.margins.tension_loop`: the eight drums move in the pattern g_i = u_i . d of that axis,
+so that they are one drum behind one cable, and G = sum g_i^2 of them pull at the platform. The
+estimator is taken as exact but for its delay, so a load observer, which then sees only what comes
+from outside, changes nothing here. The loop is cut at the torque, where everything acts, and at the
+force, where the outer loop alone does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from tonus.config.schema.control import TensionLoop
+from tonus.config.schema.root import Config
+from tonus.runtime.control.controllers import make_controller
+from tonus.runtime.control.controllers.linear import LinearLaw, NoLinearLawError
+from tonus.runtime.control.controllers.registry import is_foreign
+from tonus.runtime.control.kinematics import Kinematics
+from tonus.tools.margins.linearisation import LinearResponse, commands_tensions, linear_responses
+from tonus.tools.margins.tension_loop import (
+    DELAY_TICKS,
+    UNSTABLE,
+    Margins,
+    frequencies,
+    margins_of,
+    stable,
+)
+
+Array = NDArray[np.float64]
+_LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+_ANGLE, _CELL, _PLACE, _SPEED = 0, 3, 4, 5
+_PLANT = 6
+_INTEGRAL, _LAST, _OUTER, _ASKED, _SLOPE, _PIPE = range(_PLANT, _PLANT + 6)
+_END = _PIPE + DELAY_TICKS
+
+
+class _Loop:
+    """The sampled loop as a linear map of its state: plant, tension integral, last drum angle,
+    outer integral, last tension reference and its filtered slope, torques under way; then what a
+    controller given by its ``response`` has inside."""
+
+    def __init__(
+        self,
+        config: Config,
+        tension: TensionLoop,
+        outer: LinearLaw,
+        axis: int,
+        *,
+        follows: bool,
+        response: LinearResponse | None = None,
+    ) -> None:
+        """``outer`` is the feedback, or, where there is a ``response``, that is."""
+        self._response = response
+        robot, bandwidth = config.robot, config.response
+        kinematics = Kinematics(robot.geometry)
+        kinematics.evaluate(np.array(robot.home), _LEVEL)
+        self._gather = gather = float((kinematics.matrix[axis] ** 2).sum())
+        self._radius = radius = robot.drum.radius
+        self._follows = follows
+        self._tension, self._outer, self._period = tension, outer, config.control.rates.period
+        k = robot.cable.axial_stiffness / float(kinematics.lengths.mean())
+        self._turn = tension.lead / (k * radius * self._period)
+        """rad/s of the drum for each newton by which the reference moves in a tick"""
+        self._follow = 1.0 - np.exp(-2.0 * np.pi * tension.lead_cutoff_hz * self._period)
+        c, inertia, mass = robot.cable.damping, robot.drum.inertia, robot.platform.mass
+        drive = 2.0 * np.pi * bandwidth.current_loop_hz
+        cell = 2.0 * np.pi * bandwidth.force_cell_hz
+        pull = np.array([k * radius, c * radius, 0.0, 0.0, -k, -c])
+        flow = np.zeros((_PLANT, _PLANT))
+        flow[0, 1] = flow[4, 5] = 1.0
+        flow[1] = -radius / inertia * pull
+        flow[1, 1] -= robot.drum.viscous_friction / inertia
+        flow[1, 2] = 1.0 / inertia
+        flow[2, 2] = -drive
+        flow[3] = cell * pull
+        flow[3, 3] -= cell
+        flow[5] = gather / mass * pull
+        flow[5, 4] -= outer.body / mass
+        enter = np.zeros((_PLANT, 1))
+        enter[2] = drive
+        self._step, effect, *_ = signal.cont2discrete(
+            (flow, enter, np.eye(_PLANT), np.zeros((_PLANT, 1))), self._period
+        )
+        self._effect = effect[:, 0]
+        self.size = _END + (response.order if response is not None else 0)
+
+    def _feedback(self, s: Array) -> tuple[float, float, Array]:
+        """Force asked of the cables, the outer integral, and what is next inside a controller
+        given by its response."""
+        if self._response is not None:
+            force, inside = self._response.step(s[_END:], s[_PLACE], s[_SPEED])
+            return force, 0.0, inside
+        o, h = self._outer, self._period
+        drum, speed = self._radius * s[_ANGLE], self._radius * s[1]
+        touch = o.body * s[_PLACE]
+        gains = (o.integral, self._gather * o.cable[2], o.contact[1])
+        grown = 0.0
+        if any(gains):  # else an integral of nothing would count as a pole at one
+            grown = s[_OUTER] + h * float(np.dot(gains, (s[_PLACE], drum, touch)))
+        force = o.stiffness * s[_PLACE] + o.damping * s[_SPEED] + o.contact[0] * touch
+        force += self._gather * (o.cable[0] * drum + o.cable[1] * speed)
+        return -(force + grown), grown, s[_END:]
+
+    def step(
+        self, s: Array, torque: float | None = None, force: float | None = None
+    ) -> tuple[Array, float, float]:
+        """Next state, and the torque and the force that the loop returns. One of them may be given
+        instead: there the loop is cut."""
+        t, h, r = self._tension, self._period, self._radius
+        returned, grown, inside = self._feedback(s)
+        reference = (returned if force is None else force) / self._gather
+        error = reference - s[_CELL]
+        # Else an integral of nothing would count as a pole at one.
+        integral = s[_INTEGRAL] + t.integral * h * error if t.integral else 0.0
+        asked = r * (t.feed_forward * reference + t.proportional * error + integral)
+        rate = (s[_ANGLE] - s[_LAST]) / h
+        slope = s[_SLOPE] + self._follow * (reference - s[_ASKED] - s[_SLOPE])
+        wanted = self._follows * s[_SPEED] / r + self._turn * slope
+        asked += t.rate_damping * (wanted - rate)
+        new = np.empty(self.size)
+        new[:_PLANT] = self._step @ s[:_PLANT] + self._effect * s[_END - 1]
+        new[_INTEGRAL], new[_LAST], new[_OUTER] = integral, s[_ANGLE], grown
+        new[_ASKED], new[_SLOPE] = reference, slope
+        new[_PIPE] = asked if torque is None else torque
+        new[_PIPE + 1 : _END] = s[_PIPE : _END - 1]
+        new[_END:] = inside
+        return new, asked, returned
+
+    def _columns(self, cut: str | None) -> tuple[Array, Array, Array, float]:
+        """State matrix, entry, exit and direct part of the loop cut at ``cut``."""
+        given = {} if cut is None else {cut: 0.0}
+        which = 1 if cut == "torque" else 2
+        states = [self.step(unit, **given) for unit in np.eye(self.size)]
+        matrix = np.array([state[0] for state in states]).T
+        out = np.array([state[which] for state in states])
+        driven = self.step(np.zeros(self.size), **({} if cut is None else {cut: 1.0}))
+        return matrix, driven[0], out, float(driven[which])
+
+    @property
+    def stable(self) -> bool:
+        return stable(self._columns(None)[0])
+
+    def margins(self, cut: str) -> Margins:
+        matrix, entry, out, direct = self._columns(cut)
+        frequency = frequencies(self._period, 3000)
+        z = np.exp(2j * np.pi * frequency * self._period)
+        shifted = z[:, None, None] * np.eye(self.size) - matrix
+        driven = np.linalg.solve(shifted, entry[:, None].astype(complex))[:, :, 0]
+        return margins_of(np.asarray(-(driven @ out + direct), complex), frequency)
+
+
+def loops(config: Config, controller: str) -> list[_Loop]:
+    """The loops whose margins are those of a controller by name, with its configured gains: over
+    three axes and the ends of its stiffness. A shipped controller is taken by the laws it states;
+    any other by its own output, linearised numerically, and by the laws it states besides, or by
+    these alone if it commands tensions. Raises `NoLinearLawError` for a controller that neither
+    states its feedback nor can be linearised, and `ControllerError` for one that fails.
+
+    Bandwidths of drives and cells are the lab's, or the robot's where there is none.
+    """
+    law = make_controller(controller, config.robot, config.control)
+    tension, follows = law.tension_loop, law.follows_platform
+    responses: list[LinearResponse] = []
+    if is_foreign(type(law)) and not commands_tensions(config, controller):
+        responses += linear_responses(config, controller)
+    try:
+        laws = law.stated_laws()
+    except NoLinearLawError:
+        if not responses:
+            raise
+        laws = ()
+    found = [
+        _Loop(config, tension, outer, axis, follows=follows) for outer in laws for axis in range(3)
+    ]
+    return found + [
+        _Loop(config, tension, LinearLaw(), each.axis, follows=follows, response=each)
+        for each in responses
+    ]
+
+
+def least_margins(found: Iterable[_Loop], cut: str) -> Margins:
+    """Cut at the ``torque``, the plant's input, every loop counts; at the ``force``, the outer one
+    round all others."""
+    least = Margins(np.inf, np.inf, 0.0)
+    for loop in found:
+        if not loop.stable:
+            return UNSTABLE
+        here = loop.margins(cut)
+        least = Margins(
+            min(least.gain_db, here.gain_db),
+            min(least.phase_deg, here.phase_deg),
+            max(least.crossover_hz, here.crossover_hz),
+            min(least.reduction_db, here.reduction_db),
+        )
+    return least
+
+
+def margins(config: Config, controller: str, *, cut: str = "torque") -> Margins:
+    """The least margins of a controller by name, over its `loops`, with the same errors."""
+    return least_margins(loops(config, controller), cut)

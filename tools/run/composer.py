@@ -1,0 +1,380 @@
+"""One run, composed: a daemon, a recorder, and a lab where the configuration has one.
+
+The only place that puts a runtime and a lab together. In virtual time all three share one loop; in
+real time each is a process of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+
+from tonus.config.places import runtime_dir
+from tonus.config.schema.bus import DirectBus, parts
+from tonus.drivers.fieldbus import Fieldbus, FrameTap
+from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.tracker import TrackerInput, TrackerSource, UdpTracker
+from tonus.runtime.daemon import Daemon, Outcome
+from tonus.runtime.operation.control_door import ControlDoor
+from tonus.runtime.operation.control_socket import ControlSocket, ControlSocketError
+from tonus.runtime.operation.notify import Notifier
+from tonus.runtime.operation.operator import Console, Script
+from tonus.runtime.operation.rehearsal import rehearse
+from tonus.runtime.recording.recorder import Recorder
+from tonus.runtime.recording.ring import RingWriter
+from tonus.runtime.recording.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
+from tonus.runtime.recording.viewer import Scene
+from tonus.runtime.safety.firewall import Firewall
+from tonus.runtime.safety.guarded_tap import GuardedTap
+from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.states import State
+from tonus.runtime.timing import clock
+from tonus.runtime.timing.latencies import Latencies
+from tonus.runtime.timing.realtime import Hygiene, compared, demand, settled, stolen_jiffies
+from tonus.runtime.timing.scheduler import Pacing, TimerPacing, VirtualPacing
+from tonus.runtime.topics import to_json
+from tonus.sim.lab import Lab
+from tonus.tools import output
+from tonus.tools.cli.live import Live
+from tonus.tools.doctor import doctor
+from tonus.tools.errors import ToolError
+from tonus.tools.event_lines import EventLines, for_journal
+from tonus.tools.folders import make_folder
+from tonus.tools.repeat import every
+from tonus.tools.run import fieldbuses, provenance
+from tonus.tools.run.idle_pacing import IdlePacing
+from tonus.tools.run.lab_process import LabProcess, start_lab
+from tonus.tools.run.order import Order, Result
+from tonus.tools.run.recorder_process import RecorderProcess, start
+from tonus.tools.run.ring_directory import ring_directory
+from tonus.tools.run.run_folder import LOG, RunFolder
+from tonus.tools.run.truth import TruthRing
+
+__all__ = ["Order", "Result", "run"]
+
+DRAIN_S = 0.2
+"""s of virtual time between two looks of the in-process recorder"""
+FRAMES_PER_TICK = 64
+_DISARMED = frozenset({State.OFF, State.STANDBY, State.FAULT})
+
+
+def run(order: Order) -> Result:
+    """Run to the end. Raises `DriverError` when a bus cannot be brought up."""
+    wireless = any(isinstance(bus, DirectBus) for bus in parts(order.config.fieldbus))
+    if wireless and not order.virtual:
+        raise ToolError("the direct fieldbus has no wires: it needs --virtual and a lab")
+    with ExitStack() as first:
+        # Before anything of another daemon's could be touched.
+        control = _control_socket(order)
+        if control is not None:
+            first.callback(control.close)
+        return _run(order, control)
+
+
+def _control_socket(order: Order) -> ControlSocket | None:
+    """Held from here on; in virtual time only where people are to be served."""
+    if order.virtual and not order.serve:
+        return None
+    settings = order.config.operation.socket
+    path = order.socket or Path(settings.path)
+    try:
+        return ControlSocket(path if order.socket else runtime_dir() / path, settings)
+    except ControlSocketError as error:
+        raise ToolError(str(error)) from error
+
+
+def _run(order: Order, control: ControlSocket | None) -> Result:
+    if not order.virtual:
+        demand(order.config.realtime)
+    make_folder(order.out)
+    if not rehearse(order.config, order.scenario):
+        raise ToolError("the control cycle does not reach ACTIVE even with an obedient robot")
+    folder = RunFolder(order.out, link=order.link)
+    with ring_directory(order.say) as rings, folder.occupied(), ExitStack() as cleanup:
+        stage = _Stage(order, rings, folder, cleanup, control)
+        return stage.virtual() if order.virtual else stage.real()
+
+
+class _Stage:
+    """The parts of one run, and the order in which they come and go."""
+
+    def __init__(
+        self,
+        order: Order,
+        rings: Path,
+        folder: RunFolder,
+        cleanup: ExitStack,
+        control: ControlSocket | None,
+    ) -> None:
+        config = order.config
+        self._control, self._notifier = control, Notifier({} if order.virtual else os.environ)
+        rates = order.config.control.rates
+        step_ns = rates.status_divisor * rates.period_ns
+        shown = order.live and not order.serve
+        self._shown = (order.scenario.duration, step_ns) if shown else None
+        self._order, self._rings, self._cleanup = order, rings, cleanup
+        self._folder, self._log = folder, folder.path / LOG
+        self._realtime = settled(config.realtime)
+        patience = config.operation.self_test.patience_s
+        script = None
+        if not order.serve:
+            played, period = order.scenario, config.control.rates.period
+            script = Script(played.duration, patience, played.operator, period)
+        self._console = Console(script)
+        self._image = ProcessImage()
+        ticks = int(config.recording.ring_s / config.control.rates.period)
+        meta = {"kind": "record", "topics": to_json(TOPICS)}
+        self._cycles = RingWriter.create(rings / "cycle.ring", CYCLE.itemsize, ticks, meta)
+        self._events = EventRing.open(rings / "events.ring")
+        self._keyframes = KeyframeRing.open(rings / "keyframes.ring")
+        self._firewall = Firewall(config.operation.firewall.failures)
+        self._tap: FrameTap | None = None
+        channels = fieldbuses.channels(config)
+        if config.recording.raw_frames and channels:
+            frames = FrameRing.open(rings / "frames.ring", channels, ticks * FRAMES_PER_TICK)
+            self._tap = GuardedTap(frames, self._firewall.part("frame tap"))
+        self._ticks = ticks
+        self._began = 0.0
+        self._too_large = False
+        self._hygiene: Hygiene | None = None
+        self._latencies: Latencies | None = None
+        self._daemon_made: Daemon | None = None
+
+    def virtual(self) -> Result:
+        order = self._order
+        live = Live(*self._shown) if self._shown else None
+        lines = EventLines(self._rings, journal=for_journal(os.environ)) if order.serve else None
+        recorder = Recorder(
+            self._rings,
+            self._log,
+            order.config.recording,
+            self._metadata(),
+            self._attachments(),
+            0,
+            live.update if live else None,
+            Scene.of(order.config),
+        )
+
+        async def main() -> Outcome:
+            def drain() -> None:
+                recorder.drain()
+                if lines is not None:
+                    lines.tell()
+
+            with self._lab() as lab:
+                fieldbus = fieldbuses.build(order.config, self._image, lab, self._tap)
+                daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False))
+                pacing = fieldbuses.steering(fieldbus, order.pacing or self._pacing)
+                # In this loop in virtual time only: a process of its own otherwise.
+                part = self._firewall.part("recorder")
+                draining = every(DRAIN_S, lambda: part(drain))
+                try:
+                    return await daemon.run(pacing, order.say, self._begin, start_ns=order.start_ns)
+                finally:
+                    draining()
+                    drain()
+
+        try:
+            with self._signals():
+                outcome = clock.run(main(), virtual=True)
+                seconds = self._seconds()
+        finally:
+            recorder.finish()
+            if live:
+                live.close()
+        return Result(outcome, self._log, seconds, unrecorded=recorder.stopped)
+
+    def real(self) -> Result:
+        order = self._order
+        comparison = compared(self._realtime)
+        if comparison is not None:
+            order.say(str(comparison))
+            self._realtime = self._realtime.model_copy(update={"awake": comparison.better})
+        realtime = self._realtime
+        lab = self._lab_process()
+        recorder = self._recorder_process()
+        early, spin = realtime.early_wake_us * 1000, realtime.spin_us * 1000
+
+        async def main() -> Outcome:
+            fieldbus = fieldbuses.build(order.config, self._image, tap=self._tap)
+            daemon = self._daemon(fieldbus, None, clock.Stopwatch(running=True))
+            self._latencies = daemon.latencies
+            # Before the bring-up, since it takes longer than the drives wait for a heartbeat.
+            self._hygiene = hygiene = Hygiene(realtime)
+            self._cleanup.callback(hygiene.release)
+            for grant in hygiene.grants:
+                order.say(str(grant))
+            usual = order.pacing or partial(TimerPacing, early, spin)
+            pacing = fieldbuses.steering(fieldbus, usual)
+            return await daemon.run(pacing, order.say, self._begin)
+
+        before = stolen_jiffies()
+        try:
+            with self._signals(), output.hurried():
+                outcome = clock.run(main(), virtual=False)
+            seconds = self._seconds()
+        finally:
+            self._notifier.stopping()
+            if self._hygiene is not None:
+                self._hygiene.release()
+            left = recorder.stop()
+            if left is not None:
+                order.say(f"the recorder was killed; what it left is in {left}")
+            if lab is not None:
+                lab.stop()
+        stolen, total = (now - then for now, then in zip(stolen_jiffies(), before, strict=True))
+        steal = 100.0 * stolen / total if total else 0.0
+        grants = self._hygiene.grants if self._hygiene is not None else []
+        unrecorded = recorder.stopped
+        return Result(outcome, self._log, seconds, steal, grants, unrecorded, self._latencies)
+
+    def _begin(self) -> None:
+        self._folder.started()
+        self._notifier.ready()
+        self._began = clock.wall_seconds()
+
+    def _seconds(self) -> float:
+        """s of wall time since the first tick; 0: there was none."""
+        return clock.wall_seconds() - self._began if self._began else 0.0
+
+    @contextmanager
+    def _lab(self) -> Iterator[Lab]:
+        """A lab in this process, gone again whatever happens."""
+        order = self._order
+        if order.config.lab is None:
+            raise ToolError("virtual time needs a lab: section in the configuration")
+        truth = TruthRing(self._rings / "truth.ring", self._ticks)
+        lab = Lab(
+            order.config,
+            order.scenario.lab,
+            seed=order.seed,
+            clock=clock.loop_clock(),
+            truth=truth.publish,
+        )
+        try:
+            lab.open()
+            yield lab
+        finally:
+            lab.close()
+
+    def _lab_process(self) -> LabProcess | None:
+        order = self._order
+        if order.config.lab is None:
+            return None
+        config = order.config.model_copy(update={"realtime": self._realtime})
+        lab = start_lab(config, order.scenario, order.seed, self._rings, self._ticks)
+        self._cleanup.callback(lab.stop)
+        return lab
+
+    def _metadata(self) -> dict[str, str]:
+        order = self._order
+        return provenance.metadata(
+            order.config, order.scenario, seed=order.seed, virtual=order.virtual
+        )
+
+    def _attachments(self) -> dict[str, bytes]:
+        order = self._order
+        return provenance.attachments(order.config, order.scenario, order.others)
+
+    def _recorder_process(self) -> RecorderProcess:
+        order = self._order
+        realtime, health = self._realtime, doctor.latest(order.config, order.out)
+        attachments = {"doctor.json": json.dumps(health, indent=2, sort_keys=True).encode()}
+        recorder = start(
+            self._rings,
+            self._log,
+            order.config.recording,
+            self._metadata() | provenance.host() | doctor.metadata(health),
+            self._attachments() | attachments,
+            clock.utc_offset_ns(),
+            priority=realtime.of(realtime.recorder_priority),
+            processors=realtime.on(realtime.recorder_cpu),
+            live=self._shown,
+            tell_events=order.serve,
+            scene=Scene.of(order.config),
+        )
+        self._cleanup.callback(recorder.stop)
+        return recorder
+
+    def _daemon(self, fieldbus: Fieldbus, lab: Lab | None, stopwatch: clock.Stopwatch) -> Daemon:
+        config, image = self._order.config, self._image
+        source: TrackerSource
+        if lab is not None:
+            source = lab.tracker
+        else:
+            source = UdpTracker(config.tracker.address, config.tracker.port)
+            self._cleanup.callback(source.close)
+        order = self._order
+        daemon = self._daemon_made = Daemon(
+            config,
+            order.scenario,
+            fieldbus,
+            TrackerInput(image, source),
+            self._console,
+            ring=self._cycles,
+            events=self._events.write,
+            stopwatch=stopwatch,
+            keyframes=self._keep_state,
+            others=order.others,
+            firewall=self._firewall,
+        )
+        control, beat, sequence = self._control, self._notifier.beat, daemon.cycle.sequence
+        if control is not None:
+            catalogue = (order.scenario, *order.others)
+            control.open_to(ControlDoor(config, daemon, self._console, catalogue, str(self._log)))
+            daemon.serve("emergency stop", control.listen, lasting=True)
+            daemon.serve("control socket", control.poll)
+            # Lasting: without it the service manager would kill the daemon, the robot at height.
+            daemon.serve(
+                "service notification", lambda due_ns: beat(due_ns, sequence.state), lasting=True
+            )
+        return daemon
+
+    def _keep_state(self, stamp_ns: int, tick: int, state: bytes) -> None:
+        """A keyframe; the first one that no ring has room for is told, and no other."""
+        if not self._keyframes.write(stamp_ns, tick, state) and not self._too_large:
+            self._too_large = True
+            text = (
+                f"the controller's state has {len(state)} bytes, and {KEYFRAME_BYTES} is the "
+                "limit; a replay has to begin at an earlier keyframe or at the first tick"
+            )
+            self._events.write(stamp_ns, tick, Level.WARNING, "keyframe_left_out", "", text)
+
+    def _pacing(self) -> Pacing:
+        """Of virtual time."""
+        order, daemon = self._order, self._daemon_made
+        if not order.serve or daemon is None:
+            return VirtualPacing()
+        sequence = daemon.cycle.sequence
+        return IdlePacing(
+            lambda: sequence.state in _DISARMED, order.config.operation.virtual_idle_speed
+        )
+
+    @contextmanager
+    def _signals(self) -> Iterator[None]:
+        """The first SIGINT or SIGTERM asks for a controlled stop, the second disables at once.
+        SIGHUP, a terminal that is gone, is a stop too, except of a daemon that serves."""
+        ends = [signal.SIGINT, signal.SIGTERM]
+        kept = {signal.SIGHUP: signal.signal(signal.SIGHUP, lambda *_: self._hang_up())}
+        for number in ends:
+            kept[number] = signal.signal(number, lambda which, _: self._end(which))
+        try:
+            yield
+        finally:
+            for number, handler in kept.items():
+                signal.signal(number, handler)
+
+    def _end(self, number: int) -> None:
+        self._console.stop(f"signal {signal.Signals(number).name}")
+
+    def _hang_up(self) -> None:
+        if not self._order.serve:
+            self._end(signal.SIGHUP)
+        elif self._daemon_made is not None:
+            text = "SIGHUP: nothing to do; the configuration is read at the start only"
+            self._daemon_made.note(Level.INFO, "signal", text)

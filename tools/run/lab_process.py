@@ -1,0 +1,166 @@
+"""The lab as a process of its own, for runs in real time.
+
+    python -m tonus.tools.run.lab_process JOB
+
+JOB is a JSON file that `start_lab` writes. The process says "ready" on standard output when its
+sockets are open, and ends when its standard input closes: with the daemon that started it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tonus.config.places import runtime_dir
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
+from tonus.runtime.timing import clock
+from tonus.runtime.timing.realtime import freeze_collector, prepare
+from tonus.sim.errors import LabError
+from tonus.sim.lab import Lab, TruthSink
+from tonus.sim.server import serve
+from tonus.tools import output
+from tonus.tools.errors import ToolError
+from tonus.tools.run.truth import TruthRing
+
+_READY = b"ready"
+_COMMAND = (sys.executable, "-m", "tonus.tools.run.lab_process")
+_PIECE = 4096
+
+
+@dataclass
+class LabProcess:
+    """A lab at work, seen from the daemon."""
+
+    process: subprocess.Popen[bytes]
+
+    def stop(self, timeout_s: float = 10.0) -> None:
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+        self.process.wait(timeout_s)
+
+
+def start_lab(
+    config: Config, scenario: Scenario, seed: int, rings: Path, truth_capacity: int
+) -> LabProcess:
+    """Start a lab on the configuration's buses and wait until it answers.
+
+    Raises `ToolError` with the lab's own words when it cannot start, or when it does not answer
+    within `lab.start_timeout_s`; then it has been killed.
+    """
+    assert config.lab is not None
+    job = {
+        "config": config.model_dump(mode="json"),
+        "scenario": scenario.model_dump(mode="json"),
+        "seed": seed,
+        "truth": str(rings / "truth.ring"),
+        "truth_capacity": truth_capacity,
+    }
+    path = rings / "lab.json"
+    path.write_text(json.dumps(job), encoding="utf-8")
+    process = subprocess.Popen(
+        [*_COMMAND, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        process_group=0,
+    )
+    answer = b""
+    try:
+        answer = _first_line(process, config.lab.start_timeout_s)
+    finally:
+        if answer != _READY:
+            process.kill()
+            process.wait()
+    if answer != _READY:
+        words = answer.decode(errors="replace").strip() or "it ended without a word"
+        raise ToolError(f"the lab did not start: {words}")
+    return LabProcess(process)
+
+
+def _first_line(process: subprocess.Popen[bytes], timeout_s: float) -> bytes:
+    """What a process says first, without the line's end; b"" if it ends before. Raises `ToolError`
+    if it says no whole line in time."""
+    assert process.stdout is not None
+    said, end = b"", clock.wall_seconds() + timeout_s
+    with selectors.DefaultSelector() as selector:
+        selector.register(process.stdout, selectors.EVENT_READ)
+        while b"\n" not in said:
+            if not selector.select(max(end - clock.wall_seconds(), 0.0)):
+                raise ToolError(
+                    f"the lab did not answer within {timeout_s:g} s; look what keeps this host "
+                    "busy, or set lab.start_timeout_s higher"
+                )
+            piece = os.read(process.stdout.fileno(), _PIECE)
+            if not piece:
+                break
+            said += piece
+    return said.partition(b"\n")[0]
+
+
+async def work(
+    config: Config,
+    scenario: Scenario,
+    seed: int,
+    truth: TruthSink | None,
+    ready: Callable[[], None],
+    nodes: frozenset[tuple[str, int]] | None = None,
+) -> None:
+    """A lab on the configuration's buses, in real time, until cancelled; ``nodes`` as in `Lab`.
+
+    Raises `LabError`.
+    """
+    realtime = config.realtime
+    priority = realtime.of(realtime.lab_priority)
+    prepare(priority=priority, processors=realtime.on(realtime.lab_cpu), lock_memory=False)
+    now = clock.loop_clock()
+    lab = Lab(config, scenario.lab, seed=seed, clock=now, truth=truth, start_ns=now(), nodes=nodes)
+
+    def answer() -> None:
+        freeze_collector()
+        ready()
+
+    await serve(lab, config, runtime_dir(), answer, clock.utc_offset_ns)
+
+
+async def _until_left_alone(job: dict[str, Any]) -> None:
+    """Serve until standard input closes."""
+    config = Config.model_validate(job["config"])
+    scenario = Scenario.model_validate(job["scenario"])
+    truth = TruthRing(Path(job["truth"]), job["truth_capacity"])
+    working = asyncio.get_running_loop().create_task(
+        work(config, scenario, job["seed"], truth.publish, lambda: _say(_READY + b"\n"))
+    )
+    asyncio.get_running_loop().add_reader(sys.stdin.fileno(), working.cancel)
+    with suppress(asyncio.CancelledError):
+        await working
+
+
+def _say(text: bytes) -> None:
+    sys.stdout.buffer.write(text)
+    sys.stdout.buffer.flush()
+
+
+def main() -> None:
+    """The process that `start_lab` starts."""
+    output.install()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    job = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    try:
+        clock.run(_until_left_alone(job), virtual=False)
+    except (LabError, OSError) as error:
+        _say(f"{error}\n".encode())
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()
