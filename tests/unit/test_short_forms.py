@@ -95,6 +95,11 @@ def test_a_step_in_motion_can_be_measured() -> None:
     assert control.active_step(seconds=0.05) > 0.0
 
 
+def test_a_step_at_its_bounds_can_be_measured() -> None:
+    """Its robot ended in a fault, unnoticed."""
+    assert control.loaded_step(seconds=0.05) > 0.0
+
+
 def test_commissioning_shows_what_the_check_prints() -> None:
     page = (ROOT / "docs/commissioning.md").read_text(encoding="utf-8")
     block = page.partition("$ tonus check config/can.yaml\n")[2].partition("```")[0]
