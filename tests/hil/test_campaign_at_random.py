@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
+from tests.hil.not_yet_kept import NOT_YET_KEPT
 from tonus.config.loader import load_study
 from tonus.tools.campaign.campaign import played
 from tonus.tools.campaign.draw import episodes
@@ -14,8 +15,6 @@ EPISODES = int(os.environ.get("TONUS_EPISODES", "20"))
 SEED = int(os.environ.get("TONUS_CAMPAIGN_SEED", "1"))
 WORKERS = int(os.environ.get("TONUS_CAMPAIGN_WORKERS", "1"))
 """the other processor has tests of its own"""
-NOT_YET_KEPT = frozenset({"speed_rises", "unnamed"})
-"""a second fault in a stop may go without a name, and a late sway may pass 0.28 m/s"""
 
 
 def test_no_fault_breaks_a_bound() -> None:

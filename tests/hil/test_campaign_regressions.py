@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.hil.not_yet_kept import NOT_YET_KEPT
 from tonus.config.loader import load_study
 from tonus.tools.campaign import regression
 from tonus.tools.campaign.invariants import within_bounds
@@ -17,6 +18,10 @@ KEPT = sorted(Path(__file__).with_name("regressions").glob(f"*{regression.SUFFIX
 
 @pytest.mark.parametrize("path", KEPT, ids=lambda path: path.name.removesuffix(regression.SUFFIX))
 def test_a_mended_violation_stays_mended(path: Path) -> None:
-    episode = regression.load(path).episode
-    seen = play(episode, tail=STUDY.times.tail, longest=STUDY.times.longest, named=STUDY.named)
-    assert within_bounds(seen, replayed=True) == []
+    """Nor does it break another bound; those that are not kept yet count where they were broken."""
+    kept = regression.load(path)
+    times = STUDY.times
+    seen = play(kept.episode, tail=times.tail, longest=times.longest, named=STUDY.named)
+    admitted = NOT_YET_KEPT - {kept.broke}
+    broken = within_bounds(seen, replayed=True)
+    assert [each for each in broken if each.invariant not in admitted] == []
