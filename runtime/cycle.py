@@ -46,6 +46,8 @@ from tonus.runtime.states import ARMED, Operator, State
 Array = NDArray[np.float64]
 _NOBODY = np.zeros(CABLES, dtype=bool)
 _SELECT_BIT = 24
+_EVEN_TICKS = 3
+"""from a torque to the sample that shows it, and one more"""
 """of the checksum's start, so that a tick without a choice has the checksum it always had"""
 
 
@@ -100,6 +102,8 @@ class ControlCycle:
         self._pulling = np.zeros(CABLES)
         self._torque = np.zeros(CABLES)
         """N m, of the last tick"""
+        self._last_tick, self._even = -1, np.zeros(CABLES, dtype=np.int64)
+        """(n,) ticks in a row that came on time and with a fresh sample"""
         self._drum_rate, self._none = np.zeros(CABLES), np.zeros(CABLES)
         self._desired_drums = (np.zeros(CABLES), np.zeros(CABLES))
         self._bearing = np.zeros((6, CABLES))
@@ -133,13 +137,20 @@ class ControlCycle:
         if sequence.step(image, tick, operator, finite=self._finite):
             self._enter(sequence.state)
         image.commands["command"] = sequence.axis_command
+        # After a missed tick or a late sample, torque and motion are not of one time.
+        self._even += 1
+        self._even[image.axes["age"] > 0 if tick == self._last_tick + 1 else slice(None)] = 0
+        self._last_tick = tick
         self._isolation.drums(
             sensing.angle,
             sensing.rate,
             self._torque,
             sensing.tension,
             self._robot.drum.radius * self._drum_rate,
-            sensing.usable & ~sequence.faults.failed & sequence.enabled,
+            sensing.usable
+            & ~sequence.faults.failed
+            & (self._even >= _EVEN_TICKS)
+            & sequence.enabled,
         )
         if sequence.passive_share >= 0.0:
             self._give_way(image)
