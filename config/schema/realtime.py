@@ -68,7 +68,7 @@ class RealTime(Section):
     """of this, how long the processor is kept busy rather than asleep"""
     controller_share: Share = 0.2
     """of the period that a controller which is not ours may take, measured before a run in real
-    time (`tonus.tools.controller_time`)"""
+    time (`tonus.tools.check.controller_time`)"""
     overrun: Overrun
     """on missed ticks, whoever's making: skip counts them; hold keeps the platform where it is;
     stop is a controlled stop"""

@@ -15,8 +15,8 @@ from tonus.runtime.control.controllers.base import Controller
 from tonus.runtime.control.controllers.linear import LinearLaw
 from tonus.runtime.errors import ControllerError
 from tonus.tools.check.controller import check_controller
+from tonus.tools.check.controller_time import ROUNDS, TICKS, WARM_TICKS, controller_time
 from tonus.tools.cli.main import main
-from tonus.tools.controller_time import ROUNDS, TICKS, WARM_TICKS, controller_time
 from tonus.tools.log import open as open_log
 from tonus.tools.margins.linearisation import linear_responses
 from tonus.tools.margins.task import _Loop, least_margins, margins

@@ -10,11 +10,11 @@ import numpy as np
 from tonus.config import Config
 from tonus.runtime.control.controllers import controller_class
 from tonus.runtime.control.controllers.linear import NoLinearLawError
-from tonus.runtime.control.controllers.probe import Probe
 from tonus.runtime.control.controllers.registry import is_foreign
 from tonus.runtime.errors import ControllerError
+from tonus.tools.check.controller_time import controller_time
 from tonus.tools.check.finding import Finding
-from tonus.tools.controller_time import controller_time
+from tonus.tools.margins.probe import Probe
 from tonus.tools.margins.task import least_margins, loops
 
 _PROBES = 200

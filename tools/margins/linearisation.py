@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.runtime.control.controllers.linear import NoLinearLawError
-from tonus.runtime.control.controllers.probe import Probe
+from tonus.tools.margins.probe import Probe
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tonus.config import Config
-from tonus.runtime.control.controllers.probe import Probe
 from tonus.runtime.timing.clock import Stopwatch
+from tonus.tools.margins.probe import Probe
 
 ROUNDS = 5
 TICKS = 200
