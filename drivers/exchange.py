@@ -33,6 +33,8 @@ AXIS = np.dtype(
         ("statusword", "i8"),
         ("error_code", "i8"),
         ("untrusted", "i8"),  # silent, restarted or not operational
+        ("sampled_ns", "i8"),  # when the SYNC that took the sample went out; 0: on a common clock
+        ("doubt_ns", "i8"),  # by how much later it may have
     ]
 )
 CELL = np.dtype(
@@ -76,6 +78,8 @@ def _convert(
         axis.torque = raw.torque * scale[1]
         axis.statusword = raw.statusword
         axis.error_code = raw.error_code
+        axis.sampled_ns = raw.sampled_ns
+        axis.doubt_ns = raw.doubt_ns
         axis.age = age
         axis.state = _LOST if age > fresh or raw.untrusted else states[raw.statusword]
     for i in range(raw_cells.shape[0]):
@@ -113,6 +117,7 @@ class Exchange:
         self._raw_axes = axes = self.integers[:split].view(AXIS)
         self._raw_cells = cells = self.integers[split:].view(CELL)
         self.axis_tick, self.untrusted = axes["tick"], axes["untrusted"]
+        self.sampled_ns, self.doubt_ns = axes["sampled_ns"], axes["doubt_ns"]
         self.positions, self.torques = axes["position"], axes["torque"]
         self.statuswords, self.error_codes = axes["statusword"], axes["error_code"]
         self.cell_tick, self.cells = cells["tick"], cells["value"]
@@ -138,7 +143,7 @@ class Exchange:
     def forget(self) -> None:
         """Begin anew: no sample has been taken yet and nobody is mistrusted."""
         self.axis_tick[:] = self.cell_tick[:] = NOT_YET
-        self.untrusted[:] = 0
+        self.untrusted[:] = self.sampled_ns[:] = self.doubt_ns[:] = 0
         self.error_codes[:] = 0
         self.cell_status[:] = 0
         self.cell_emergency[:] = 0

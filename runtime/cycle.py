@@ -45,9 +45,11 @@ from tonus.runtime.states import ARMED, Operator, State
 
 Array = NDArray[np.float64]
 _NOBODY = np.zeros(CABLES, dtype=bool)
-_SELECT_BIT = 24
+_MOST_SKIPPED = 100
+"""missed ticks in a row that the estimate is carried over: each takes as long as in a tick"""
 _EVEN_TICKS = 3
 """from a torque to the sample that shows it, and one more"""
+_SELECT_BIT = 24
 """of the checksum's start, so that a tick without a choice has the checksum it always had"""
 
 
@@ -102,7 +104,9 @@ class ControlCycle:
         self._pulling = np.zeros(CABLES)
         self._torque = np.zeros(CABLES)
         """N m, of the last tick"""
-        self._last_tick, self._even = -1, np.zeros(CABLES, dtype=np.int64)
+        self._doubt_ns = control.isolation.sample_doubt * 1e9
+        self._last_tick, self._skipped = -1, 0
+        self._even = np.zeros(CABLES, dtype=np.int64)
         """(n,) ticks in a row that came on time and with a fresh sample"""
         self._drum_rate, self._none = np.zeros(CABLES), np.zeros(CABLES)
         self._desired_drums = (np.zeros(CABLES), np.zeros(CABLES))
@@ -137,9 +141,13 @@ class ControlCycle:
         if sequence.step(image, tick, operator, finite=self._finite):
             self._enter(sequence.state)
         image.commands["command"] = sequence.axis_command
-        # After a missed tick or a late sample, torque and motion are not of one time.
+        # After a missed tick, or a sample that is late or of uncertain time, torque and motion are
+        # not of one time.
         self._even += 1
-        self._even[image.axes["age"] > 0 if tick == self._last_tick + 1 else slice(None)] = 0
+        doubtful = image.axes["doubt_ns"] > self._doubt_ns
+        doubtful |= image.axes["age"] > 0
+        self._skipped = tick - self._last_tick - 1
+        self._even[slice(None) if self._skipped else doubtful] = 0
         self._last_tick = tick
         self._isolation.drums(
             sensing.angle,
@@ -151,6 +159,7 @@ class ControlCycle:
             & ~sequence.faults.failed
             & (self._even >= _EVEN_TICKS)
             & sequence.enabled,
+            sensing.interval,
         )
         if sequence.passive_share >= 0.0:
             self._give_way(image)
@@ -261,6 +270,8 @@ class ControlCycle:
         lengths = self._referencing.lengths(sensing.angle, sensing.tension)
         believed = sensing.usable & ~sequence.faults.failed
         self._pulling = descent.pulling(sensing.tension, sequence.faults)
+        for _ in range(min(self._skipped, _MOST_SKIPPED)):
+            self._estimator.step(lengths, self._pulling, _NOBODY)
         estimate = self._estimator.step(lengths, self._pulling, believed)
         watched = sensing.usable & sequence.carrying
         if sequence.descending:

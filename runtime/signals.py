@@ -15,7 +15,7 @@ from tonus.config.schema.bus import CELLS
 from tonus.config.schema.robot import CABLES
 from tonus.runtime.topics import Field, Topic, record_dtype
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """Counts up when a field changes its name, type, unit or meaning."""
 
 
@@ -115,6 +115,8 @@ TOPICS: tuple[Topic, ...] = (
         _f8("torque", CABLES, "N m", "the drive's own torque figure, at the drum"),
         _f8("torque_command", CABLES, "N m", "commanded torque at the drum"),
         _f8("rate", CABLES, "rad/s", "drum rate"),
+        Field("sampled_ns", "int64", CABLES, "ns", "when its SYNC went out; 0: on a common clock"),
+        Field("doubt_ns", "int64", CABLES, "ns", "by how much later it may have gone out"),
         Field("age", "uint16", CABLES, "ticks", "age of the measurement"),
         Field("statusword", "uint16", CABLES, "", "CiA 402 statusword"),
         Field("error_code", "uint16", CABLES, "", "error code of the last emergency"),

@@ -111,6 +111,8 @@ class ClosedLoop:
         self.number = 0
         self.inputs: list[Inputs] = []
         self.keep_inputs = False
+        self.late_ns = self._sampled_ns = self._sampled_tick = 0
+        """by how much the next tick's SYNC goes out late, as a host has it"""
         self._cycles: list[NDArray[np.void]] = []
         self._truths: list[Array] = []
         self._period_ns = config.control.rates.period_ns
@@ -193,7 +195,8 @@ class ClosedLoop:
             ):
                 heard = np.array([row not in silent for row in range(len(table))])
                 table[name] = np.where(heard, values, table[name])
-                table["age"] = np.where(heard, 0, np.minimum(table["age"], 60_000) + 1)
+                age = self.number - self._sampled_tick - 1
+                table["age"] = np.where(heard, age, np.minimum(table["age"], 60_000) + 1)
             told = np.where(
                 self.image.commands["command"] == AxisCommand.ENABLE,
                 AxisState.OPERATION_ENABLED,
@@ -201,6 +204,7 @@ class ClosedLoop:
             )
             told = np.where(self.axis_state >= 0, self.axis_state, told)
             axes["state"] = np.where(axes["age"] <= self._fresh_ticks, told, AxisState.LOST)
+            axes["sampled_ns"] = self._sampled_ns
         tracker["fresh"] = 0
         for datagram in self.tracker.poll(now):
             _, _, _, sequence, flags, stamp, *pose, _ = DATAGRAM.unpack(datagram)
@@ -212,7 +216,8 @@ class ClosedLoop:
     def _exchange(self, now: int) -> None:
         """Every device samples, then applies what the last tick commanded."""
         plant = self.plant
-        plant.advance(now + SAMPLE_OFFSET_NS)
+        plant.advance(now + self.late_ns + SAMPLE_OFFSET_NS)
+        self._sampled_ns, self._sampled_tick = now + self.late_ns, self.number
         angle = np.floor(plant.motor_angle * self._increments) / self._increments / self._ratio
         force = plant.cell_force + self._offset + self._random.normal(0.0, self._sigma, CELLS)
         self._sample = (angle, np.round(force / self._cell_grid) * self._cell_grid)

@@ -383,6 +383,8 @@ class Isolation(Section):
     """in a row"""
     torque_descent_ticks: Count
     """in a row, in a descent"""
+    sample_doubt: Positive
+    """s of doubt when a sample was taken, beyond which it is not held against its torque"""
     acceleration: Positive
     """times what a drum's motor can give, at its current limit and without a cable"""
     overwound: Positive

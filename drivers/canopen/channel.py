@@ -31,6 +31,7 @@ Handler = Callable[[bytes], None]
 Clock = Callable[[], int]
 
 _SYNC = ((SYNC, b""),)
+_EMPTY_BITS = FRAME_BITS + INTERFRAME_BITS
 
 
 class Channel:
@@ -62,9 +63,10 @@ class Channel:
         self._tap = tap
         self._events = events
         per_period = config.bitrate * period_us // 1_000_000
-        shortest = FRAME_BITS + INTERFRAME_BITS
-        self._frames_per_drain = config.master.drain_periods * (1 + per_period // shortest)
+        self._frames_per_drain = config.master.drain_periods * (1 + per_period // _EMPTY_BITS)
         self._bit_ns = 1_000_000_000 // config.bitrate
+        self._free_ns = 0
+        """when all that was sent, and the answers to the last SYNC, have been on the wire"""
         self._fresh_ticks = fresh_ticks
         self._flood_frames = config.master.flood_frames
         self._flood_ticks = config.master.flood_ticks
@@ -88,13 +90,14 @@ class Channel:
                 self._transmit((frame,), now)
 
     def sync(self, tick: int) -> None:
-        now = self._clock()
+        now, free_ns = self._clock(), self._free_ns
         if not self._transmit(_SYNC, now):
             self._unsent += 1
             return
         self._unsent = 0
         self.syncs.bit_ns = self._bit_ns if self._stamps.exact else 0
-        self.syncs.sent(tick, now)
+        self.syncs.sent(tick, now, max(self._clock(), free_ns) - now)
+        self._free_ns += sum(arrival.frame_bits for arrival in self.arrivals) * self._bit_ns
 
     def _transmit(self, frames: Sequence[tuple[int, bytes]], now: int) -> bool:
         """Whether all of ``frames`` could be sent; of several, all or none. A bus in software is
@@ -112,6 +115,8 @@ class Channel:
         if self._refused:
             self._refused = False
             self._events.end("transmit_refused", self.name)
+        bits = sum(_EMPTY_BITS + 8 * len(data) for _, data in frames)
+        self._free_ns = max(now, self._free_ns) + bits * self._bit_ns
         if self._tap is not None:
             for identifier, data in frames:
                 self._tap.frame(now, self._number, identifier, data, sent=True)

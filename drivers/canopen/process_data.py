@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from tonus.drivers import epos4, force_cell
 from tonus.drivers.canopen.pdo import Mapping, PdoError
-from tonus.drivers.canopen.reception import Field, mapped, tick_field
+from tonus.drivers.canopen.reception import Field, doubt_field, mapped, tick_field, time_field
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
 
@@ -38,6 +38,8 @@ def drive_fields(mapping: Mapping, row: int, exchange: Exchange) -> list[Field]:
     )
     return [
         tick_field(exchange.place(exchange.axis_tick, row)),
+        time_field(exchange.place(exchange.sampled_ns, row)),
+        doubt_field(exchange.place(exchange.doubt_ns, row)),
         *(mapped(mapping, entry, exchange.place(column, row)) for entry, column in wanted),
     ]
 

@@ -23,7 +23,7 @@ from tonus.drivers.fieldbus import RAW_FRAME
 _IDENTIFIERS = 1 << 11
 _NODES = 127
 _NOBODY = -1
-_TICK = -1
+_TICK, _TIME, _DOUBT = -1, -2, -3
 
 FIELD = np.dtype([("kind", "i8"), ("shift", "i8"), ("bits", "i8"), ("place", "i8"), ("real", "i8")])
 
@@ -32,7 +32,7 @@ class Field(NamedTuple):
     """One value of a PDO, and its place among the exchange's words; in the order of `FIELD`."""
 
     kind: int
-    """`Kind`, or the tick of the sample"""
+    """`Kind`, or tick, time or doubt of the sample"""
     shift: int
     """its first bit"""
     bits: int
@@ -46,6 +46,16 @@ def tick_field(place: int) -> Field:
     return Field(_TICK, 0, 0, place, False)
 
 
+def time_field(place: int) -> Field:
+    """When the SYNC of that tick went out, in ns."""
+    return Field(_TIME, 0, 0, place, False)
+
+
+def doubt_field(place: int) -> Field:
+    """By how much later, in ns."""
+    return Field(_DOUBT, 0, 0, place, False)
+
+
 def mapped(mapping: Mapping, entry: int, place: int, *, floating: bool = False) -> Field:
     """A mapped object. Raises `PdoError` if it is not mapped."""
     kind, shift, bits = mapping.bits(entry)
@@ -55,18 +65,24 @@ def mapped(mapping: Mapping, entry: int, place: int, *, floating: bool = False) 
 @njit(cache=True)
 def _store(
     word: int,
-    tick: int,
+    sync: tuple[int, int, int],
     fields: NDArray[np.void],
     first: int,
     count: int,
     integers: NDArray[np.int64],
     reals: NDArray[np.float64],
 ) -> None:
-    """Take eight bytes apart."""
+    """Take eight bytes apart. ``sync``: tick, time and doubt (ns) of the one they answer."""
     for i in range(first, first + count):
         field = fields[i]
         if field.kind == _TICK:
-            integers[field.place] = tick
+            integers[field.place] = sync[0]
+            continue
+        if field.kind == _TIME:
+            integers[field.place] = sync[1]
+            continue
+        if field.kind == _DOUBT:
+            integers[field.place] = sync[2]
             continue
         value = (word << (64 - field.shift - field.bits)) >> (64 - field.bits)
         if field.kind == Kind.UNSIGNED and field.bits < 64:
@@ -88,6 +104,7 @@ def _receive(
     late: int,
     bit_ns: int,
     times_ns: NDArray[np.int64],
+    doubts_ns: NDArray[np.int64],
     ticks: NDArray[np.int64],
     slots: NDArray[np.int16],
     answers: NDArray[np.void],
@@ -125,8 +142,9 @@ def _receive(
         answer.data = frame.data
         answer.stamp_ns = stamp_ns
         heard_ns = stamp_ns
-        tick = ticks[due % HISTORY]
-        _store(frame.data, tick, fields, answer.first, answer.fields, integers, reals)
+        place = due % HISTORY
+        sync = (ticks[place], times_ns[place], doubts_ns[place])
+        _store(frame.data, sync, fields, answer.first, answer.fields, integers, reals)
     return frames.shape[0], heard_ns
 
 
@@ -162,7 +180,8 @@ class Reception:
         its index, or n, and the time of the last that was, 0 if none was."""
         syncs = self._syncs
         result: tuple[int, int] = _receive(
-            frames, at, now_ns, syncs.count, self._late, syncs.bit_ns, syncs.times_ns, syncs.ticks,
+            frames, at, now_ns, syncs.count, self._late, syncs.bit_ns,
+            syncs.times_ns, syncs.doubts_ns, syncs.ticks,
             self._slots, self._answers, self._fields, *self._words,
         )  # fmt: skip
         return result
@@ -170,4 +189,4 @@ class Reception:
     def store(self, answer: np.void, data: bytes, tick: int) -> None:
         """Take an answer apart that `Arrival` has booked to ``tick``."""
         first, count = int(answer["first"]), int(answer["fields"])
-        _store(word_of(data), tick, self._fields, first, count, *self._words)
+        _store(word_of(data), self._syncs.of(tick), self._fields, first, count, *self._words)

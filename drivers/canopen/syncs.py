@@ -36,7 +36,7 @@ class Syncs:
     are exact, else 0; whoever receives sets them.
     """
 
-    __slots__ = ("bit_ns", "count", "stamp_ns", "ticks", "times_ns")
+    __slots__ = ("bit_ns", "count", "doubts_ns", "stamp_ns", "ticks", "times_ns")
 
     def __init__(self) -> None:
         self.count = 0
@@ -44,6 +44,7 @@ class Syncs:
         self.bit_ns = 0
         self.ticks = np.full(HISTORY, NOT_YET)
         self.times_ns = np.zeros(HISTORY, np.int64)
+        self.doubts_ns = np.zeros(HISTORY, np.int64)
 
     @property
     def answered_ns(self) -> int:
@@ -52,11 +53,19 @@ class Syncs:
             return 0
         return max(self.stamp_ns - int(self.times_ns[self.count % HISTORY]), 0)
 
-    def sent(self, tick: int, now_ns: int) -> None:
+    def of(self, tick: int) -> tuple[int, int, int]:
+        """``tick``, and time and doubt (ns) of its SYNC: 0 for one that is no longer known."""
+        for place in np.flatnonzero(self.ticks == tick).tolist():
+            return tick, int(self.times_ns[place]), int(self.doubts_ns[place])
+        return tick, 0, 0
+
+    def sent(self, tick: int, now_ns: int, doubt_ns: int = 0) -> None:
+        """At ``now_ns`` or up to ``doubt_ns`` later: a host may take the processor meanwhile."""
         self.count += 1
         place = self.count % HISTORY
         self.ticks[place] = tick
         self.times_ns[place] = now_ns
+        self.doubts_ns[place] = doubt_ns
 
 
 class Arrival:
@@ -79,7 +88,7 @@ class Arrival:
 
     __slots__ = (
         "_answer", "_bits", "_copy_ns", "_events", "_gap", "_late", "_settle", "_streak", "_syncs",
-        "_where",
+        "_where", "frame_bits",
     )  # fmt: skip
 
     def __init__(
@@ -96,6 +105,7 @@ class Arrival:
         self._bits = 2 * FRAME_BITS + INTERFRAME_BITS + 8 * size
         self._answer = np.zeros(1, ANSWER)[0] if answer is None else answer
         self._answer["bits"] = self._bits
+        self.frame_bits = FRAME_BITS + INTERFRAME_BITS + 8 * size
         self._syncs = syncs
         self._late = master.late_ticks
         self._settle = master.settle_ticks

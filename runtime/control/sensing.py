@@ -18,38 +18,51 @@ from tonus.runtime.control.filters import ButterworthBank
 
 Array = NDArray[np.float64]
 _MISSING = -1
+_CLOSEST = 0.25
+"""of a period: samples that are closer tell no rate"""
 
 
 @njit(cache=True)
 def _drum_rates(
     angle: Array,
     age: NDArray[np.uint16],
+    sampled_ns: NDArray[np.int64],
     tick: int,
     limits: tuple[float, float],
     last: Array,
-    sampled: NDArray[np.int64],
+    sampled: tuple[NDArray[np.int64], NDArray[np.int64]],
     rate: Array,
+    interval: Array,
     implausible: NDArray[np.bool_],
 ) -> None:
     """Difference of consecutive samples over the time between them; held while there is none. A
-    step that no motor can make in that time is no sample. ``limits``: period, largest rate."""
+    step that no motor can make in that time is no sample. ``limits``: period, largest rate;
+    ``sampled``: tick and time (ns) of the last samples. Where a SYNC takes the samples, it is as
+    late as its tick, so the time between two counts and not the number of ticks."""
     period, fastest = limits
+    period_ns = round(period * 1e9)
+    ticks, times_ns = sampled
     for i in range(angle.shape[0]):
         implausible[i] = False
         now = _MISSING if age[i] == NEVER else tick - age[i]
-        apart = now - sampled[i]
+        apart = now - ticks[i]
         if now == _MISSING or apart <= 0:
             continue
-        if sampled[i] == _MISSING:
+        if ticks[i] == _MISSING:
             implausible[i] = not math.isfinite(angle[i])
         else:
-            change = (angle[i] - last[i]) / (apart * period)
+            interval[i] = apart * period
+            if sampled_ns[i] and times_ns[i]:
+                late_ns = sampled_ns[i] - times_ns[i] - apart * period_ns
+                interval[i] += late_ns * 1e-9
+            shortest = max(interval[i], _CLOSEST * period)
+            change = (angle[i] - last[i]) / shortest
             implausible[i] = not abs(change) <= fastest
-            if not implausible[i]:
+            if not implausible[i] and shortest == interval[i]:
                 rate[i] = change
         if not implausible[i]:
             last[i] = angle[i]
-            sampled[i] = now
+            ticks[i], times_ns[i] = now, sampled_ns[i]
 
 
 @njit(cache=True)
@@ -100,9 +113,10 @@ def _trust(
 def _sense(
     reported: tuple[Array, Array],
     ages: tuple[NDArray[np.uint16], NDArray[np.uint16]],
+    sampled_ns: NDArray[np.int64],
     tick: int,
     limits: tuple[float, float, float, int, int],
-    drums: tuple[Array, NDArray[np.int64], Array],
+    drums: tuple[Array, tuple[NDArray[np.int64], NDArray[np.int64]], Array, Array],
     cells: tuple[Array, Array],
     last_ages: tuple[NDArray[np.uint16], NDArray[np.uint16]],
     implausible: tuple[NDArray[np.bool_], NDArray[np.bool_]],
@@ -111,11 +125,11 @@ def _sense(
     present: NDArray[np.bool_],
 ) -> None:
     """All of a tick. Pairs are of axes and cells; ``limits``: period, largest rate, largest force,
-    fresh ticks, stale ticks; ``drums``: last angles, when sampled, rates; ``cells``: tare, force.
-    """
+    fresh ticks, stale ticks; ``drums``: last angles, when sampled, rates, intervals; ``cells``:
+    tare, force."""
     period, fastest, largest, fresh, stale = limits
-    angle, sampled, rate = drums
-    _drum_rates(reported[0], ages[0], tick, (period, fastest), angle, sampled, rate, implausible[0])
+    limit = (period, fastest)
+    _drum_rates(reported[0], ages[0], sampled_ns, tick, limit, *drums, implausible[0])
     _tared(reported[1], cells[0], largest, cells[1], implausible[1])
     _count_silence(ages[0], last_ages[0], fresh, implausible[0], silences[0])
     _count_silence(ages[1], last_ages[1], fresh, implausible[1], silences[1])
@@ -157,13 +171,15 @@ class Sensing:
         """drive and cell of a cable are both fresh: it may have a torque"""
         self.present = np.zeros(CABLES, dtype=bool)
         """neither is lost: it keeps its place in the distribution through a short silence"""
-        self._sampled = np.full(CABLES, _MISSING, dtype=np.int64)
+        self.interval = np.full(CABLES, self._period)
+        """s between the two samples that a rate is made of"""
+        self._sampled = (np.full(CABLES, _MISSING, dtype=np.int64), np.zeros(CABLES, np.int64))
         self.implausible_axes = np.zeros(CABLES, dtype=bool)
         self.implausible_cells = np.zeros(CELLS, dtype=bool)
         self._silent_axes = np.zeros(CABLES, dtype=np.int64)
         self._silent_cells = np.zeros(CELLS, dtype=np.int64)
         self._last_ages = (np.zeros(CABLES, dtype=np.uint16), np.zeros(CELLS, dtype=np.uint16))
-        self._drums = (self.angle, self._sampled, self.rate)
+        self._drums = (self.angle, self._sampled, self.rate, self.interval)
         self._sum = np.zeros(CELLS)
         self._samples = 0
 
@@ -182,6 +198,7 @@ class Sensing:
         _sense(
             (axes["angle"], cells["force"]),
             (axes["age"], cells["age"]),
+            axes["sampled_ns"],
             tick,
             self._limits,
             self._drums,

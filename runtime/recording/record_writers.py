@@ -34,6 +34,8 @@ def write_measured(
         drives.angle[i] = row.angle
         drives.torque[i] = row.torque
         drives.rate[i] = rate[i]
+        drives.sampled_ns[i] = row.sampled_ns
+        drives.doubt_ns[i] = row.doubt_ns
         drives.age[i] = row.age
         drives.statusword[i] = row.statusword
         drives.error_code[i] = row.error_code

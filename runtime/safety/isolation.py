@@ -74,34 +74,38 @@ def _turn(
     tension: Array,
     following: Array,
     watched: NDArray[np.bool_],
-    limits: tuple[float, float, float, float, float, float, float],
+    interval: Array,
+    limits: tuple[float, float, float, float, float, float],
     observed: tuple[Array, Array, Array],
     misled: Counts,
-    past: tuple[Array, Array],
+    past: tuple[Array, Array, Array],
     travel: Array,
 ) -> None:
     """``drums``: angles (rad), rates (rad/s) and the torques (N m) that made them; ``following``:
-    m/s that the cables shorten by the platform's motion; ``limits``: period, drum radius, its mass
-    at the cable, observer time, force (N) and share of the torque's that may be unexplained, and
-    the largest acceleration (m/s2); ``observed``: explained momentum, unexplained force, mean force
-    of the torque; ``past``: last angles and speeds."""
-    period, radius, mass, time, force, share, fastest = limits
+    m/s that the cables shorten by the platform's motion; ``interval``: s that a rate is the mean
+    of; ``limits``: drum radius, its mass at the cable, observer time, force (N) and share of the
+    torque's that may be unexplained, and the largest acceleration (m/s2); ``observed``: explained
+    momentum, unexplained force, mean force of the torque; ``past``: last angles, speeds, intervals.
+    """
+    radius, mass, time, force, share, fastest = limits
     explained, unexplained, mean = observed
-    last, before = past
+    last, before, since = past
     for i in range(tension.shape[0]):
         speed, pull = radius * drums[1][i], drums[2][i] / radius
         if not (watched[i] and math.isfinite(speed + pull + tension[i] + following[i])):
             explained[i], unexplained[i], mean[i] = mass * speed, 0.0, abs(pull)
             misled[i], travel[i], last[i], before[i] = 0, 0.0, drums[0][i], speed
+            since[i] = interval[i]
             continue
+        period = interval[i]
         explained[i] += period * (pull - tension[i] + unexplained[i])
         unexplained[i] = (mass * speed - explained[i]) / time
         mean[i] += period / time * (abs(pull) - mean[i])
         beyond = abs(unexplained[i]) > force + share * mean[i]
         misled[i] = misled[i] + 1 if beyond else 0
-        if abs(speed - before[i]) > fastest * period:
+        if abs(speed - before[i]) > fastest * 0.5 * (period + since[i]):
             misled[i] = _CERTAIN
-        before[i] = speed
+        before[i], since[i] = speed, period
         travel[i] = travel[i] + period * following[i] if drums[0][i] == last[i] else 0.0
         last[i] = drums[0][i]
 
@@ -137,7 +141,6 @@ class Isolation:
         mass, motor = robot.drum.inertia / radius**2, robot.motor
         strongest = motor.current_limit * motor.torque_constant * robot.gearbox.ratio / radius
         self._turning = (
-            period,
             radius,
             mass,
             settings.torque_s,
@@ -148,7 +151,8 @@ class Isolation:
         self._observed = (np.zeros(CABLES), np.zeros(CABLES), np.zeros(CABLES))
         self._torques = np.zeros((_UNDER_WAY, CABLES))
         self._misled = np.zeros(CABLES, dtype=np.int64)
-        self._past, self._travel = (np.zeros(CABLES), np.zeros(CABLES)), np.zeros(CABLES)
+        self._past = (np.zeros(CABLES), np.zeros(CABLES), np.zeros(CABLES))
+        self._travel = np.zeros(CABLES)
         self._limits = (
             settings.length_jump,
             settings.tension_error,
@@ -194,9 +198,11 @@ class Isolation:
         tension: Array,
         following: Array,
         watched: NDArray[np.bool_],
+        interval: Array,
     ) -> None:
-        """From drum angles and rates (n,), the last tick's torques (n,) N m, tensions (n,) and what
-        the platform's motion shortens each cable by, (n,) m/s."""
+        """From drum angles and rates (n,), the last tick's torques (n,) N m, tensions (n,), what
+        the platform's motion shortens each cable by, (n,) m/s, and the s that each rate is the mean
+        of (n,)."""
         acted = self._torques[-1].copy()
         self._torques[1:] = self._torques[:-1].copy()
         self._torques[0] = commanded
@@ -205,6 +211,7 @@ class Isolation:
             tension,
             following,
             watched,
+            interval,
             self._turning,
             self._observed,
             self._misled,

@@ -1,6 +1,9 @@
-"""A host that takes ticks makes torque and motion of different times."""
+"""A host that takes ticks, or is late: torque and motion are of different times then, and the
+platform moves on while nobody looks."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from tests.loop import QUICK, ClosedLoop, configured
 from tonus.runtime.states import Fault, State
@@ -14,4 +17,29 @@ def test_ticks_that_are_missed_are_blamed_on_no_drum() -> None:
         for missed in (0, 0, 1, 0, 1):
             loop.number += missed
             loop.tick()
+    assert loop.cycle.sequence.fault is Fault.NONE
+
+
+def test_late_ticks_are_blamed_on_no_drum() -> None:
+    """Up to 0.8 ms, from the lifting on: the drums turn fastest there."""
+    loop = ClosedLoop(*configured("sine_x", QUICK))
+    loop.until(State.PRETENSION)
+    random = np.random.default_rng(5)
+    for _ in range(2500):
+        loop.late_ns = int(random.integers(0, 800_000)) if random.random() < 0.5 else 0
+        loop.tick()
+    assert loop.cycle.sequence.fault is Fault.NONE
+
+
+def test_the_estimate_moves_on_while_ticks_are_missed() -> None:
+    """Forty at once, in the middle of the lifting at 0.18 m/s."""
+    loop = ClosedLoop(*configured("sine_x", QUICK))
+    loop.until(State.PRETENSION)
+    loop.run(0.9)
+    assert loop.trace.truth["velocity"][-1, 2] > 0.1
+    loop.number += 40
+    loop.run(0.005)
+    pose, truth = loop.cycle.record.pose, loop.trace.truth[-1]
+    np.testing.assert_allclose(pose.velocity, truth["velocity"], atol=0.05)
+    np.testing.assert_allclose(pose.position, truth["position"], atol=2e-3)
     assert loop.cycle.sequence.fault is Fault.NONE

@@ -21,6 +21,7 @@ PERIOD, RADIUS = CONTROL.rates.period, CONFIG.robot.drum.radius
 SETTINGS = CONTROL.isolation
 ALL = np.ones(CABLES, dtype=bool)
 FRESH = np.zeros(CELLS, dtype=np.uint16)
+INTERVAL = np.full(CABLES, PERIOD)
 PULL = 45.0
 
 
@@ -62,6 +63,7 @@ class Watched:
                 given["tension"],
                 given["following"],
                 self.watched,
+                INTERVAL,
             )
             self.isolation.cells(raw, FRESH, given["tension"], given["reference"])
         drum = self.isolation.disobedient(descending=self.descending)

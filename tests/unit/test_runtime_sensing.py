@@ -146,3 +146,18 @@ def test_the_tare_is_the_mean_of_fresh_readings() -> None:
         sensing.step(image, tick)
     np.testing.assert_allclose(sensing.tension, 3.0, atol=1e-12)
     assert sensing.contact == pytest.approx(3.0, abs=1e-6)
+
+
+def test_the_time_between_two_syncs_counts_and_not_the_tick() -> None:
+    """A drum at 3 rad/s, sampled by SYNCs up to 0.7 ms late; too close ones say nothing."""
+    sensing, image = Sensing(ROBOT, CONTROL), quiet()
+    for tick, late in enumerate((0.0, 0.7, 0.3, 0.0, 0.5, 0.6)):
+        at = (tick + late) * PERIOD
+        image.axes["angle"], image.axes["sampled_ns"] = 3.0 * at, 1_000_000 + round(at * 1e9)
+        sensing.step(image, tick)
+        if tick:
+            np.testing.assert_allclose(sensing.rate, 3.0, rtol=1e-6)
+    image.axes["angle"] += 0.0001
+    image.axes["sampled_ns"] += 100_000
+    sensing.step(image, 6)
+    np.testing.assert_allclose(sensing.rate, 3.0, rtol=1e-6)

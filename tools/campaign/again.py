@@ -12,7 +12,13 @@ from tonus.runtime.states import Operator
 from tonus.tools.campaign.observed import Observed
 
 _INPUTS = {
-    "drives": ("axes", ("angle", "torque", "statusword", "error_code", "age", "state")),
+    "drives": (
+        "axes",
+        (
+            *("angle", "torque", "sampled_ns", "doubt_ns"),
+            *("statusword", "error_code", "age", "state"),
+        ),
+    ),
     "force_cells": ("cells", ("age", "status")),
     "tracker": ("tracker", ("position", "quaternion", "delay", "sequence", "fresh")),
 }

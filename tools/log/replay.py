@@ -31,7 +31,13 @@ from tonus.tools.log.log import Log
 TIMING = "/tonus/timing"
 _TICK = "tick"
 _IMAGE = {
-    "/tonus/drives": ("axes", ("angle", "torque", "statusword", "error_code", "age", "state")),
+    "/tonus/drives": (
+        "axes",
+        (
+            *("angle", "torque", "sampled_ns", "doubt_ns"),
+            *("statusword", "error_code", "age", "state"),
+        ),
+    ),
     "/tonus/force_cells": ("cells", ("age", "status")),
     "/tonus/tracker": ("tracker", ("position", "quaternion", "delay", "sequence", "fresh")),
 }
