@@ -8,13 +8,13 @@ from typing import Protocol
 from tonus.config.schema.bus import DirectBus
 from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
-from tonus.drivers import epos4
+from tonus.drivers.cia301.setting import apply
+from tonus.drivers.devices import epos4
 from tonus.drivers.errors import BringUpError, DriverError, SdoError
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
 from tonus.drivers.fieldbus import BusEvent, Progress
 from tonus.drivers.process_image import ProcessImage
-from tonus.drivers.setting import apply
 
 
 class DirectPort(Protocol):

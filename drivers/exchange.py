@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from tonus.config.schema.bus import CELLS, Amplifier, ForceCell
 from tonus.config.schema.control import Freshness
 from tonus.config.schema.robot import CABLES, Robot
-from tonus.drivers.cia402 import STATE_OF, Cia402Axis
-from tonus.drivers.epos4 import Scale
+from tonus.drivers.devices.cia402 import STATE_OF, Cia402Axis
+from tonus.drivers.devices.epos4 import Scale
+from tonus.drivers.devices.force_cell import divisor
 from tonus.drivers.events import EventLog
-from tonus.drivers.force_cell import divisor
 from tonus.drivers.process_image import NEVER, AxisCommand, AxisState, ProcessImage
 
 NOT_YET = -(1 << 32)

@@ -10,8 +10,8 @@ from tonus.config import load
 from tonus.config.schema.lab import LabScript
 from tonus.config.schema.root import Config
 from tonus.sim.ethercat.frames import Command, Datagram, build, parse, physical
-from tonus.sim.ethercat.slave import Slave
-from tonus.sim.lab import Lab
+from tonus.sim.ethercat.slaves.slave import Slave
+from tonus.sim.lab.engine import Lab
 
 US, MS = 1_000, 1_000_000
 CHANNEL = "tonus0"

@@ -12,7 +12,7 @@ import can
 from tonus.config import load
 from tonus.config.schema.lab import LabScript
 from tonus.config.schema.root import Config
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 
 MS = 1_000_000
 

@@ -24,8 +24,8 @@ from tonus.runtime.operation.operator import Script
 from tonus.runtime.signals import TOPICS
 from tonus.runtime.states import Operator, State
 from tonus.sim.devices.tracker import DATAGRAM, VALID, Tracker
+from tonus.sim.lab.truth import TRUTH
 from tonus.sim.plant import Plant
-from tonus.sim.truth import TRUTH
 
 Array = NDArray[np.float64]
 SAMPLE_OFFSET_NS = 50_000

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from tonus.config import load
 from tonus.config.schema.lab import LabScript
-from tonus.sim.devices.cia402 import State
-from tonus.sim.lab import Lab
+from tonus.sim.devices.cia402.states import State
+from tonus.sim.lab.engine import Lab
 
 MS = 1_000_000
 CONFIG = load("config/direct.yaml")[0]

@@ -21,7 +21,7 @@ from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.runtime.timing.steering import SteeredPacing
 from tonus.sim.ethercat.ring import Ring
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 
 Result = TypeVar("Result")
 PERIOD_NS = 1_000_000

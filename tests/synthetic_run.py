@@ -14,7 +14,7 @@ from tonus.runtime.recording.viewer import Scene
 from tonus.runtime.signals import CYCLE, TOPICS
 from tonus.runtime.states import Fault, State
 from tonus.runtime.topics import Field, Topic, to_json
-from tonus.sim.truth import TRUTH, TRUTH_FIELDS
+from tonus.sim.lab.truth import TRUTH, TRUTH_FIELDS
 
 MS = 1_000_000
 CHANNELS = ("can0", "can1")

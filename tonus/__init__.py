@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from tonus.config import Config, ConfigError, Scenario, load
     from tonus.runtime.control.controllers import Controller, LinearLaw, Motion
     from tonus.sim.errors import LabError
-    from tonus.sim.lab import Lab
+    from tonus.sim.lab.engine import Lab
     from tonus.tools.errors import ToolError
     from tonus.tools.log import Log
     from tonus.tools.log import open as open_log
@@ -41,7 +41,7 @@ else:
         "tonus.config": ("Config", "ConfigError", "Scenario", "load"),
         "tonus.runtime.control.controllers": ("Controller", "LinearLaw", "Motion"),
         "tonus.sim.errors": ("LabError",),
-        "tonus.sim.lab": ("Lab",),
+        "tonus.sim.lab.engine": ("Lab",),
         "tonus.tools.errors": ("ToolError",),
         "tonus.tools.log": ("Log", "open_log"),
         "tonus.tools.run.composer": ("Order", "Result", "run"),

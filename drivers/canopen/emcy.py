@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from tonus.drivers.epos4_errors import ERRORS
+from tonus.drivers.devices.epos4_errors import ERRORS
 
 _FRAME = struct.Struct("<HB")
 

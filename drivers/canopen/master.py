@@ -13,12 +13,10 @@ from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 from tonus.config.timeouts import master_timeout_ms
-from tonus.drivers import epos4, force_cell
 from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.identifiers import HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
 from tonus.drivers.canopen.nmt import Command, NmtState
 from tonus.drivers.canopen.node import Node, Role
-from tonus.drivers.canopen.pdo import Mapping
 from tonus.drivers.canopen.process_data import (
     Encode,
     Refusal,
@@ -30,12 +28,14 @@ from tonus.drivers.canopen.reception import Field
 from tonus.drivers.canopen.recovery import Recovery
 from tonus.drivers.canopen.supervision import Supervision, Watched
 from tonus.drivers.canopen.syncs import Arrival
+from tonus.drivers.cia301.pdo import Mapping
+from tonus.drivers.cia301.setting import Setting
+from tonus.drivers.devices import epos4, force_cell
 from tonus.drivers.errors import BringUpError, DriverError, SdoError
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import NOT_YET, Exchange
 from tonus.drivers.fieldbus import BusEvent, FrameTap, Progress
 from tonus.drivers.process_image import ProcessImage
-from tonus.drivers.setting import Setting
 
 OpenBus = Callable[[str], can.BusABC]
 Clock = Callable[[], int]

@@ -7,18 +7,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tonus.config.schema.bus import Device, Identity, Master
-from tonus.drivers.canopen import emcy, nmt, pdo
-from tonus.drivers.canopen.abort_codes import NO_SUCH_OBJECT
+from tonus.drivers.canopen import emcy, nmt
 from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.identifiers import NMT, SDO_REQUEST
 from tonus.drivers.canopen.nmt import Command, NmtState, NodeMonitor
-from tonus.drivers.canopen.pdo import Direction
 from tonus.drivers.canopen.sdo import SdoClient
-from tonus.drivers.cia402 import DISABLE_VOLTAGE, FAULT_RESET
-from tonus.drivers.epos4_errors import Cure, cure
+from tonus.drivers.cia301 import pdo
+from tonus.drivers.cia301.abort_codes import NO_SUCH_OBJECT
+from tonus.drivers.cia301.pdo import Direction
+from tonus.drivers.cia301.setting import Setting, apply
+from tonus.drivers.devices.cia402 import DISABLE_VOLTAGE, FAULT_RESET
+from tonus.drivers.devices.epos4_errors import Cure, cure
 from tonus.drivers.errors import DriverError, SdoAbortError
 from tonus.drivers.fieldbus import Progress
-from tonus.drivers.setting import Setting, apply
 
 PDOS = 4
 """PDOs each way in the predefined connection set."""

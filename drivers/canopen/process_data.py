@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from tonus.drivers import epos4, force_cell
-from tonus.drivers.canopen.pdo import Mapping, PdoError
 from tonus.drivers.canopen.reception import Field, doubt_field, mapped, tick_field, time_field
+from tonus.drivers.cia301.pdo import Mapping, PdoError
+from tonus.drivers.devices import epos4, force_cell
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
 

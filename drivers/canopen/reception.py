@@ -15,8 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.drivers.canopen.pdo import Kind, Mapping
 from tonus.drivers.canopen.syncs import ANSWER, HISTORY, Syncs, word_of
+from tonus.drivers.cia301.pdo import Kind, Mapping
 from tonus.drivers.exchange import NOT_YET, Exchange
 from tonus.drivers.fieldbus import RAW_FRAME
 

@@ -6,8 +6,8 @@ import asyncio
 
 from tonus.drivers.canopen.nmt import Command
 from tonus.drivers.canopen.supervision import Supervision, Watched
-from tonus.drivers.cia402 import decode
-from tonus.drivers.epos4_errors import Cure, cure
+from tonus.drivers.devices.cia402 import decode
+from tonus.drivers.devices.epos4_errors import Cure, cure
 from tonus.drivers.errors import DriverError
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange

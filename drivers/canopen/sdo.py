@@ -6,7 +6,7 @@ import asyncio
 import struct
 from collections.abc import Callable
 
-from tonus.drivers.canopen import abort_codes
+from tonus.drivers.cia301 import abort_codes
 from tonus.drivers.errors import SdoAbortError, SdoError, SdoTimeoutError
 
 Send = Callable[[bytes], None]

@@ -12,7 +12,7 @@ from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT
 from tonus.drivers.canopen.nmt import NmtState
 from tonus.drivers.canopen.node import Node
 from tonus.drivers.canopen.syncs import Arrival
-from tonus.drivers.epos4_errors import Cure, cure
+from tonus.drivers.devices.epos4_errors import Cure, cure
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
 

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable
 from typing import Protocol
 
-from tonus.drivers.canopen import abort_codes
+from tonus.drivers.cia301 import abort_codes
 from tonus.drivers.errors import SdoAbortError, SdoError, SdoTimeoutError
 from tonus.drivers.ethercat.frames import Answer, Command, Datagram
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from tonus.config.schema.bus import EthercatBus
+from tonus.drivers.cia301.setting import ObjectAccess
 from tonus.drivers.errors import BringUpError
 from tonus.drivers.ethercat import sii
 from tonus.drivers.ethercat.al import ERROR, AlState, name, words
@@ -32,7 +33,6 @@ from tonus.drivers.ethercat.frames import (
 from tonus.drivers.ethercat.port import FrameExchange, FramePort, InjectedPort
 from tonus.drivers.ethercat.status import AL_CONTROL, StateAccess, StatusFrames
 from tonus.drivers.ethercat.wire import FIRST_STATION, Found, Sizes
-from tonus.drivers.setting import ObjectAccess
 
 _TYPE, _STATION, _AL_STATUS, _AL_CODE = 0x0000, 0x0010, 0x0130, 0x0134
 _DL_STATUS, _FEATURES = 0x0110, 0x0008

@@ -17,8 +17,8 @@ from tonus.config.schema.bus import DistributedClocks, EthercatBus
 from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 from tonus.config.timeouts import watchdog_ms
-from tonus.drivers import epos4
 from tonus.drivers.canopen import emcy
+from tonus.drivers.devices import epos4
 from tonus.drivers.errors import BringUpError, DriverError
 from tonus.drivers.ethercat.al import ERROR, AlState
 from tonus.drivers.ethercat.phase import Phase

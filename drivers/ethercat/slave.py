@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from tonus.config.schema.bus import EthercatBus, Identity
 from tonus.config.schema.robot import Robot
-from tonus.drivers import epos4, force_cell
-from tonus.drivers.canopen.pdo import Mapping, PdoError
 from tonus.drivers.canopen.process_data import Encode, drive_encoder
+from tonus.drivers.cia301.pdo import Mapping, PdoError
+from tonus.drivers.cia301.setting import ObjectAccess, Setting, apply
+from tonus.drivers.devices import epos4, force_cell
 from tonus.drivers.errors import DriverError
 from tonus.drivers.ethercat.wire import Found, Sizes
 from tonus.drivers.exchange import Exchange
-from tonus.drivers.setting import ObjectAccess, Setting, apply
 
 Decode = Callable[[bytes], None]
 ERROR_CODE = 0x603F0010

@@ -21,7 +21,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 from tonus.config.schema.bus import EthercatBus
-from tonus.drivers.canopen.abort_codes import NO_SUCH_OBJECT
+from tonus.drivers.cia301.abort_codes import NO_SUCH_OBJECT
+from tonus.drivers.cia301.setting import ObjectAccess
 from tonus.drivers.errors import BringUpError, SdoAbortError, SdoError, SdoTimeoutError
 from tonus.drivers.ethercat.al import AlState, name
 from tonus.drivers.ethercat.deterministic import DeterministicMaster
@@ -30,7 +31,6 @@ from tonus.drivers.ethercat.ring import RingPort
 from tonus.drivers.ethercat.slave import RX_ASSIGNMENT, TX_ASSIGNMENT
 from tonus.drivers.ethercat.status import StateAccess, StatusFrames
 from tonus.drivers.ethercat.wire import FIRST_STATION, Found, Sizes
-from tonus.drivers.setting import ObjectAccess
 
 Result = TypeVar("Result")
 

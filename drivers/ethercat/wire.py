@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from tonus.drivers.cia301.setting import ObjectAccess
 from tonus.drivers.ethercat.status import SlaveStatus
-from tonus.drivers.setting import ObjectAccess
 
 FIRST_STATION = 0x1001
 """Station addresses follow the order of the cable from here, as SOEM sets them."""

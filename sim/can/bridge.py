@@ -13,9 +13,9 @@ from collections.abc import Callable
 
 import can
 
-from tonus.sim.can.bus import Channel
-from tonus.sim.can.frame import ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame
 from tonus.sim.can.registry import Advancing
+from tonus.sim.can.wire.channel import Channel
+from tonus.sim.can.wire.frame import ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame
 from tonus.sim.errors import LabError
 
 _LISTEN_S = 0.1

@@ -1,9 +1,9 @@
 """How frames travel between a lab's process and a bus in another: packets of 24-byte frames.
 
 One SOCK_SEQPACKET packet is a batch; a frame is little-endian: time (ns, u64), identifier with the
-flags of `tonus.sim.can.frame` (u32), DLC (u8), 1 where a client gets back what it sent itself (u8),
-two zero bytes, eight data bytes. The lab sends error frames, too. A client's "error frame" `ECHO`
-asks, by its first data byte, for its own frames to come back.
+flags of `tonus.sim.can.wire.frame` (u32), DLC (u8), 1 where a client gets back what it sent itself
+(u8), two zero bytes, eight data bytes. The lab sends error frames, too. A client's "error frame"
+`ECHO` asks, by its first data byte, for its own frames to come back.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tonus.sim.can.frame import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame
+from tonus.sim.can.wire.frame import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame
 
 if TYPE_CHECKING:
-    from tonus.sim.can.bus import Port
+    from tonus.sim.can.wire.channel import Port
 
 FRAME = struct.Struct("<QIBB2x8s")
 FRAMES = np.dtype(

@@ -4,8 +4,8 @@ A channel of a lab in this process is used directly; otherwise a running lab is 
 socket. In this process time is the lab's, so nothing can be waited for: a blocking `recv` raises,
 and cyclic messages are sent by the lab's time.
 
-Error frames are laid out as SocketCAN's (`tonus.sim.can.error_frames`) and pass every filter, as
-there.
+Error frames are laid out as SocketCAN's (`tonus.sim.can.wire.error_frames`) and pass every filter,
+as there.
 
 Who is pressed for time does without messages: `TonusBus.receive_frames` and `TonusBus.send_frame`.
 """
@@ -24,10 +24,12 @@ from can.typechecking import CanFilters
 from numpy.typing import NDArray
 
 from tonus.config.places import runtime_dir
-from tonus.sim.can import error_frames, packet, registry
-from tonus.sim.can.confinement import ErrorState
+from tonus.sim.can import packet, registry
 from tonus.sim.can.cyclic import LabCyclicTask, Modifier
-from tonus.sim.can.frame import (
+from tonus.sim.can.packet import RawFrame
+from tonus.sim.can.wire import error_frames
+from tonus.sim.can.wire.confinement import ErrorState
+from tonus.sim.can.wire.frame import (
     BASE_ID,
     ERROR,
     EXTENDED,
@@ -36,7 +38,6 @@ from tonus.sim.can.frame import (
     Frame,
     arbitration_key,
 )
-from tonus.sim.can.packet import RawFrame
 
 _SEND_BUFFER = 16384
 """Bytes a socket holds of frames the lab has not taken yet: some forty, the host counts its own

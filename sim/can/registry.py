@@ -10,7 +10,7 @@ from tonus.sim.devices.timers import Callback
 from tonus.sim.errors import LabError
 
 if TYPE_CHECKING:
-    from tonus.sim.can.faulty import FaultyChannel
+    from tonus.sim.can.wire.faulty import FaultyChannel
 
 
 class Advancing(Protocol):

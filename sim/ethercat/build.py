@@ -8,13 +8,13 @@ from typing import Protocol
 from tonus.config.schema.bus import EthercatBus
 from tonus.config.schema.lab import Lab as LabConfig
 from tonus.sim.devices.device import Device
-from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.epos4.drive import Epos4
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.devices.timers import Timers
 from tonus.sim.errors import LabError
-from tonus.sim.ethercat.identity import EPOS4, Kind, amplifier
 from tonus.sim.ethercat.segment import Lab, Segment
-from tonus.sim.ethercat.slave import Slave
+from tonus.sim.ethercat.slaves.identity import EPOS4, Kind, amplifier
+from tonus.sim.ethercat.slaves.slave import Slave
 from tonus.sim.plant.streams import Stream, generator
 
 _PPM = 1e-6

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tonus.sim.ethercat import registers as reg
-from tonus.sim.ethercat.slave import Slave
+from tonus.sim.ethercat.slaves import registers as reg
+from tonus.sim.ethercat.slaves.slave import Slave
 
 _LINK = 0x0001 | 0x0010 | 0x0200 | 0x5000
 """DL status: a working slave with a link at port 0, ports 2 and 3 closed"""

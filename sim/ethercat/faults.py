@@ -31,14 +31,14 @@ from tonus.config.schema.faults import (
     WrongIdentity,
 )
 from tonus.config.schema.robot_faults import OfRobot
-from tonus.sim.devices.epos4 import Epos4
-from tonus.sim.devices.epos4_errors import ERRORS
+from tonus.sim.devices.epos4.drive import Epos4
+from tonus.sim.devices.epos4.errors import ERRORS
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.errors import LabError
 from tonus.sim.ethercat.disturbance import Draws, Played
 from tonus.sim.ethercat.segment import Segment
-from tonus.sim.ethercat.slave import Slave
-from tonus.sim.ethercat.states import State
+from tonus.sim.ethercat.slaves.slave import Slave
+from tonus.sim.ethercat.slaves.states import State
 
 ONLY_HERE = (
     PowerLoss

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from struct import Struct
 
-from tonus.sim.ethercat import registers as reg
-from tonus.sim.ethercat.controller import READ, WRITE, Manager, Mapping
-from tonus.sim.ethercat.slave import Slave
+from tonus.sim.ethercat.slaves import registers as reg
+from tonus.sim.ethercat.slaves.controller import READ, WRITE, Manager, Mapping
+from tonus.sim.ethercat.slaves.slave import Slave
 
 Copy = tuple[int, int, int]
 """Place in the datagram's data, address in the slave, bytes."""

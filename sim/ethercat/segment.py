@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from tonus.sim.devices.timers import Callback
-from tonus.sim.ethercat import registers as reg
 from tonus.sim.ethercat.cable import Cable
-from tonus.sim.ethercat.controller import READ, WRITE
 from tonus.sim.ethercat.disturbance import Disturbance, Fate
 from tonus.sim.ethercat.frames import (
     COUNTER_BYTES,
@@ -27,7 +25,9 @@ from tonus.sim.ethercat.frames import (
     is_ethercat,
 )
 from tonus.sim.ethercat.plan import Plan, compile_plan
-from tonus.sim.ethercat.slave import Slave
+from tonus.sim.ethercat.slaves import registers as reg
+from tonus.sim.ethercat.slaves.controller import READ, WRITE
+from tonus.sim.ethercat.slaves.slave import Slave
 
 _COUNTER = struct.Struct("<H")
 _TIME = struct.Struct("<Q")
@@ -43,7 +43,7 @@ _PLANS = 64
 
 
 class Lab(Protocol):
-    """What a segment needs of its lab; see `tonus.sim.lab.Lab`."""
+    """What a segment needs of its lab; see `tonus.sim.lab.engine.Lab`."""
 
     @property
     def now_ns(self) -> int: ...

@@ -13,13 +13,13 @@ from pydantic import Field
 
 from tonus.config.schema.base import Fraction, Section
 from tonus.config.schema.faults import Babble, StuckBus
-from tonus.sim.devices.epos4 import Epos4
-from tonus.sim.devices.epos4_errors import ERRORS
+from tonus.sim.devices.epos4.drive import Epos4
+from tonus.sim.devices.epos4.errors import ERRORS
 from tonus.sim.errors import LabError
 from tonus.sim.ethercat.faults import ONLY_HERE
 from tonus.sim.ethercat.segment import Segment
-from tonus.sim.ethercat.slave import Slave
-from tonus.sim.ethercat.states import State
+from tonus.sim.ethercat.slaves.slave import Slave
+from tonus.sim.ethercat.slaves.states import State
 
 Reply = dict[str, Any]
 _Whole = Annotated[int, Field(ge=0)]

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from tonus.config.schema.robot import CABLES
+from tonus.sim.lab.truth import TRUTH_FIELDS
 from tonus.sim.plant.compiled import sources
-from tonus.sim.truth import TRUTH_FIELDS
 
 _FLOAT = "<f8"
 _PER_CABLE = (_FLOAT, (CABLES,))

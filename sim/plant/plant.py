@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.lab import Displacement, Lab, Load, Phantom
 from tonus.config.schema.robot import CABLES, Robot
+from tonus.sim.lab.truth import TRUTH
 from tonus.sim.plant import kernel
 from tonus.sim.plant.defects import Defects
 from tonus.sim.plant.energy import Energy
 from tonus.sim.plant.layout import STATE
 from tonus.sim.plant.parameters import add_load, add_phantom, let_go, parameters, strain, take_hold
 from tonus.sim.plant.streams import Stream, generator
-from tonus.sim.truth import TRUTH
 
 Floats = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ class Plant:
         self.state = np.zeros(1, STATE)
         state = self.state
         self.truth: Floats = state.view(np.float64).reshape(-1)[: TRUTH.itemsize // 8]
-        """the state's first part, in the order of `tonus.sim.truth.TRUTH_FIELDS`"""
+        """the state's first part, in the order of `tonus.sim.lab.truth.TRUTH_FIELDS`"""
         self.position: Floats = state["position"][0]
         self.quaternion: Floats = state["quaternion"][0]
         self.velocity: Floats = state["velocity"][0]

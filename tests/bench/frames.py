@@ -17,10 +17,10 @@ from tonus.config import load
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.root import Config
 from tonus.sim.can import registry
-from tonus.sim.can.faulty import FaultyChannel
 from tonus.sim.can.plugin import TonusBus
-from tonus.sim.can.timing import frame_bits
-from tonus.sim.lab import Lab
+from tonus.sim.can.wire.faulty import FaultyChannel
+from tonus.sim.can.wire.timing import frame_bits
+from tonus.sim.lab.engine import Lab
 
 RECEIVERS = 9
 FRAMES = 4000

@@ -8,12 +8,12 @@ from pathlib import Path
 from unittest.mock import patch
 
 from tests.bench.measure import Figure, microseconds
-from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.epos4.drive import Epos4
 from tonus.sim.devices.timers import Callback
 from tonus.sim.ethercat.frames import Command, Datagram, build, parse, physical
-from tonus.sim.ethercat.identity import EPOS4
 from tonus.sim.ethercat.segment import Segment
-from tonus.sim.ethercat.slave import Slave
+from tonus.sim.ethercat.slaves.identity import EPOS4
+from tonus.sim.ethercat.slaves.slave import Slave
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # where the tests' own helpers lie
 from ethercat_bench import LOGICAL, STATION, SegmentBench

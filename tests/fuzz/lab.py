@@ -16,9 +16,9 @@ import numpy as np
 
 from tests.fuzz.shots import LOAD, Shot, Storm, Targets
 from tests.lab_bench import Bench
-from tonus.sim.can.node import Nmt
-from tonus.sim.devices.cia402 import State
-from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.can.canopen.node import Nmt
+from tonus.sim.devices.cia402.states import State
+from tonus.sim.devices.epos4.drive import Epos4
 
 DRIVE, CELL = 0x00020192, 0x00020194
 CHECK_EVERY = 1000

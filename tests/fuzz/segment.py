@@ -13,8 +13,8 @@ import numpy as np
 
 from tests.ethercat_bench import MS, OP, STATION, US, SegmentBench
 from tonus.sim.ethercat.frames import Command, Datagram, build, physical
-from tonus.sim.ethercat.registers import MEMORY_END
-from tonus.sim.ethercat.states import State
+from tonus.sim.ethercat.slaves.registers import MEMORY_END
+from tonus.sim.ethercat.slaves.states import State
 
 CHECK_EVERY = 1000
 GROWTH = 30_000

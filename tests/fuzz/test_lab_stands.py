@@ -8,8 +8,8 @@ import pytest
 
 from tests.fuzz.lab import attack, shortest, targets
 from tests.fuzz.shots import Shot, Storm, Targets
-from tonus.sim.can.frame import Frame
-from tonus.sim.can.node import Node
+from tonus.sim.can.canopen.node import Node
+from tonus.sim.can.wire.frame import Frame
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from tonus.config import load
 from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.timing.clock import VirtualTimeLoop
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 
 CONFIG, SCENARIO = load("config/can.yaml", scenario="hold")
 PERIOD_S = CONFIG.control.rates.period

@@ -16,16 +16,16 @@ from hil.test_events import Heard
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.devices.tracker import TrackerInput
 from tonus.drivers.fieldbus import BusEvent
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
-from tonus.drivers.tracker import TrackerInput
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Commander
 from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.states import Operator, State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import VirtualPacing
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 
 FRESH = CONFIG.control.freshness.measurement_ticks
 assert isinstance(CONFIG.fieldbus, CanopenBus)

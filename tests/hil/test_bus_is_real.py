@@ -14,7 +14,7 @@ from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.states import Fault, State
 from tonus.runtime.timing import clock
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 from tonus.tools.log import Log
 
 DRIVES, CELLS = (1, 2), (17, 18)

@@ -10,7 +10,7 @@ import pytest
 from hil.runs import configured, virtual
 
 from tonus.runtime.signals import TOPICS
-from tonus.sim.can.timing import frame_bits
+from tonus.sim.can.wire.timing import frame_bits
 from tonus.tools.log import Log
 
 SYNC = 0x080

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 from hil.runs import configured
 
+from tonus.drivers.devices.tracker import TrackerInput
 from tonus.drivers.direct import DirectFieldbus
 from tonus.drivers.process_image import ProcessImage
-from tonus.drivers.tracker import TrackerInput
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.recording.taps import Level
@@ -17,7 +17,7 @@ from tonus.runtime.states import Operator, State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.devices.tracker import DATAGRAM
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 
 
 @dataclass

@@ -13,7 +13,7 @@ from hil.runs import configured, virtual
 from tonus.config import load
 from tonus.config.schema.scenario import Scenario
 from tonus.runtime.states import State
-from tonus.tools.cli.log_compare import compare
+from tonus.tools.cli.log.compare import compare
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.paper.case import Kind

@@ -17,7 +17,7 @@ import pytest
 from running_lab import COMMAND, environment, start
 
 from tonus.sim.can.plugin import TonusBus
-from tonus.sim.can.timing import frame_bits
+from tonus.sim.can.wire.timing import frame_bits
 
 pytestmark = pytest.mark.realtime
 

@@ -18,8 +18,8 @@ import pytest
 from tonus.config import load
 from tonus.sim.can.bridge import Bridge
 from tonus.sim.errors import LabError
-from tonus.sim.lab import Lab
-from tonus.sim.server import serve
+from tonus.sim.lab.engine import Lab
+from tonus.sim.lab.server import serve
 
 pytestmark = pytest.mark.realtime
 TONUS = (sys.executable, "-m", "tonus.tools.cli")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from lab_bench import Bench
 
 from tonus.config.schema.faults import FAULT
-from tonus.sim.can.confinement import ErrorState
+from tonus.sim.can.wire.confinement import ErrorState
 
 TICKS = 30
 _OF_FRAMES = {

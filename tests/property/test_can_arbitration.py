@@ -5,9 +5,9 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tonus.sim.can.bus import Channel
-from tonus.sim.can.frame import Frame
-from tonus.sim.can.timing import frame_bits
+from tonus.sim.can.wire.channel import Channel
+from tonus.sim.can.wire.frame import Frame
+from tonus.sim.can.wire.timing import frame_bits
 
 US = 1000
 _SENT = st.tuples(

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lab_bench import Bench
 
-from tonus.sim.can.bus import Channel
-from tonus.sim.can.frame import EXTENDED, REMOTE, Frame
+from tonus.sim.can.wire.channel import Channel
+from tonus.sim.can.wire.frame import EXTENDED, REMOTE, Frame
 
 INTERFRAME = 3
 TAIL = 1 + 1 + 1 + 7  # CRC delimiter, acknowledge slot and delimiter, end of frame

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from one_drive import OneDrive
 
-from tonus.sim.devices.cia402 import State
-from tonus.sim.devices.epos4_errors import ERRORS
+from tonus.sim.devices.cia402.states import State
+from tonus.sim.devices.epos4.errors import ERRORS
 
 S = State
 # Transitions by number, as published: state, and the word that asks for it in bits 0 to 3.

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tonus.sim.devices.profile import Trapezoid
+from tonus.sim.devices.cia402.profile import Trapezoid
 
 DT = 4e-4
 ramps = st.floats(5e4, 1e7)

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from tonus.config import load
 from tonus.drivers.canopen.emcy import parse as parse_emcy
 from tonus.drivers.canopen.nmt import NodeMonitor
+from tonus.drivers.devices.tracker import DATAGRAM, TrackerInput
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
 from tonus.drivers.process_image import AxisState, ProcessImage
-from tonus.drivers.tracker import DATAGRAM, TrackerInput
 
 CONFIG = load("config/can.yaml")[0]
 RATED = CONFIG.robot.motor.rated_torque * CONFIG.robot.gearbox.ratio

@@ -19,7 +19,7 @@ from synthetic_run import record
 
 from tonus.runtime.recording.mcap_file import McapFile
 from tonus.tools.cli.log import log as command
-from tonus.tools.cli.log_info import describe
+from tonus.tools.cli.log.info import describe
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
 from tonus.tools.log.chunks import scan

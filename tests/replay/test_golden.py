@@ -10,7 +10,7 @@ import pytest
 
 from tonus.runtime.signals import SCHEMA_VERSION
 from tonus.runtime.states import State
-from tonus.tools.cli.log_info import describe
+from tonus.tools.cli.log.info import describe
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from tonus.sim.can.bus import NEVER, Channel
-from tonus.sim.can.frame import Frame
-from tonus.sim.can.timing import frame_bits
+from tonus.sim.can.wire.channel import NEVER, Channel
+from tonus.sim.can.wire.frame import Frame
+from tonus.sim.can.wire.timing import frame_bits
 
 US = 1000
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tonus.config.schema.faults import Corruption, Duplicate, Loss
-from tonus.sim.can.bus import Notice, Port
-from tonus.sim.can.confinement import Counters, ErrorState
-from tonus.sim.can.faulty import FaultyChannel
-from tonus.sim.can.frame import ERROR, Frame
-from tonus.sim.can.frame_faults import FrameFault
-from tonus.sim.can.timing import frame_bits
+from tonus.sim.can.wire.channel import Notice, Port
+from tonus.sim.can.wire.confinement import Counters, ErrorState
+from tonus.sim.can.wire.faulty import FaultyChannel
+from tonus.sim.can.wire.frame import ERROR, Frame
+from tonus.sim.can.wire.frame_faults import FrameFault
+from tonus.sim.can.wire.timing import frame_bits
 
 US = 1000
 MS = 1_000_000

@@ -17,8 +17,8 @@ from tonus.config import load
 from tonus.config.schema.faults import FAULT
 from tonus.sim.can import packet
 from tonus.sim.can.plugin import LocalBus, SocketBus
-from tonus.sim.lab import Lab
-from tonus.sim.server import serve
+from tonus.sim.lab.engine import Lab
+from tonus.sim.lab.server import serve
 
 
 def message(identifier: int, data: bytes = b"", **over: Any) -> can.Message:

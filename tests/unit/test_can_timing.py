@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from tonus.sim.can.frame import EXTENDED, REMOTE, arbitration_key
-from tonus.sim.can.timing import INTERFRAME_BITS, frame_bits
+from tonus.sim.can.wire.frame import EXTENDED, REMOTE, arbitration_key
+from tonus.sim.can.wire.timing import INTERFRAME_BITS, frame_bits
 
 
 def wire(identifier: int, dlc: int, data: bytes) -> list[int]:

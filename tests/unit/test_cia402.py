@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from one_drive import OneDrive
 
-from tonus.sim.devices.cia402 import Machine, State
+from tonus.sim.devices.cia402.states import Machine, State
 from tonus.sim.devices.objects import RANGE, AbortError
 
 S = State

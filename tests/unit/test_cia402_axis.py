@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tonus.drivers.cia402 import Cia402Axis, decode
+from tonus.drivers.devices.cia402 import Cia402Axis, decode
 from tonus.drivers.process_image import AxisCommand, AxisState
 
 S = AxisState

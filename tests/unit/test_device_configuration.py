@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from tonus.config import load
-from tonus.drivers import epos4, force_cell
-from tonus.drivers.canopen.pdo import Direction, Mapping, PdoError, configure, silence
 from tonus.drivers.canopen.process_data import cell_fields, drive_encoder, drive_fields
 from tonus.drivers.canopen.reception import Reception
 from tonus.drivers.canopen.syncs import Syncs, word_of
+from tonus.drivers.cia301.pdo import Direction, Mapping, PdoError, configure, silence
+from tonus.drivers.cia301.setting import Kind, Setting, SettingError, apply
+from tonus.drivers.devices import epos4, force_cell
 from tonus.drivers.errors import SdoAbortError
 from tonus.drivers.events import CAPACITY, EventLog
 from tonus.drivers.exchange import Exchange
 from tonus.drivers.fieldbus import RAW_FRAME
 from tonus.drivers.process_image import ProcessImage
-from tonus.drivers.setting import Kind, Setting, SettingError, apply
 
 CONFIG = load("config/can.yaml")[0]
 

@@ -14,7 +14,7 @@ from lab_bench import Bench
 
 from tonus.config import load
 from tonus.config.schema.scenario import Scenario
-from tonus.sim.door import Door
+from tonus.sim.lab.door import Door
 from tonus.tools.check.rules import check
 from tonus.tools.cli.fault import fault
 from tonus.tools.report.faults import tables

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from lab_bench import Bench
 
 from tonus.config.faults import KINDS
-from tonus.sim.devices.cia402 import State
-from tonus.sim.door import REQUEST_BYTES, Door
+from tonus.sim.devices.cia402.states import State
+from tonus.sim.lab.door import REQUEST_BYTES, Door
 
 
 @pytest.fixture

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from tonus.drivers.canopen import emcy
-from tonus.drivers.epos4_errors import ERRORS, Cure, Reaction, cure
-from tonus.sim.devices import epos4_errors as emulated
+from tonus.drivers.devices.epos4_errors import ERRORS, Cure, Reaction, cure
+from tonus.sim.devices.epos4 import errors as emulated
 
 LETTER = {
     Reaction.POWER_OFF: "D",

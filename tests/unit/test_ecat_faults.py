@@ -12,7 +12,7 @@ from tonus.drivers.ethercat.deterministic import DeterministicMaster
 from tonus.drivers.ethercat.frames import FIRST_DATAGRAM, Command
 from tonus.drivers.events import EVENTS
 from tonus.drivers.process_image import AxisState
-from tonus.sim.ethercat.states import State
+from tonus.sim.ethercat.slaves.states import State
 
 FRESH = 3
 TORQUE = 0.3

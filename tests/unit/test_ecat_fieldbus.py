@@ -13,7 +13,7 @@ from tonus.drivers.process_image import AxisCommand, AxisState
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import Scheduler, VirtualPacing
 from tonus.runtime.timing.steering import SteeredPacing
-from tonus.sim.ethercat.states import State
+from tonus.sim.ethercat.slaves.states import State
 
 
 def test_ten_slaves_reach_op_and_every_value_is_fresh() -> None:

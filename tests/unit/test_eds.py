@@ -11,11 +11,11 @@ from canopen.objectdictionary import ODVariable, datatypes
 from lab_bench import Bench
 
 from tonus.config import load
-from tonus.sim.can.node import Node
-from tonus.sim.data_sheets import sheets
+from tonus.sim.can.canopen.node import Node
 from tonus.sim.devices.device import Device
-from tonus.sim.devices.epos4 import Epos4
+from tonus.sim.devices.epos4.drive import Epos4
 from tonus.sim.devices.force_cell import ForceCell
+from tonus.sim.lab.data_sheets import sheets
 
 NODE = 9
 FILES = ("epos4.eds", "force_cell.eds", "force_cell_4.eds")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from one_drive import ENABLE, OneDrive, servo, until
 
-from tonus.sim.devices.cia402 import State
+from tonus.sim.devices.cia402.states import State
 from tonus.sim.devices.objects import AbortError
 
 PPM, PVM, CSP, CSV, CST = 1, 3, 8, 9, 10

@@ -8,7 +8,7 @@ import pytest
 from lab_bench import Bench
 from one_drive import ENABLE, SHUTDOWN, OneDrive
 
-from tonus.sim.devices.cia402 import State
+from tonus.sim.devices.cia402.states import State
 from tonus.sim.devices.objects import (
     CANNOT_STORE,
     HARDWARE,

@@ -18,8 +18,8 @@ from ethercat_bench import (
 )
 
 from tonus.sim.devices.samples import POSITION
-from tonus.sim.ethercat.clock import DistributedClock
 from tonus.sim.ethercat.frames import Command, Datagram, physical
+from tonus.sim.ethercat.slaves.clock import DistributedClock
 
 ERROR = 0x10
 TIGHT = 10

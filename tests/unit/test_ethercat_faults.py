@@ -12,9 +12,9 @@ from lab_bench import Bench
 
 from tonus.config.schema.faults import FAULT, Loss, PowerLoss
 from tonus.config.schema.lab import LabScript
-from tonus.sim.door import Door
 from tonus.sim.errors import LabError
 from tonus.sim.ethercat.frames import Command, Datagram, build, parse, physical
+from tonus.sim.lab.door import Door
 
 ERROR = 0x10
 

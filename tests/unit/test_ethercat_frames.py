@@ -8,7 +8,7 @@ import pytest
 from ethercat_bench import LOGICAL, OP, STATION, SegmentBench
 
 from tonus.sim.ethercat.frames import Command, Datagram, build, parse, physical
-from tonus.sim.ethercat.sii import checksum
+from tonus.sim.ethercat.slaves.sii import checksum
 
 RAM = 0x2000
 """process memory no sync manager guards"""

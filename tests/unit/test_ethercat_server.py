@@ -10,8 +10,7 @@ import pytest
 
 from tonus.config import load
 from tonus.runtime.timing import clock
-from tonus.sim import server
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab, server
 
 
 class Port:

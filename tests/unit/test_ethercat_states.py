@@ -8,9 +8,9 @@ from collections.abc import Callable
 import pytest
 from ethercat_bench import INIT, LOGICAL, MS, OP, PRE_OP, SAFE_OP, STATION, SegmentBench
 
-from tonus.sim.devices.cia402 import State as DriveState
+from tonus.sim.devices.cia402.states import State as DriveState
 from tonus.sim.ethercat.frames import Command
-from tonus.sim.ethercat.states import Facts, Standing, State, next_standing
+from tonus.sim.ethercat.slaves.states import Facts, Standing, State, next_standing
 
 ERROR, ACKNOWLEDGE, BOOT = 0x10, 0x10, 3
 SOUND = Facts(mailbox=True, outputs=True, inputs=True, sync=True)

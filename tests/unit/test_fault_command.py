@@ -14,7 +14,7 @@ from lab_bench import Bench
 
 from tonus.config.faults import KINDS
 from tonus.config.schema.faults import FAULT
-from tonus.sim.door import Door
+from tonus.sim.lab.door import Door
 from tonus.tools.cli.fault import fault
 from tonus.tools.errors import ToolError
 

@@ -15,7 +15,7 @@ from tonus.config.schema.faults import CellBreak
 from tonus.config.schema.lab import LabScript
 from tonus.config.schema.root import Config
 from tonus.sim.devices.objects import AbortError
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 
 ZERO = 0x6F72657A
 BUSY, DONE, FAILED = 0x75, 0x66, 0x7265

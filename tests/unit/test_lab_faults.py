@@ -12,7 +12,7 @@ from lab_bench import Bench
 
 from tonus.config.schema.faults import FAULT
 from tonus.config.schema.lab import LabScript
-from tonus.sim.devices.cia402 import State
+from tonus.sim.devices.cia402.states import State
 from tonus.sim.errors import LabError
 
 

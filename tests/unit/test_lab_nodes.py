@@ -10,9 +10,9 @@ from lab_bench import Bench
 
 from tonus.config.schema.faults import CellBreak, DriveError, Unplug
 from tonus.config.schema.lab import LabScript
-from tonus.sim.devices.cia402 import State
+from tonus.sim.devices.cia402.states import State
 from tonus.sim.errors import LabError
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 
 
 def heartbeats(messages: list[can.Message], node: int) -> list[bytes]:

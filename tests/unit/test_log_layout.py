@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from tonus.runtime.signals import CYCLE
-from tonus.tools.cli.log_layout import layout
+from tonus.tools.cli.log.layout import layout
 from tonus.tools.log.layout import PAGES, VIEWERS, foxglove, plotjuggler
 
 

@@ -18,7 +18,7 @@ from tonus.config.loader import HERE
 from tonus.runtime.recording.recorder import Recorder
 from tonus.runtime.recording.taps import Level
 from tonus.tools.cli.log import log as command
-from tonus.tools.cli.log_info import describe
+from tonus.tools.cli.log.info import describe
 from tonus.tools.errors import ToolError
 from tonus.tools.log import log as log_module
 from tonus.tools.log import open as open_log

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from tonus.config import ConfigError
 from tonus.config.loader import load_budget
 from tonus.config.schema.budget import Budget
-from tonus.tools.cli.log_timing import timing
+from tonus.tools.cli.log.timing import timing
 from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log

@@ -15,8 +15,8 @@ from tonus.config.schema.lab import LabScript
 from tonus.config.schema.scenario import Scenario
 from tonus.sim.devices.samples import CELL
 from tonus.sim.devices.tracker import DATAGRAM, VALID
-from tonus.sim.door import Door
 from tonus.sim.errors import LabError
+from tonus.sim.lab.door import Door
 from tonus.tools.check.rules import check
 
 CONTACT = load("config/can.yaml", scenario="contact")[1].lab

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lab_bench import Bench
 
-from tonus.sim.can.sdo_server import SdoServer
+from tonus.sim.can.canopen.sdo_server import SdoServer
 from tonus.sim.devices.objects import Entry, Kind, ObjectDictionary
 
 SECOND = 1_000_000_000

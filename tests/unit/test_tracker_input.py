@@ -8,9 +8,9 @@ import struct
 
 import pytest
 
+from tonus.drivers.devices.tracker import TrackerInput, UdpTracker
 from tonus.drivers.errors import DriverError
 from tonus.drivers.process_image import ProcessImage
-from tonus.drivers.tracker import TrackerInput, UdpTracker
 
 MS = 1_000_000
 

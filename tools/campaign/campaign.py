@@ -11,7 +11,7 @@ from tonus.config import load
 from tonus.config.schema.campaign import BusName, Study
 from tonus.runtime.operation.rehearsal import rehearse
 from tonus.runtime.timing import clock
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.draw import episodes, grouped
 from tonus.tools.campaign.episode import Episode

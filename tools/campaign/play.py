@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
+from tonus.drivers.devices.tracker import TrackerInput
 from tonus.drivers.process_image import ProcessImage
-from tonus.drivers.tracker import TrackerInput
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.recording.taps import Level
@@ -22,8 +22,8 @@ from tonus.runtime.signals import CYCLE
 from tonus.runtime.states import Fault, Operator, State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import VirtualPacing
-from tonus.sim.lab import Lab
-from tonus.sim.truth import TRUTH
+from tonus.sim.lab.engine import Lab
+from tonus.sim.lab.truth import TRUTH
 from tonus.tools.campaign.episode import Episode
 from tonus.tools.campaign.observed import FAULTED, GOOD, End, Observed
 from tonus.tools.campaign.strikes import strikes

@@ -26,10 +26,10 @@ from tonus.config.schema.bus import (
 )
 from tonus.config.schema.robot import CABLES
 from tonus.config.schema.robot_faults import OfRobot, PhantomHit
-from tonus.drivers import epos4, force_cell
 from tonus.drivers.canopen import identifiers
-from tonus.drivers.canopen.pdo import Mapping, PdoError
 from tonus.drivers.canopen.process_data import drive_encoder
+from tonus.drivers.cia301.pdo import Mapping, PdoError
+from tonus.drivers.devices import epos4, force_cell
 from tonus.tools.check.controller import check_controller
 from tonus.tools.check.ethercat import check_ethercat
 from tonus.tools.check.finding import Finding

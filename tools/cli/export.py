@@ -8,8 +8,8 @@ import click
 
 from tonus.config import Config, load
 from tonus.config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
-from tonus.sim.data_sheets import sheets
-from tonus.sim.ethercat import esi as esi_file
+from tonus.sim.ethercat.slaves import esi as esi_file
+from tonus.sim.lab.data_sheets import sheets
 from tonus.tools.draft import write_whole
 from tonus.tools.errors import ToolError
 from tonus.tools.export import dbc as dbc_file

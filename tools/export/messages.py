@@ -8,11 +8,11 @@ from functools import partial
 
 from tonus.config import Config
 from tonus.config.schema.bus import CONTACT_CELL, CanopenBus, Channel, Device
-from tonus.drivers import cia402, epos4, force_cell
 from tonus.drivers.canopen import emcy, identifiers
-from tonus.drivers.canopen.pdo import Mapping as PdoMapping
-from tonus.drivers.canopen.pdo import PdoError
-from tonus.drivers.epos4_errors import ERRORS
+from tonus.drivers.cia301.pdo import Mapping as PdoMapping
+from tonus.drivers.cia301.pdo import PdoError
+from tonus.drivers.devices import cia402, epos4, force_cell
+from tonus.drivers.devices.epos4_errors import ERRORS
 from tonus.drivers.process_image import AxisState
 from tonus.tools.errors import ToolError
 from tonus.tools.export.dbc import Message, Signal

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from tonus.config.schema.bus import DirectBus
 from tonus.config.schema.root import Config
 from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.devices.tracker import TrackerInput
 from tonus.drivers.direct import DirectFieldbus
 from tonus.drivers.fieldbus import Fieldbus
 from tonus.drivers.process_image import ProcessImage
-from tonus.drivers.tracker import TrackerInput
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.recording.taps import Level
@@ -23,8 +23,8 @@ from tonus.runtime.signals import CYCLE
 from tonus.runtime.states import Fault, Operator, State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import VirtualPacing
-from tonus.sim.lab import Lab
-from tonus.sim.truth import TRUTH
+from tonus.sim.lab.engine import Lab
+from tonus.sim.lab.truth import TRUTH
 from tonus.tools.log.log import Event
 from tonus.tools.paper.case import Kind, Run
 from tonus.tools.paper.trial import Trial

@@ -16,9 +16,9 @@ from pathlib import Path
 
 from tonus.config.places import runtime_dir
 from tonus.config.schema.bus import DirectBus, parts
+from tonus.drivers.devices.tracker import TrackerInput, TrackerSource, UdpTracker
 from tonus.drivers.fieldbus import Fieldbus, FrameTap
 from tonus.drivers.process_image import ProcessImage
-from tonus.drivers.tracker import TrackerInput, TrackerSource, UdpTracker
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.control_door import ControlDoor
 from tonus.runtime.operation.control_socket import ControlSocket, ControlSocketError
@@ -38,7 +38,7 @@ from tonus.runtime.timing.latencies import Latencies
 from tonus.runtime.timing.realtime import Hygiene, compared, demand, settled, stolen_jiffies
 from tonus.runtime.timing.scheduler import Pacing, TimerPacing, VirtualPacing
 from tonus.runtime.topics import to_json
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 from tonus.tools import output
 from tonus.tools.cli.live import Live
 from tonus.tools.doctor import doctor

@@ -23,7 +23,7 @@ from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import Pacing
 from tonus.runtime.timing.steering import SteeredPacing
 from tonus.sim.ethercat.ring import Ring
-from tonus.sim.lab import Lab
+from tonus.sim.lab.engine import Lab
 from tonus.tools.errors import ToolError
 
 

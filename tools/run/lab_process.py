@@ -27,8 +27,8 @@ from tonus.config.schema.scenario import Scenario
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.realtime import freeze_collector, prepare
 from tonus.sim.errors import LabError
-from tonus.sim.lab import Lab, TruthSink
-from tonus.sim.server import serve
+from tonus.sim.lab.engine import Lab, TruthSink
+from tonus.sim.lab.server import serve
 from tonus.tools import output
 from tonus.tools.errors import ToolError
 from tonus.tools.run.truth import TruthRing

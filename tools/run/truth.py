@@ -1,4 +1,4 @@
-"""The lab's truth as a topic: the table of `tonus.sim.truth` put into a ring of its own."""
+"""The lab's truth as a topic: the table of `tonus.sim.lab.truth` put into a ring of its own."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tonus.runtime.recording.ring import RingWriter
 from tonus.runtime.topics import Field, Topic, to_json
-from tonus.sim.truth import TRUTH, TRUTH_FIELDS
+from tonus.sim.lab.truth import TRUTH, TRUTH_FIELDS
 
 TOPIC = Topic(
     "/tonus/truth",

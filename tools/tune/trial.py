@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
+from tonus.drivers.devices.tracker import TrackerInput
 from tonus.drivers.direct import DirectFieldbus
 from tonus.drivers.process_image import ProcessImage
-from tonus.drivers.tracker import TrackerInput
 from tonus.runtime.daemon import Daemon
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.safety.sequence import Sequence
@@ -20,8 +20,8 @@ from tonus.runtime.signals import CYCLE
 from tonus.runtime.states import Fault, Operator, State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import VirtualPacing
-from tonus.sim.lab import Lab
-from tonus.sim.truth import TRUTH
+from tonus.sim.lab.engine import Lab
+from tonus.sim.lab.truth import TRUTH
 
 Array = NDArray[np.float64]
 

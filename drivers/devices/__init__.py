@@ -1,0 +1,1 @@
+"""What each kind of device is, whatever bus it is on: objects, scaling, states, errors."""

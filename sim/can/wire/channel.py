@@ -1,0 +1,407 @@
+"""One CAN channel in time: queues, arbitration, one frame at a time, delivery.
+
+Here every frame is sound and acknowledged; `tonus.sim.can.wire.faulty` adds what happens to others.
+A channel knows no clock. `run` brings it to a given time and stops early where a frame reaches a
+receiver whose answer may concern others (a SYNC samples the plant, which all channels share): that
+frame waits in ``wide_ns`` until the lab delivers it in the order of time over all channels.
+Everything else, which is most of the traffic, stays within the channel and is done at once.
+
+Rules of time: a frame enters its queue before the arbitration of the same instant, and an
+arbitration is decided only when time has moved past it. So it does not matter in which steps the
+lab is brought forward.
+"""
+
+from __future__ import annotations
+
+from bisect import insort
+from collections import deque
+from collections.abc import Callable
+from enum import Enum
+from heapq import heappop, heappush
+from math import ceil
+
+from tonus.sim.can.wire.confinement import Counters
+from tonus.sim.can.wire.frame import Frame
+from tonus.sim.can.wire.latency import Latency
+from tonus.sim.can.wire.timing import (
+    INTERFRAME_BITS,
+    LONGEST_FRAME_BITS,
+    frame_bits,
+    stuffed_bits,
+)
+
+NEVER = 1 << 62
+_from_bytes = int.from_bytes
+_SHORT = 1
+"""Bytes up to which a frame's time is kept, for at most so many frames:"""
+_KEPT = 256
+_SECOND_NS = 1_000_000_000
+
+
+Narrow = Callable[[Frame], bool]
+"""Takes a frame whose effect stays within its receiver; False: it needs the order of time."""
+Wide = Callable[[Frame], None]
+
+
+class Notice(Enum):
+    """What a controller tells its device, in the order of time."""
+
+    OVERFLOW = "overflow"
+    """a frame was lost at the full queue; said again only when the queue was empty since"""
+    PASSIVE = "passive"
+    BUS_OFF = "bus_off"
+    RECOVERED = "recovered"
+    """from bus-off"""
+
+
+class Inbox(deque[Frame]):
+    """A host's receive queue of finite depth: what does not fit is missed, and counted."""
+
+    def __init__(self, port: Port, depth: int) -> None:
+        super().__init__()
+        self._port = port
+        self._depth = depth
+
+    def append(self, frame: Frame) -> None:
+        if len(self) < self._depth:
+            super().append(frame)
+        else:
+            self._port.missed += 1
+
+
+Told = Callable[[Notice, int], None]
+"""Takes a notice and its time."""
+Detour = Callable[["Port", Frame, int], bool]
+"""May keep a frame from its queue; True if it does."""
+
+
+class Port:
+    """One controller on a channel, with its transmit queue.
+
+    ``received`` is where frames of others arrive, or None for a device, which subscribes instead.
+    """
+
+    def __init__(
+        self, channel: Channel, number: int, depth: int, listens: bool, inbox: int | None = None
+    ) -> None:
+        self.channel = channel
+        self.name = f"host {number}" if listens else f"controller {number}"
+        self.number = number
+        self.depth = depth
+        self.errors = Counters()
+        self.told: Told | None = None
+        self.held = False
+        """kept from the arbitration: bus-off, suspended, or the bus is stuck"""
+        self.queue: deque[Frame] = deque()
+        self.received: deque[Frame] | None = None
+        if listens:
+            self.received = deque() if inbox is None else Inbox(self, inbox)
+        self.echo = False
+        """whether the controller receives what it sent itself"""
+        self.reports = False
+        """whether ``received`` gets error frames as well"""
+        self.overflows = 0
+        """frames refused because the queue was full"""
+        self.overflowing = False
+        """since a refusal the queue has not been empty"""
+        self.missed = 0
+        """frames that somebody did not take in time"""
+        self.retransmissions = 0
+
+    @property
+    def room(self) -> int:
+        return self.depth - len(self.queue)
+
+
+class Channel:
+    """One bus. ``wide_ns`` is the time of a frame that waits for the lab, or `NEVER`."""
+
+    # Slots, because beyond thirty attributes an instance's own dictionary is slow.
+    __slots__ = (
+        "_all_ports",
+        "_arrivals",
+        "_bitrate",
+        "_calm",
+        "_depth",
+        "_durations",
+        "_end_ns",
+        "_frame",
+        "_free_ns",
+        "_gap_ns",
+        "_heads",
+        "_hosts",
+        "_narrow",
+        "_notices",
+        "_ports",
+        "_response_ns",
+        "_short",
+        "_since",
+        "_wide",
+        "busy_ns",
+        "detour",
+        "frames",
+        "latency",
+        "name",
+        "wide_ns",
+    )
+
+    def __init__(self, name: str, bitrate: int, queue_depth: int, response_ns: int) -> None:
+        """``response_ns`` is how long a device takes until its answer is in its queue."""
+        self.name = name
+        self.wide_ns = NEVER
+        self.busy_ns = 0
+        """time spent on frames and the spaces behind them, since the start"""
+        self.frames = 0
+        self.latency: Latency | None = None
+        self.detour: Detour | None = None
+        self._bitrate = bitrate
+        self._calm = True
+        self._depth = queue_depth
+        self._response_ns = response_ns
+        self._ports = 0
+        self._hosts: list[tuple[Port, deque[Frame]]] = []
+        self._heads: list[tuple[int, int, Frame, Port]] = []
+        self._since = NEVER  # when the oldest queued frame came
+        self._arrivals: deque[tuple[int, Frame, Port]] = deque()
+        self._frame: Frame | None = None
+        self._end_ns = 0
+        self._free_ns = 0
+        self._narrow: dict[int, list[tuple[Port, Narrow]]] = {}
+        self._wide: dict[int, list[tuple[Port, Wide]]] = {}
+        # A frame's time by its bits; a table, because this is asked for every frame.
+        self._durations = [ceil(n * _SECOND_NS / bitrate) for n in range(LONGEST_FRAME_BITS + 1)]
+        self._short: dict[tuple[int, int, bytes], int] = {}
+        self._gap_ns = self._durations[INTERFRAME_BITS]
+        self._all_ports: list[Port] = []
+        self._notices: list[tuple[Port, Notice]] = []
+
+    @property
+    def overflows(self) -> int:
+        """Frames lost or refused at a full transmit queue, of all controllers."""
+        return sum(port.overflows for port in self._all_ports)
+
+    @property
+    def ports(self) -> tuple[Port, ...]:
+        """The controllers on the wire."""
+        return tuple(self._all_ports)
+
+    def attach(self, *, listens: bool, inbox: int | None = None) -> Port:
+        """A new controller; with ``listens`` it receives every frame of the others, and keeps
+        ``inbox`` of them at most."""
+        port = Port(self, self._ports, self._depth, listens, inbox)
+        self._ports += 1
+        self._all_ports.append(port)
+        if port.received is not None:
+            self._hosts.append((port, port.received))
+        return port
+
+    def detach(self, port: Port) -> None:
+        """Take a controller away, with what it had queued. A frame on the wire is finished."""
+        self.drop(port)
+        self._all_ports.remove(port)
+        self._deafen(port)
+
+    def _deafen(self, port: Port) -> None:
+        self._hosts = [host for host in self._hosts if host[0] is not port]
+
+    def drop(self, port: Port) -> None:
+        """Forget what a controller has queued or is about to queue."""
+        port.queue.clear()
+        self._withdraw(port)
+        self._arrivals = deque(item for item in self._arrivals if item[2] is not port)
+
+    def restart(self, port: Port) -> None:
+        """Switch a controller on anew."""
+        self.drop(port)
+        port.overflowing = False
+
+    def _withdraw(self, port: Port) -> None:
+        """Take a controller out of the arbitration."""
+        self._heads = sorted(head for head in self._heads if head[3] is not port)
+        if not self._heads:
+            self._since = NEVER
+
+    def _compete(self, port: Port, now_ns: int) -> None:
+        """Let a controller's oldest frame, if it has one, into the arbitration."""
+        if port.queue:
+            frame = port.queue[0]
+            heappush(self._heads, (frame.key, port.number, frame, port))
+            self._since = min(self._since, now_ns)
+
+    def subscribe(self, port: Port, identifier: int, wide: Wide, narrow: Narrow | None) -> None:
+        """Hand frames of an identifier to a device: to ``narrow`` first where there is one."""
+        self._wide.setdefault(identifier, []).append((port, wide))
+        if narrow is not None:
+            self._narrow.setdefault(identifier, []).append((port, narrow))
+
+    def unsubscribe(self, port: Port, identifier: int) -> None:
+        wide = [item for item in self._wide.pop(identifier, []) if item[0] is not port]
+        if wide:
+            self._wide[identifier] = wide
+        narrow = [item for item in self._narrow.pop(identifier, []) if item[0] is not port]
+        if narrow:
+            self._narrow[identifier] = narrow
+
+    def send(self, port: Port, frame: Frame, now_ns: int) -> bool:
+        """Queue a frame now; False if the queue is full. The lab has been brought to now."""
+        if self.detour is not None and self.detour(port, frame, now_ns):
+            return True
+        queue = port.queue
+        if len(queue) >= port.depth:
+            port.overflows += 1
+            return False
+        frame.queued_ns = now_ns
+        if not queue and not port.held:
+            heappush(self._heads, (frame.key, port.number, frame, port))
+            if now_ns < self._since:
+                self._since = now_ns
+        queue.append(frame)
+        return True
+
+    def answer(self, port: Port, frame: Frame, now_ns: int) -> None:
+        """Queue a device's frame after its response time; a full queue loses and counts it."""
+        due_ns = now_ns + self._response_ns
+        arrivals = self._arrivals
+        if arrivals and arrivals[-1][0] > due_ns:
+            self._arrive(due_ns, frame, port)
+        else:
+            arrivals.append((due_ns, frame, port))
+
+    def _arrive(self, due_ns: int, frame: Frame, port: Port) -> None:
+        """Let a frame enter its queue then; of equal times the first come is the first."""
+        insort(self._arrivals, (due_ns, frame, port), key=_due)
+
+    def next_ns(self) -> int:
+        """The next time at which something happens here on its own, or `NEVER`."""
+        if self._frame is not None:
+            return self._end_ns
+        return self._start_ns()
+
+    def _start_ns(self) -> int:
+        start = self._since
+        if self._arrivals and self._arrivals[0][0] < start:
+            start = self._arrivals[0][0]
+        return start if start > self._free_ns else self._free_ns if start < NEVER else NEVER
+
+    def run(self, to_ns: int) -> None:
+        """Let time pass up to ``to_ns``, or to the next frame that concerns others."""
+        if self.wide_ns <= to_ns:
+            return
+        if not self._calm:
+            self._run_slowly(to_ns)
+            if not self._calm:
+                return
+        arrivals = self._arrivals
+        while True:
+            frame = self._frame
+            if frame is None:
+                start = self._since
+                if arrivals and arrivals[0][0] < start:
+                    start = arrivals[0][0]
+                if start < self._free_ns:
+                    start = self._free_ns
+                if start >= to_ns:
+                    return
+                while arrivals and arrivals[0][0] <= start:
+                    due_ns, arrived, port = arrivals.popleft()
+                    if not self.send(port, arrived, due_ns) and self._lost(port, start):
+                        return
+                if not self._heads:
+                    continue  # they were all lost at full queues
+                frame = self._begin(start)
+            end = self._end_ns
+            if end > to_ns:
+                return
+            if not self._finish(frame, end):
+                return
+
+    def _run_slowly(self, to_ns: int) -> None:
+        """Let time pass where something is wrong; sets ``_calm`` when nothing is."""
+        raise NotImplementedError
+
+    def _lost(self, port: Port, now_ns: int) -> bool:
+        """A device's frame met a full queue. True if the lab has to tell the device first."""
+        del port, now_ns
+        return False
+
+    def _begin(self, start: int) -> Frame:
+        """Arbitration: the smallest head wins the bus."""
+        _, _, frame, port = heappop(self._heads)
+        queue = port.queue
+        queue.popleft()
+        if queue:
+            head = queue[0]
+            heappush(self._heads, (head.key, port.number, head, port))
+        if not self._heads:
+            self._since = NEVER
+        self._frame = frame
+        frame.sender = port
+        data, dlc = frame.data, frame.dlc
+        if dlc > _SHORT:
+            bits = stuffed_bits(frame.identifier, dlc, _from_bytes(data, "big", signed=True))
+            length = self._durations[bits]
+        else:
+            known = self._short.get((frame.identifier, dlc, data))
+            length = self._measured(frame) if known is None else known
+        self._end_ns = end = start + length
+        self._free_ns = end + self._gap_ns
+        self.busy_ns += length + self._gap_ns
+        self.frames += 1
+        return frame
+
+    def _measured(self, frame: Frame) -> int:
+        """A short frame's time, kept for the next of its kind: SYNC, heartbeats, requests."""
+        length = self._durations[frame_bits(frame.identifier, frame.dlc, frame.data)]
+        if len(self._short) < _KEPT:
+            self._short[frame.identifier, frame.dlc, frame.data] = length
+        return length
+
+    def _finish(self, frame: Frame, end: int) -> bool:
+        """The last bit is over. False if the frame has to wait for the lab."""
+        sender = frame.sender
+        frame.stamp_ns = end
+        if frame.identifier in self._wide:
+            narrow = self._narrow.get(frame.identifier)
+            handled = 0
+            if narrow is not None:
+                for port, take in narrow:
+                    if port is sender or take(frame):
+                        handled += 1
+            if handled < len(self._wide[frame.identifier]):
+                self.wide_ns = end
+                return False
+        self._frame = None
+        for listener, received in self._hosts:
+            if listener is not sender or listener.echo:
+                received.append(frame)
+        if self.latency is not None:
+            self.latency.add(frame.identifier, end - frame.queued_ns)
+        return True
+
+    def deliver(self) -> None:
+        """Deliver the frame, or tell the notices, that waited; the lab stands at their time."""
+        frame = self._frame
+        now_ns = self.wide_ns
+        self._frame = None
+        self.wide_ns = NEVER
+        if frame is None or self._notices:
+            notices, self._notices = self._notices, []
+            for port, notice in notices:
+                if port.told is not None:
+                    port.told(notice, now_ns)
+            if frame is None:
+                return
+        sender = frame.sender
+        for listener, received in self._hosts:
+            if listener is not sender or listener.echo:
+                received.append(frame)
+        if self.latency is not None:
+            self.latency.add(frame.identifier, now_ns - frame.queued_ns)
+        # Timers may have come first and ended a subscription.
+        for port, take in tuple(self._wide.get(frame.identifier, ())):
+            if port is not sender:
+                take(frame)
+
+
+def _due(arrival: tuple[int, Frame, Port]) -> int:
+    return arrival[0]

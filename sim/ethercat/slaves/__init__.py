@@ -1,0 +1,1 @@
+"""An emulated EtherCAT slave: controller, EEPROM, mailbox, states and clock (ETG.1000)."""

@@ -1,0 +1,74 @@
+"""All devices at once and without frames: what `DirectFieldbus` exchanges its values with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from tonus.config.schema.robot import CABLES
+from tonus.sim.devices.epos4.drive import Epos4
+from tonus.sim.devices.force_cell import ForceCell
+from tonus.sim.devices.samples import CELL, POSITION, TORQUE, Samples
+
+
+class Devices(Protocol):
+    """The part of a lab that the port needs."""
+
+    @property
+    def drives(self) -> list[Epos4]: ...
+    @property
+    def cells(self) -> list[ForceCell]: ...
+    @property
+    def samples(self) -> Samples: ...
+    def advance(self, to_ns: int) -> None: ...
+
+
+class Scale(Protocol):
+    """What the port needs to know of the cells' configuration, whatever bus they hang on."""
+
+    @property
+    def decimal_digits(self) -> int: ...
+
+
+class DirectPort:
+    """Access to the devices in device units; process values are integers with decimal digits."""
+
+    def __init__(self, lab: Devices, cell: Scale) -> None:
+        self._lab = lab
+        self._digits = bytes((cell.decimal_digits,))
+        self._ready = False
+
+    def exchange(
+        self, at_ns: int, controlwords: Sequence[int], torques: Sequence[int]
+    ) -> tuple[list[int], list[int], list[int], list[int]]:
+        """At ``at_ns`` every device samples, then applies its controlword and torque (per mille).
+
+        What a SYNC does on CAN. Returns 8 statuswords, 8 positions (increments), 8 torques (per
+        mille) and 9 process values.
+        """
+        lab = self._lab
+        if not self._ready:
+            self._ready = True
+            for cell in lab.cells:
+                for number in range(1, len(cell.cells) + 1):
+                    cell.objects.write(0x6132, number, self._digits)
+        lab.advance(at_ns)
+        words = lab.samples.at(at_ns)
+        statuswords = [drive.statusword() for drive in lab.drives]
+        for drive, word, torque in zip(lab.drives, controlwords, torques, strict=True):
+            drive.target_torque(torque)
+            drive.controlword(word)
+        return (
+            statuswords,
+            words[POSITION : POSITION + CABLES],
+            words[TORQUE : TORQUE + CABLES],
+            words[CELL:],
+        )
+
+    def read(self, axis: int, index: int, subindex: int) -> bytes:
+        """Raises `tonus.sim.devices.objects.AbortError`, a `LookupError`."""
+        return self._lab.drives[axis].objects.read(index, subindex)
+
+    def write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
+        """Raises `tonus.sim.devices.objects.AbortError`, a `LookupError`."""
+        self._lab.drives[axis].objects.write(index, subindex, data)

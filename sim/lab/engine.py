@@ -1,0 +1,316 @@
+"""The lab: plant, devices, buses, tracker and script, brought forward together in time.
+
+Nothing here runs by itself. Whoever touches the lab first calls `Lab.advance` with the present
+time; then everything that was to happen by then happens, in the order of time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from heapq import heappop, heappush
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.config.schema.faults import Fault, Replug, Unplug
+from tonus.config.schema.lab import LabScript
+from tonus.config.schema.root import Config
+from tonus.sim.can import registry
+from tonus.sim.can.canopen.node import Node
+from tonus.sim.can.wire.channel import NEVER
+from tonus.sim.can.wire.faulty import FaultyChannel
+from tonus.sim.can.wire.latency import Latency
+from tonus.sim.devices.epos4.drive import Epos4
+from tonus.sim.devices.force_cell import ForceCell
+from tonus.sim.devices.samples import Samples
+from tonus.sim.devices.timers import Callback
+from tonus.sim.devices.tracker import Tracker
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat.segment import Segment
+from tonus.sim.lab.build import build
+from tonus.sim.lab.direct import DirectPort
+from tonus.sim.lab.faults import ActiveFault, Faults
+from tonus.sim.lab.robot_faults import RobotFaults
+from tonus.sim.lab.statistics import PERIOD_NS, LoadWindow, Statistics, channel_statistics
+from tonus.sim.lab.truth import TRUTH, fill
+from tonus.sim.plant import Plant
+
+TRUTH_PERIOD_NS = 1_000_000
+_SECOND_NS = 1_000_000_000
+Clock = Callable[[], int]
+TruthSink = Callable[[NDArray[Any], int], None]
+
+
+class TrackerFeed:
+    """The tracker as a source of datagrams that have arrived."""
+
+    def __init__(self, lab: Lab, tracker: Tracker) -> None:
+        self._lab = lab
+        self._tracker = tracker
+
+    @property
+    def blocked(self) -> bool:
+        """The platform is hidden from the tracker."""
+        return self._tracker.blocked
+
+    @blocked.setter
+    def blocked(self, blocked: bool) -> None:
+        self._tracker.blocked = blocked
+
+    def poll(self, now_ns: int) -> list[bytes]:
+        self._lab.advance(now_ns)
+        return self._tracker.poll(now_ns)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class Lab:
+    """One robot in software, on the buses that ``config`` names.
+
+    ``clock`` gives ns; lab time is its time. ``truth`` is called with the truth record (a
+    preallocated array of one, to be copied) and its time, once per millisecond from ``start_ns``.
+    The script's load and faults begin when all drives are first enabled. ``seed`` replaces the
+    configuration's. ``nodes`` (channel, node id) are the emulated ones, None: all; the axes of
+    drives that are elsewhere have no power here, and the script does not wait for them. Raises
+    `LabError` without a lab section or with a script that does not fit.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        script: LabScript,
+        *,
+        seed: int,
+        clock: Clock,
+        truth: TruthSink | None = None,
+        start_ns: int = 0,
+        nodes: frozenset[tuple[str, int]] | None = None,
+    ) -> None:
+        if config.lab is None:
+            raise LabError(f"configuration {config.name} has no lab section")
+        lab = config.lab
+        self.clock = clock
+        self.seed = seed
+        self.now_ns = start_ns
+        """time up to which everything has happened"""
+        self.start_ns = start_ns
+        self.plant = Plant(
+            config.robot,
+            lab,
+            seed=seed,
+            phantom=script.phantom or lab.phantom,
+            load=script.load,
+            displacement=script.displacement,
+            start_ns=start_ns,
+        )
+        self.samples = Samples(self.plant, config.robot.motor, lab.noise.force_cell, seed)
+        self._timers: list[tuple[int, int, Callback]] = []
+        self._timer_count = 0
+        self._truth = truth
+        self._record = np.zeros(1, TRUTH)
+        self._grid_ns = start_ns
+        self._script = script
+        self.script_start_ns: int | None = None
+        """when the script began; None: it has not"""
+        self._tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
+        self.tracker = TrackerFeed(self, self._tracker)
+        self._order: list[FaultyChannel] = []
+        built = build(self, config, nodes, self._rewire)
+        self.channels: dict[str, FaultyChannel] = built.channels
+        self.nodes: dict[tuple[str, int], Node] = built.nodes
+        self.segments: dict[str, Segment] = built.segments
+        """EtherCAT segments, by the name of the master's interface"""
+        self.drives: list[Epos4] = built.drives
+        self.cells: list[ForceCell] = built.cells
+        self._bitrate = built.bitrate
+        self._awaited = built.awaited
+        self._robot_faults = RobotFaults(self.plant, self._tracker)
+        self._faults = Faults(
+            self.channels, self.nodes, self.segments, self._robot_faults, self, seed
+        )
+        for fault in script.faults:
+            self._faults.check(fault)
+        self.direct = DirectPort(self, config.fieldbus.force_cell)
+        self._rewire()
+        self._windows = {
+            name: LoadWindow(channel, start_ns) for name, channel in self.channels.items()
+        }
+        if self._windows:
+            self.call_at(start_ns + PERIOD_NS, self._note_load)
+        for node in self.nodes.values():
+            node.boot()
+
+    # -- doors -----------------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Let buses of this process find the channels by name. Raises `LabError`."""
+        for name, channel in self.channels.items():
+            registry.enter(name, registry.Door(self, channel, self._bitrate))
+
+    def close(self) -> None:
+        for name, channel in self.channels.items():
+            door = registry.find(name)
+            if door is not None and door.channel is channel:
+                registry.leave(name)
+
+    def unplug(self, channel: str, node: int) -> None:
+        """Pull a node off its bus. Raises `LabError`."""
+        self.inject(Unplug(kind="unplug", channel=channel, node=node))
+
+    def replug(self, channel: str, node: int) -> None:
+        self.inject(Replug(kind="replug", channel=channel, node=node))
+
+    def load(self, channel: str) -> float:
+        """Share of the time since the start in which a channel was busy, spaces included."""
+        passed = self.now_ns - self.start_ns
+        return self.channels[channel].busy_ns / passed if passed else 0.0
+
+    def measure_latency(self, *, on: bool = True) -> None:
+        """Begin, anew, or end to collect the frames' latencies; it costs a little with each."""
+        for channel in self.channels.values():
+            channel.latency = Latency() if on else None
+
+    def statistics(self) -> Statistics:
+        """What the channels have carried up to now."""
+        return Statistics(
+            time=(self.now_ns - self.start_ns) / _SECOND_NS,
+            channels={
+                name: channel_statistics(channel, self._windows[name], self.start_ns, self.now_ns)
+                for name, channel in self.channels.items()
+            },
+        )
+
+    def _note_load(self, now_ns: int) -> None:
+        for window in self._windows.values():
+            window.note(now_ns)
+        self.call_at(now_ns + PERIOD_NS, self._note_load)
+
+    def _rewire(self) -> None:
+        """All wires, those of controllers that are cut off included."""
+        self._order[:] = [
+            wire for channel in self.channels.values() for wire in (channel, *channel.severed)
+        ]
+
+    # -- time ------------------------------------------------------------------------------------
+
+    def call_at(self, at_ns: int, callback: Callback) -> None:
+        """Call in the order of time, equal times in the order of these calls."""
+        self._timer_count += 1
+        heappush(self._timers, (at_ns, self._timer_count, callback))
+
+    def next_event_ns(self) -> int:
+        """When next something happens that someone outside could notice; never later than that.
+
+        The truth record's millisecond does not count: it can be made up for.
+        """
+        due = min(channel.next_ns() for channel in self._order) if self._order else NEVER
+        if self._timers:
+            due = min(due, self._timers[0][0])
+        arrival = self._tracker.next_arrival_ns
+        return min(due, self._tracker.next_ns if arrival is None else arrival)
+
+    def next_work_ns(self) -> int:
+        """The next event that is not a channel's own, the truth record's millisecond included."""
+        due = self._grid_ns
+        if self._tracker.next_ns < due:
+            due = self._tracker.next_ns
+        if self._timers and self._timers[0][0] < due:
+            due = self._timers[0][0]
+        return due
+
+    def advance(self, to_ns: int) -> None:
+        """Let everything happen that is due by ``to_ns``."""
+        if to_ns <= self.now_ns:
+            return
+        channels = self._order
+        while True:
+            due = self.next_work_ns()
+            limit = min(due, to_ns)
+            for channel in channels:
+                channel.run(limit)
+            while True:
+                when = NEVER
+                first = None
+                for channel in channels:
+                    if channel.wide_ns < when:
+                        when = channel.wide_ns
+                        first = channel
+                if first is None or when > limit:
+                    break
+                self.now_ns = when
+                first.deliver()
+                # The frame may have set a timer before the limit.
+                if self._timers and self._timers[0][0] < limit:
+                    limit = self._timers[0][0]
+                first.run(limit)
+            due = self.next_work_ns()
+            if due > to_ns:
+                break
+            self.now_ns = due
+            self._happen(due)
+        self.now_ns = to_ns
+
+    def _happen(self, now_ns: int) -> None:
+        """Timers, exposure and truth of one instant."""
+        timers = self._timers
+        while timers and timers[0][0] <= now_ns:
+            heappop(timers)[2](now_ns)
+        if self._tracker.next_ns == now_ns:
+            self.plant.advance(now_ns)
+            self._tracker.expose(now_ns)
+        if self._grid_ns == now_ns:
+            self._grid_ns = now_ns + TRUTH_PERIOD_NS
+            self.plant.advance(now_ns)
+            if self.script_start_ns is None:
+                self._start_script(now_ns)
+            if self._truth is not None:
+                fill(self._record, self.plant)
+                self._truth(self._record, now_ns)
+
+    # -- script ----------------------------------------------------------------------------------
+
+    def _start_script(self, now_ns: int) -> None:
+        for drive in self._awaited:
+            if not drive.enabled:
+                return
+        self.script_start_ns = now_ns
+        self.plant.start_schedule(now_ns)
+        script = self._script
+        self._tracker.start_script(now_ns, script.occlusions, script.tracker_shifts)
+        for fault in self._script.faults:
+            self._inject_later(fault, now_ns)
+
+    def extend_script(self, faults: Collection[Fault]) -> None:
+        """Let these faults happen as if the script had held them from the start. It must have
+        begun, and none of them be due yet. Raises `LabError`."""
+        begun = self.script_start_ns
+        if begun is None:
+            raise LabError("the script has not begun: not every drive has been enabled")
+        for fault in faults:
+            self._faults.check(fault)
+            if begun + round(fault.at * _SECOND_NS) <= self.now_ns:
+                raise LabError(f"fault {fault.kind}: {fault.at:g} s of the script are over")
+        for fault in faults:
+            self._inject_later(fault, begun)
+
+    def inject(self, fault: Fault) -> None:
+        """Make a fault happen now, or ``fault.at`` s from now. Raises `LabError`."""
+        self._faults.check(fault)
+        if fault.at:
+            self._inject_later(fault, self.now_ns)
+        else:
+            self._faults.inject(fault)
+
+    def _inject_later(self, fault: Fault, from_ns: int) -> None:
+        at_ns = from_ns + round(fault.at * _SECOND_NS)
+        self.call_at(at_ns, lambda _: self._faults.inject(fault))
+
+    def robot_places(self, kind: str, *, axis: bool, cell: bool) -> list[str]:
+        """Where a kind of fault of the robot can happen; see `tonus.sim.lab.robot_faults`."""
+        return self._robot_faults.places(kind, axis=axis, cell=cell)
+
+    def faults(self) -> list[ActiveFault]:
+        """The lasting faults at work, oldest first."""
+        return self._faults.active()

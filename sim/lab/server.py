@@ -1,0 +1,376 @@
+"""A lab in real time: its channels as Unix sockets, its EtherCAT segment on a network interface,
+its tracker as UDP datagrams, and its door.
+
+The lab itself is lazy. The server brings it forward when a client sends, and when something is due
+that a client would notice; frames that end within ``lab.bus.coalesce_us`` go out in one packet.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import select
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tonus.config.places import LAB_DOOR
+from tonus.config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
+from tonus.config.schema.root import Config
+from tonus.sim.can.bridge import Bridge
+from tonus.sim.can.packet import (
+    ECHO,
+    FRAMES_PER_PACKET,
+    PACKET_BYTES,
+    decode,
+    encode,
+    socket_path,
+    sound,
+)
+from tonus.sim.can.wire.channel import Channel, Port
+from tonus.sim.can.wire.frame import Frame
+from tonus.sim.errors import LabError
+from tonus.sim.ethercat.port import SegmentPort
+from tonus.sim.ethercat.veth import close_pair, open_pair
+from tonus.sim.lab.door import Door
+from tonus.sim.lab.door_socket import DoorSocket
+from tonus.sim.lab.engine import Lab
+from tonus.sim.lab.timer import WakeUp
+
+_IDLE_NS = 5_000_000
+"""The longest the lab is left behind the present: the truth of a quiet lab keeps coming, and the
+work that has gathered stays small."""
+_BACKLOG = 16
+OUR_INTERFACE = "tonus"
+"""A channel of any other python-can interface is bridged to it, where a node is emulated on it."""
+
+
+class _Client:
+    def __init__(self, connection: socket.socket, channel: Channel) -> None:
+        self.connection = connection
+        self.port: Port = channel.attach(listens=True)
+        self.port.reports = True
+        self.waiting: list[_Sent] = []
+        """frames that have been read and found no room"""
+
+
+class _Sent(NamedTuple):
+    sent_ns: int
+    client: _Client
+    identifier: int
+    dlc: int
+    data: bytes
+
+
+_sent_ns = attrgetter("sent_ns")
+
+
+class _Server:
+    def __init__(
+        self, lab: Lab, config: Config, directory: Path, utc: Callable[[], int] | None
+    ) -> None:
+        if config.lab is None:
+            raise LabError(f"configuration {config.name} has no lab section")
+        self._utc = utc
+        self._end = config.lab.ethercat
+        self._ports: list[SegmentPort] = []
+        self._pairs: list[str] = []  # made here, and removed at the end
+        self._lab = lab
+        self._clock = lab.clock
+        bus = config.fieldbus
+        self._buses = bus.buses if isinstance(bus, SeveralBuses) else (bus,)
+        self._coalesce_ns = config.lab.bus.coalesce_us * 1000
+        self._target = (config.tracker.address, config.tracker.port)
+        self._loop = asyncio.get_running_loop()
+        self._failed: asyncio.Future[None] = self._loop.create_future()
+        self._listeners: dict[int, tuple[socket.socket, Path, Channel]] = {}
+        self._knocks = select.poll()
+        self._clients: list[_Client] = []
+        self._stalled: list[_Client] = []
+        self._left: list[_Client] = []
+        self._bridges: list[Bridge] = []
+        self._door: DoorSocket | None = None
+        self._tracker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._tracker.setblocking(False)
+        self._wake = WakeUp(self._loop, self._work)
+        self._directory = directory
+        self.unsound_frames = 0
+        """frames no classic controller could have sent, thrown away"""
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        self._loop.set_exception_handler(self._fail)
+        self._open()
+        self._work()
+        ready()
+        await self._failed
+
+    def _open(self) -> None:
+        try:
+            self._directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise LabError(f"{self._directory} cannot be made: {error.strerror}") from error
+        for bus in self._buses:
+            if isinstance(bus, CanopenBus):
+                self._open_channels(bus)
+            elif isinstance(bus, EthercatBus):
+                self._open_segment(bus)
+        door = self._directory / LAB_DOOR
+        _remove_stale(door, socket.SOCK_DGRAM)
+        self._door = DoorSocket(
+            Door(self._lab), door, lambda: self._lab.advance(self._clock()), self._work
+        )
+
+    def _open_channels(self, bus: CanopenBus) -> None:
+        lab = self._lab
+        inhabited = {name for name, _ in lab.nodes}
+        for spec in bus.channels:
+            channel = lab.channels[spec.name]
+            if bus.interface == OUR_INTERFACE:
+                self._listen(channel)
+            elif spec.name in inhabited:
+                bridge = Bridge(lab, channel, bus.interface, bus.bitrate, self._arm)
+                self._bridges.append(bridge)
+
+    def _open_segment(self, bus: EthercatBus) -> None:
+        end = self._end
+        assert end is not None  # or the lab would have no segment
+        pairs = [(bus.interface, end.interface)]
+        if bus.redundant_interface is not None:
+            if end.redundant_interface is None:
+                raise LabError(
+                    "lab.ethercat.redundant_interface is missing: the fieldbus has a "
+                    f"redundant_interface, {bus.redundant_interface}"
+                )
+            pairs.append((bus.redundant_interface, end.redundant_interface))
+        for master, ours in pairs:
+            if open_pair(master, ours):
+                self._pairs.append(ours)
+        interfaces = tuple(ours for _, ours in pairs)
+        segment = self._lab.segments[bus.interface]
+        self._ports.append(
+            SegmentPort(segment, interfaces, end.receive_buffer, self._clock, self._utc, self._arm)
+        )
+
+    def _listen(self, channel: Channel) -> None:
+        path = socket_path(self._directory, channel.name)
+        _remove_stale(path)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        listener.setblocking(False)
+        try:
+            listener.bind(str(path))
+        except OSError as error:
+            listener.close()
+            raise LabError(f"{path} cannot be opened: {error}") from error
+        self._listeners[listener.fileno()] = listener, path, channel
+        listener.listen(_BACKLOG)
+        self._knocks.register(listener, select.POLLIN)
+        self._loop.add_reader(listener, self._accept)
+
+    def close(self) -> None:
+        self._loop.set_exception_handler(None)
+        self._wake.close()
+        if self._door is not None:
+            self._door.close()
+        for listener, path, _ in self._listeners.values():
+            self._loop.remove_reader(listener)
+            listener.close()
+            path.unlink(missing_ok=True)
+        for client in tuple(self._clients):
+            self._leave(client)
+        for bridge in self._bridges:
+            bridge.close()
+        for port in self._ports:
+            port.close()
+        for ours in self._pairs:
+            close_pair(ours)
+        self._tracker.close()
+
+    def _accept(self) -> None:
+        """Attach all who have connected, where the lab is: what others sent since is for them, too,
+        and may not have been read yet."""
+        for descriptor, _ in self._knocks.poll(0):
+            listener, _, channel = self._listeners[descriptor]
+            with suppress(BlockingIOError):
+                while True:
+                    connection, _ = listener.accept()
+                    connection.setblocking(False)
+                    client = _Client(connection, channel)
+                    self._clients.append(client)
+                    self._loop.add_reader(connection, self._receive, client)
+
+    def _leave(self, client: _Client) -> None:
+        self._loop.remove_reader(client.connection)
+        client.connection.close()
+        client.port.channel.detach(client.port)
+        self._clients.remove(client)
+        if client in self._stalled:
+            self._stalled.remove(client)
+
+    def _receive(self, client: _Client) -> None:
+        """Take what a client has sent. A frame that tells when it was sent enters its queue then,
+        unless the lab is past that: how late it is read must not show on the bus. The lab is left
+        there, since another channel's frame may be of the same time."""
+        frames = self._read(client)
+        if frames and self._clock() - frames[0].sent_ns > self._coalesce_ns:
+            # We are late: the others' frames are older than the last of these.
+            frames += self._read_all(client)
+        self._queue(frames)
+        self._arm()
+
+    def _read_all(self, but: _Client | None = None) -> list[_Sent]:
+        self._accept()
+        frames: list[_Sent] = []
+        for client in tuple(self._clients):
+            if client is not but and client not in self._stalled:
+                frames += self._read(client)
+        return frames
+
+    def _read(self, client: _Client) -> list[_Sent]:
+        """What a client has sent, as far as its queue has room; the rest waits in its socket, where
+        its own next send will find it full."""
+        port = client.port
+        frames, client.waiting = client.waiting, []
+        if port.room <= len(frames):
+            self._lab.advance(self._clock())
+        try:
+            while port.room > len(frames):
+                packet = client.connection.recv(PACKET_BYTES)
+                now_ns = self._clock()
+                if not packet:
+                    self._left.append(client)
+                    return frames
+                for sent_ns, identifier, dlc, _, data in decode(packet):
+                    sent = min(sent_ns or now_ns, now_ns)
+                    if frames:  # a client's own keep their order
+                        sent = max(sent, frames[-1].sent_ns)
+                    frames.append(_Sent(sent, client, identifier, dlc, data))
+        except BlockingIOError:
+            return frames
+        except OSError:
+            self._left.append(client)
+            return frames
+        self._loop.remove_reader(client.connection)
+        self._stalled.append(client)
+        return frames
+
+    def _queue(self, frames: list[_Sent]) -> None:
+        """Let the lab have frames, each at its time."""
+        lab = self._lab
+        for sent in sorted(frames, key=_sent_ns):
+            lab.advance(sent.sent_ns)
+            port = sent.client.port
+            if sent.identifier == ECHO:
+                port.echo = sent.data[:1] == b"\1"
+            elif not sound(sent.identifier, sent.dlc):
+                self.unsound_frames += 1
+            elif port.room > 0:
+                frame = Frame(sent.identifier, sent.data, sent.dlc)
+                port.channel.send(port, frame, lab.now_ns)
+            else:
+                sent.client.waiting.append(sent)
+        left, self._left = self._left, []
+        for client in left:
+            self._leave(client)
+
+    def _fail(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """An error in a callback ends the serving; the loop would only log it."""
+        error = context.get("exception")
+        if isinstance(error, Exception) and not self._failed.done():
+            self._failed.set_exception(error)
+        else:
+            loop.default_exception_handler(context)
+
+    def _work(self) -> None:
+        """Bring the lab to the present and hand out what came of it."""
+        lab = self._lab
+        now_ns = self._clock()
+        # What was sent before this instant first, or the lab would be past it.
+        for port in self._ports:
+            port.receive_all()
+        self._queue(self._read_all())
+        lab.advance(now_ns)
+        for port in self._ports:
+            port.receive_all()  # what came meanwhile has waited enough
+        for client in tuple(self._clients):
+            if client.port.received:
+                self._send(client)
+        for bridge in self._bridges:
+            bridge.forward()
+        for datagram in lab.tracker.poll(now_ns):
+            try:
+                self._tracker.sendto(datagram, self._target)
+            except OSError:
+                # Nobody listens, or the way is full: a datagram may get lost.
+                continue
+        stalled, self._stalled = self._stalled, []
+        for client in stalled:
+            if client.port.room > 0:
+                self._loop.add_reader(client.connection, self._receive, client)
+                self._queue(self._read(client))
+            else:
+                self._stalled.append(client)
+        self._arm()
+
+    def _send(self, client: _Client) -> None:
+        received = client.port.received
+        assert received is not None
+        while received:
+            batch = [received.popleft() for _ in range(min(len(received), FRAMES_PER_PACKET))]
+            try:
+                client.connection.send(encode(batch, client.port))
+            except BlockingIOError:
+                # As a controller's receive buffer that nobody empties.
+                client.port.missed += len(batch)
+            except OSError:
+                self._leave(client)
+                return
+
+    def _arm(self) -> None:
+        lab = self._lab
+        due_ns = min(lab.next_event_ns() + self._coalesce_ns, lab.now_ns + _IDLE_NS)
+        if self._ports:
+            # A frame waits for what is due before it, so that is not left until one comes.
+            due_ns = min(due_ns, lab.next_work_ns())
+        wake = self._wake
+        # What is due first is kept: later frames are taken along with it.
+        if not wake.due_ns or due_ns < wake.due_ns:
+            wake.at(due_ns)
+
+
+def _remove_stale(path: Path, kind: socket.SocketKind = socket.SOCK_SEQPACKET) -> None:
+    """Take away the socket of a lab that is gone. Raises `LabError` if it still answers."""
+    if not path.exists():
+        return
+    if not path.is_socket():
+        raise LabError(f"{path} is in the way and not a socket; remove it")
+    with socket.socket(socket.AF_UNIX, kind) as probe:
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink()
+            return
+        except OSError as error:
+            raise LabError(f"{path} cannot be used: {error.strerror}") from error
+    raise LabError(f"a lab already runs at {path}; stop it, or choose another TONUS_RUNTIME_DIR")
+
+
+async def serve(
+    lab: Lab,
+    config: Config,
+    runtime_dir: Path,
+    ready: Callable[[], None],
+    utc: Callable[[], int] | None = None,
+) -> None:
+    """Serve until cancelled; ``ready`` is called when clients can connect.
+
+    The lab's clock has to be CLOCK_MONOTONIC in ns, as the running loop's is; ``utc`` tells what to
+    add to it for UTC, by which the kernel stamps frames of EtherCAT. Raises `LabError`.
+    """
+    lab.measure_latency()
+    server = _Server(lab, config, runtime_dir, utc)
+    try:
+        await server.run(ready)
+    finally:
+        server.close()
