@@ -21,7 +21,7 @@ from tonus.tools.paper.claims import claims
 from tonus.tools.paper.compare import matches
 from tonus.tools.paper.figures import PICTURES
 from tonus.tools.paper.look import WIDE
-from tonus.tools.paper.page import page
+from tonus.tools.paper.page import paper_page
 from tonus.tools.paper.results import Results
 from tonus.tools.paper.table import Column, Table, text
 from tonus.tools.paper.targets import targets
@@ -111,7 +111,8 @@ def _write(
         figure.savefig(out / "figures" / f"{picture.name}.png", dpi=_PNG_DPI)
         wide = figure.get_figwidth() >= WIDE
         pictures.append((picture.name, picture.heading, picture.caption, svg, wide))
-    (out / "paper.html").write_text(page(results, judged, ordered, pictures), encoding="utf-8")
+    text = paper_page(results, judged, ordered, pictures)
+    (out / "paper.html").write_text(text, encoding="utf-8")
     body = json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False)
     (out / "paper.json").write_text(body + "\n", encoding="utf-8")
 

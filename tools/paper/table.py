@@ -6,8 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from html import escape
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,9 @@ from rich import box
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table as Printed
 from rich.text import Text
+
+from tonus.tools.pages.page import page
+from tonus.tools.pages.rows import NUMBER, Row, Rows
 
 _GAP = 3
 """characters between columns of a terminal's table"""
@@ -174,26 +176,22 @@ class Table:
             writer.writerow(line)
         return buffer.getvalue()
 
-    def html(self) -> str:
-        heads = "".join(
-            f"<th{' class=n' if self._numeric(place) else ''}>{escape(column.heading)}</th>"
-            for place, column in enumerate(self.columns)
-        )
-        lines = []
+    def shown(self) -> Rows:
+        """As a page shows it."""
+        heads = [(column.heading, self._numeric(n)) for n, column in enumerate(self.columns)]
+        shown = Rows(heads, notes=self.notes, title=self.title)
         for row, cells in enumerate(self.rows):
-            shown = []
+            styled = []
             for place, cell in enumerate(cells):
-                kinds = ["n"] if self._numeric(place) else []
+                kinds = [NUMBER] if self._numeric(place) else []
                 kinds += ["best"] if (row, place) in self.marked else []
-                style = f' class="{" ".join(kinds)}"' if kinds else ""
-                shown.append(f"<td{style}>{escape(text(cell, self.columns[place].digits))}</td>")
-            lines.append("<tr>" + "".join(shown) + "</tr>")
-        notes = "".join(f'<p class="note">{escape(note)}</p>' for note in self.notes)
-        return (
-            f"<h3>{escape(self.title)}</h3>\n<div class=wide><table><tr>{heads}</tr>\n"
-            + "\n".join(lines)
-            + f"</table></div>{notes}\n"
-        )
+                styled.append((text(cell, self.columns[place].digits), " ".join(kinds)))
+            shown.lines.append(Row(styled))
+        return shown
+
+    def html(self) -> str:
+        """As a page of its own."""
+        return page("table.html.j2", self.title, subtitle="", shown=replace(self.shown(), title=""))
 
     def _numeric(self, place: int) -> bool:
         return not any(isinstance(row[place], str) for row in self.rows)
