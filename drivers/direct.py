@@ -57,7 +57,8 @@ class DirectFieldbus:
             [f"direct/{axis}" for axis in range(CABLES)],
         )
         self._commands = ([0] * CABLES, [0] * CABLES)
-        self._sampled: tuple[int, list[int], list[int], list[int], list[int]] | None = None
+        self._sampled: tuple[int, int, list[int], list[int], list[int], list[int]] | None = None
+        """tick and time of the last exchange, and its samples"""
 
     async def start(self, progress: Progress) -> None:
         """Raises `BringUpError`, one line that names every axis that failed and why."""
@@ -78,7 +79,8 @@ class DirectFieldbus:
     def collect(self, tick: int) -> None:
         exchange = self._exchange
         if self._sampled is not None:
-            sampled, statuswords, positions, torques, cells = self._sampled
+            sampled, sampled_ns, statuswords, positions, torques, cells = self._sampled
+            exchange.sampled_ns[:] = [sampled_ns] * len(exchange.sampled_ns)
             exchange.statuswords[:] = statuswords
             exchange.positions[:] = positions
             exchange.torques[:] = torques
@@ -86,8 +88,9 @@ class DirectFieldbus:
             exchange.axis_tick[:] = [sampled] * len(exchange.axis_tick)
             exchange.cell_tick[:] = [sampled] * len(exchange.cell_tick)
         exchange.fill(tick)
-        at_ns = self._clock() + self._offset_ns
-        self._sampled = (tick, *self._port.exchange(at_ns, *self._commands))
+        now_ns = self._clock()
+        samples = self._port.exchange(now_ns + self._offset_ns, *self._commands)
+        self._sampled = (tick, now_ns, *samples)
 
     def publish(self, tick: int) -> None:
         del tick  # the exchange of the next collect takes them, whenever that is
