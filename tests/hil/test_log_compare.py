@@ -121,6 +121,18 @@ def test_a_narrow_terminal_shows_values(
     assert number(tracking["controllers"]["pid"]["mean"]) in done.output
 
 
+def test_a_damaged_log_is_compared_and_costs_the_exit_code(
+    logs: dict[tuple[str, int], Log], tmp_path: Path
+) -> None:
+    data = logs["bio", 1].path.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: len(data) * 98 // 100])
+    done = CliRunner().invoke(compare, [str(cut), str(logs["pid", 1].path)])
+    assert done.exit_code == 1, done.output
+    assert "RMSE_x" in done.output
+    assert f"damaged: {cut}: " in done.output
+
+
 def test_the_two_tracking_figures_are_told_apart(logs: dict[tuple[str, int], Log]) -> None:
     table, _ = put_side_by_side([logs["bio", 1]])
     assert any("tracking_rmse_m" in note and "whole periods" in note for note in table.notes)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from tonus.tools.cli import compiling
+from tonus.tools.cli.main import main
 
 
 @pytest.fixture
@@ -68,3 +71,28 @@ def test_a_long_compilation_is_told_now_and_then(
     assert first.endswith(".kernel, number 2")
     assert second.startswith("compiling: ")
     assert second.endswith(".kernel, number 4")
+
+
+@pytest.mark.parametrize("arguments", [("log", "info", "nope.mcap"), ("check", "nope.yaml")])
+def test_every_command_keeps_compiled_code_somewhere_and_tells(
+    nowhere: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+) -> None:
+    """Also one that computes nothing: its imports need numba's cache."""
+    nowhere.mkdir()
+    listeners: list[tuple[str, Any]] = []
+    monkeypatch.setattr("numba.core.event.register", lambda *each: listeners.append(each))
+    monkeypatch.setattr(sys, "argv", ["tonus", *arguments])
+    with pytest.raises(SystemExit):
+        main()
+    assert Path(os.environ.pop(compiling.VARIABLE)).parent == nowhere
+    ((kind, listener),) = listeners
+    assert kind == "numba:compile"
+    times = iter((0.0, 2.0))
+    monkeypatch.setattr(compiling, "wall_seconds", lambda: next(times))
+    capsys.readouterr()
+    for _ in range(2):
+        listener.on_start(SimpleNamespace(is_start=True, data={}))
+    assert capsys.readouterr().err.startswith("compiling (once for each installation")

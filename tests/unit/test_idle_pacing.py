@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import signal
+from pathlib import Path
+
 import pytest
+from hil.runs import configured
 
 from tonus.config import load
+from tonus.runtime.states import State
 from tonus.runtime.timing import clock
+from tonus.runtime.timing.scheduler import VirtualPacing
+from tonus.tools.run.composer import Order, run
 from tonus.tools.run.idle_pacing import IdlePacing
 
 PERIOD_NS = 1_000_000
+TICKS = 500
+"""after which a served run is ended, whether it waits or not"""
 
 
 class Wall:
@@ -65,3 +75,27 @@ def test_lost_time_is_not_made_up_after_work(monkeypatch: pytest.MonkeyPatch) ->
 def test_the_shipped_robot_walks_in_real_time() -> None:
     config, _ = load("config/can.yaml")
     assert config.operation.virtual_idle_speed == 1.0
+
+
+def test_a_served_run_in_virtual_time_waits_while_the_robot_is_disarmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
+    wall, usual, ticks = Wall(monkeypatch), VirtualPacing.until, 0
+
+    async def until(pacing: VirtualPacing, due_ns: int) -> None:
+        nonlocal ticks
+        ticks += 1
+        if ticks == TICKS:
+            os.kill(os.getpid(), signal.SIGTERM)
+        await usual(pacing, due_ns)
+
+    monkeypatch.setattr(VirtualPacing, "until", until)
+    config, scenario = configured("config/direct.yaml")
+    order = Order(
+        config, scenario, tmp_path / "out", 1, True, lambda _: None, live=False, serve=True
+    )
+    began = wall.now
+    result = run(order)
+    assert result.outcome.state in (State.OFF, State.STANDBY)
+    assert wall.now - began >= 0.9 * TICKS * PERIOD_NS * 1e-9, "as long as a robot stands still"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,8 +14,11 @@ from paper_setup import campaign
 
 from tonus.config import load
 from tonus.config.loader import load_protocol
+from tonus.tools.cli.init import init
+from tonus.tools.cli.paper import paper
 from tonus.tools.cli.tune import tune
 from tonus.tools.errors import ToolError
+from tonus.tools.paper.campaign import Campaign
 from tonus.tools.paper.claims import claims
 from tonus.tools.paper.publish import publish
 from tonus.tools.paper.verdicts import Verdict
@@ -108,3 +112,28 @@ def test_controllers_that_are_not_tuned_alike_are_never_said_to_be(tmp_path: Pat
     page = (tmp_path / "paper.html").read_text()
     assert "NOT tuned alike" in page
     assert "the tuned PID" not in page
+
+
+@pytest.mark.parametrize(("mass", "tuned"), [(None, True), (3.21, False)])
+def test_the_command_says_of_an_own_robot_that_nothing_was_tuned_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mass: float | None, tuned: bool
+) -> None:
+    """Trials made up, since only what is said of them is asked."""
+    played = Campaign(campaign(), [], 0.0, 0.0, 0)
+    monkeypatch.setattr("tonus.tools.cli.paper.carry_out", lambda *_: played)
+    folder, out = tmp_path / "mine", tmp_path / "out"
+    out.mkdir()
+    assert CliRunner().invoke(init, [str(folder)]).exit_code == 0
+    robot = folder / "robots/paper.yaml"
+    if mass is not None:
+        robot.write_text(
+            re.sub(r"(?m)^(\s*mass: )[0-9.]+", rf"\g<1>{mass}", robot.read_text(), count=1)
+        )
+    arguments = [str(folder / "direct.yaml"), "--quick", "--out", str(out), "--json"]
+    done = CliRunner().invoke(paper, arguments)
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)["not_tuned_alike"]
+    assert said is None if tuned else "another robot" in said
+    page = (out / "paper.html").read_text()
+    assert ("NOT tuned alike" in page) is not tuned
+    assert ("here all were, with one budget" in page) is tuned
