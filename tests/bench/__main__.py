@@ -20,21 +20,13 @@ from tests.bench.realtime import realtime
 from tests.bench.segment import segment
 from tests.bench.whole import whole
 
+PARTS = (control, distribution, process_data, frames, segment, ethercat, whole, log, realtime)
+
 
 def main() -> None:
     figures: list[Figure] = []
     console = Console()
-    for bench in (
-        control,
-        distribution,
-        process_data,
-        frames,
-        segment,
-        ethercat,
-        whole,
-        log,
-        realtime,
-    ):
+    for bench in PARTS:
         console.print(f"measuring {bench.__name__} ...")
         figures += bench()
     table = Table("what", "value", "peer", "peer's value", "ratio", "note")

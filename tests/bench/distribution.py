@@ -20,6 +20,8 @@ from tonus.runtime.control.kinematics import Kinematics
 from tonus.tools.tune.trial import play
 
 Array = NDArray[np.float64]
+RECORDED = {"load_test": 6.0, "contact": 10.0}
+"""scenarios, and s of them"""
 EACH = 300
 """problems from every source"""
 ROUNDS = 3
@@ -170,7 +172,7 @@ def _least(quadratic: Array, linear: Array, problem: Problem) -> float:
 
 
 def _problems(config: Config) -> list[Problem]:
-    found = _recorded(config, "load_test", 6.0) + _recorded(config, "contact", 10.0)
+    found = [p for name, seconds in RECORDED.items() for p in _recorded(config, name, seconds)]
     generator = np.random.default_rng(1)
     for largest in (25.0, 400.0):
         found += [_random(config, generator, largest) for _ in range(EACH)]

@@ -21,6 +21,8 @@ from tonus.tools.log.replay import replay
 from tonus.tools.report.page import report
 from tonus.tools.run.composer import Order, run
 
+SECONDS = 10.0
+"""of the run that the long log is made of"""
 CYCLES = 600_000
 SAMPLE = 100_000
 """messages that the peer decodes; the rest of its time is in proportion"""
@@ -31,7 +33,7 @@ PERIOD_NS = 1_000_000
 def log() -> list[Figure]:
     """Loading whole: every topic, every message."""
     config, scenario = load("config/direct.yaml")
-    scenario = scenario.model_copy(update={"duration": 10.0})
+    scenario = scenario.model_copy(update={"duration": SECONDS})
     with tempfile.TemporaryDirectory() as folder:
         order = Order(config, scenario, Path(folder), 1, True, lambda _: None, live=False)
         short = run(order).log
