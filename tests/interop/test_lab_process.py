@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import select
 import signal
 import subprocess
@@ -16,6 +17,7 @@ import can
 import pytest
 from running_lab import COMMAND, environment, start
 
+from tonus.config.loader import HERE
 from tonus.sim.can.plugin import TonusBus
 from tonus.sim.can.wire.timing import frame_bits
 
@@ -51,6 +53,32 @@ def test_python_cans_logger_joins(lab: Path) -> None:
     assert logger.returncode == 0
     assert sum(" 703 " in line for line in lines) == 20
     assert sum(" 000 " in line for line in lines) == 20
+
+
+def test_a_listener_sees_the_boot_ups_that_commissioning_shows(lab: Path) -> None:
+    """The lab's nodes have said their names before anybody can listen; the page has them reset, by
+    a command that does not leave before its frame is on the bus."""
+    page = (HERE.parent / "docs/commissioning.md").read_text(encoding="utf-8")
+    told = page.partition("\n## 3. ")[2].partition("\n## ")[0]
+    (command,) = re.findall(r"`python -c '([^']+)'`", told)
+    shown = [int(each, 16) for each in re.findall(r"ID: +([0-9a-f]+) ", told)]
+    assert len(shown) == 4
+    listener = TonusBus("can0")
+    for _ in range(5):
+        done = subprocess.run(
+            [sys.executable, "-c", command],
+            env=environment(lab),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        heard: list[int] = []
+        while len(heard) < len(shown) and (message := listener.recv(2)) is not None:
+            if bytes(message.data) == b"\0":
+                heard.append(message.arbitration_id)
+        assert heard == shown
+    listener.shutdown()
 
 
 def test_python_cans_viewer_shows_a_node(lab: Path) -> None:
