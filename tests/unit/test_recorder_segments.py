@@ -14,6 +14,7 @@ from tonus.runtime.recording import recorder as recorder_module
 from tonus.runtime.recording.mcap_file import McapFile
 from tonus.runtime.recording.recorder import Recorder
 from tonus.tools.log import open as open_log
+from tonus.tools.log.several import segments
 
 TICKS = 900
 
@@ -203,3 +204,33 @@ def test_a_recorder_that_begins_again_says_so_in_another_file(tmp_path: Path) ->
     assert log["/tonus/timing"]["tick"].tolist() == list(range(TICKS))
     (said,) = (event for event in log.events() if event.name == "recorder_restarted")
     assert said.time_ns // MS == 450
+
+
+def test_one_killed_before_its_first_chunk_leaves_a_file_that_tells_of_no_restart(
+    tmp_path: Path,
+) -> None:
+    """So files count how often a recorder was killed, and restarts told may be fewer."""
+    rings, rows = Rings(tmp_path / "rings"), cycles(TICKS)
+    true = truth(rows)
+
+    def begin() -> Recorder:
+        return Recorder(
+            tmp_path / "rings", tmp_path / "run.mcap", recording(chunk_ms=50), {"seed": "1"}, {}, 0
+        )
+
+    recorder = begin()
+    for k in range(TICKS):
+        rings.tick(k, rows, true)
+        if k % 10 == 9:
+            recorder.drain()
+        if k == 450:
+            begin()  # killed before it drains
+            recorder = begin()
+    recorder.finish()
+    log = open_log(tmp_path / "run.mcap")
+    assert log["/tonus/timing"]["tick"].tolist() == list(range(TICKS))
+    restarts = [event.text for event in log.events() if event.name == "recorder_restarted"]
+    assert restarts == ["what is not in an earlier file is in run.3.mcap"]
+    assert segments(tmp_path / "run.mcap") == [
+        tmp_path / name for name in ("run.mcap", "run.2.mcap", "run.3.mcap")
+    ]
