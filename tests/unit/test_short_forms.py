@@ -36,6 +36,10 @@ def told() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("page", "line"), told(), ids=str)
 def test_a_command_that_is_told_can_be_typed(page: str, line: str) -> None:
+    check_words(page, line)
+
+
+def check_words(page: str, line: str) -> None:
     """Every verb and option is known, and every argument is there."""
     words = shlex.split(line)[1:]
     command: click.Command = tonus
@@ -53,6 +57,22 @@ def test_a_command_that_is_told_can_be_typed(page: str, line: str) -> None:
         assert not words, f"{page}: {line}"  # the command's name alone stands for it
     except click.UsageError as error:
         pytest.fail(f"{page}: {line}: {error.format_message()}")
+
+
+def test_setup_compiles_what_the_first_command_needs() -> None:
+    """By a run with frames, in virtual time, that leaves nothing behind."""
+    done = subprocess.run(
+        [MAKE, "--dry-run", "--always-make", "setup"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    (line,) = re.findall(r"/(tonus run .+) >/dev/null", done.stdout)
+    check_words("Makefile", line)
+    assert line.startswith("tonus run config/can.yaml --virtual ")
+    assert done.stdout.index("-delete") < done.stdout.index(line) < done.stdout.index("touch")
 
 
 def test_there_are_commands_to_be_tried() -> None:
