@@ -24,8 +24,8 @@ SHORT: dict[str, dict[str, Any]] = {
     "realtime": {"_SHORT_S": 1.0, "_SHORT_ROUNDS": 1},
 }
 """what each part has less of here"""
-PROCESSES = ("ethercat", "realtime")
-"""parts that start processes of their own"""
+MARKS = {"ethercat": [pytest.mark.realtime], "realtime": [pytest.mark.realtime, pytest.mark.long]}
+"""of parts that start processes of their own; what the second one plays, other tests play too"""
 
 
 def once(action: Callable[[], object], number: int, repeat: int) -> list[float]:
@@ -36,10 +36,7 @@ def once(action: Callable[[], object], number: int, repeat: int) -> list[float]:
 
 @pytest.mark.parametrize(
     "part",
-    [
-        pytest.param(part, marks=[pytest.mark.realtime] * (part.__name__ in PROCESSES))
-        for part in PARTS
-    ],
+    [pytest.param(part, marks=MARKS.get(part.__name__, [])) for part in PARTS],
     ids=lambda part: part.__name__,
 )
 def test_a_part_runs_to_its_end(
