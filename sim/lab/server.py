@@ -272,7 +272,11 @@ class _Server:
                 sent.client.waiting.append(sent)
         left, self._left = self._left, []
         for client in left:
-            self._leave(client)
+            if client.port.queue:
+                # Its socket is found closed again once they are sent: who closes takes nothing back.
+                self._loop.remove_reader(client.connection)
+            else:
+                self._leave(client)
 
     def _fail(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """An error in a callback ends the serving; the loop would only log it."""
@@ -324,7 +328,9 @@ class _Server:
                 # As a controller's receive buffer that nobody empties.
                 client.port.missed += len(batch)
             except OSError:
-                self._leave(client)
+                received.clear()
+                if not client.port.queue:
+                    self._leave(client)
                 return
 
     def _arm(self) -> None:

@@ -55,6 +55,23 @@ def test_python_cans_logger_joins(lab: Path) -> None:
     assert sum(" 000 " in line for line in lines) == 20
 
 
+def test_what_a_client_has_sent_stays_sent_when_it_leaves(lab: Path) -> None:
+    """As on any interface: a script may send and end."""
+    listener = TonusBus("can2")
+    for number in range(10):
+        bus = TonusBus("can2")
+        sent = [bytes([number, each]) for each in range(16)]
+        for data in sent:
+            bus.send(can.Message(arbitration_id=0x7A0, is_extended_id=False, data=data))
+        bus.shutdown()
+        heard: list[bytes] = []
+        while len(heard) < len(sent) and (message := listener.recv(2)) is not None:
+            if message.arbitration_id == 0x7A0:
+                heard.append(bytes(message.data))
+        assert heard == sent
+    listener.shutdown()
+
+
 def test_a_listener_sees_the_boot_ups_that_commissioning_shows(lab: Path) -> None:
     """The lab's nodes have said their names before anybody can listen; the page has them reset, by
     a command that does not leave before its frame is on the bus."""
