@@ -273,7 +273,7 @@ class _Server:
         left, self._left = self._left, []
         for client in left:
             if client.port.queue:
-                # Its socket is found closed again once they are sent: who closes takes nothing back.
+                # Its socket is found closed again when they are sent: closing takes nothing back.
                 self._loop.remove_reader(client.connection)
             else:
                 self._leave(client)

@@ -18,7 +18,7 @@ from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.paper.case import Kind
 from tonus.tools.paper.printed import OURS
-from tonus.tools.paper.table import number
+from tonus.tools.paper.table import text
 from tonus.tools.report.compare import _as_played, kind_of, load_of
 from tonus.tools.report.compare import compare as put_side_by_side
 from tonus.tools.report.differences import differences
@@ -110,15 +110,16 @@ def test_what_differs_between_two_runs_is_named(logs: dict[tuple[str, int], Log]
     assert differences([logs["bio", 1]]) == []
 
 
+@pytest.mark.parametrize("width", [40, 24])
 def test_a_narrow_terminal_shows_values(
-    logs: dict[tuple[str, int], Log], monkeypatch: pytest.MonkeyPatch
+    logs: dict[tuple[str, int], Log], monkeypatch: pytest.MonkeyPatch, width: int
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "40")
-    files = [str(log.path) for log in logs.values()]
-    told = json.loads(CliRunner().invoke(compare, [*files, "--json"]).output)
-    tracking = next(row for row in told["rows"] if "RMSE_x" in row["indicator"])
-    done = CliRunner().invoke(compare, files)
-    assert number(tracking["controllers"]["pid"]["mean"]) in done.output
+    monkeypatch.setenv("COLUMNS", str(width))
+    table, _ = put_side_by_side(list(logs.values()))
+    values = [(row[0], text(cell, 3)) for row in table.rows for cell in row[2:]]
+    assert any("±" in value for _, value in values), "repetitions are the widest"
+    done = CliRunner().invoke(compare, [str(log.path) for log in logs.values()])
+    assert [each for each in values if each[1] not in done.output] == []
 
 
 def test_a_damaged_log_is_compared_and_costs_the_exit_code(
