@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,27 @@ def test_a_run_that_cannot_be_composed_takes_its_lab_with_it(
         with pytest.raises(ToolError, match="no such fieldbus"):
             virtual(config, scenario, tmp_path / "out")
     assert all(registry.find(f"can{number}") is None for number in range(4))
+
+
+def test_an_interrupt_while_the_program_itself_is_loaded_ends_it_without_a_traceback() -> None:
+    """By the console script's entry point, at the first import that takes a while."""
+    project = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))
+    module, _, function = project["project"]["scripts"]["tonus"].partition(":")
+    code = (
+        "import os, signal, sys\n"
+        "class Interrupting:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'click':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupting())\n"
+        "sys.argv = ['tonus', '--version']\n"
+        f"from {module} import {function}\n"
+        f"{function}()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=HERE.parent, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", "")
 
 
 def test_an_interrupt_while_a_command_is_loaded_ends_it_without_a_traceback() -> None:

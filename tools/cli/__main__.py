@@ -1,5 +1,5 @@
 """`python -m tonus.tools.cli` is `tonus`."""
 
-from tonus.tools.cli.main import main
+from tonus.tools.cli.entry import main
 
 main()

@@ -62,7 +62,7 @@ def tonus() -> None:
 
 
 def main() -> None:
-    """Entry point of the console script."""
+    """One command, from its words to the process's exit code."""
     output.install()
     with _loading():
         from tonus.tools.cli.failures import explained
