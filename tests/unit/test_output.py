@@ -73,11 +73,14 @@ def test_a_recorder_records_whatever_becomes_of_what_it_prints(tmp_path: Path, w
     for tick in range(TICKS):
         rings.tick(tick, rows, truth(rows))
     out = tmp_path / "run.mcap"
-    with where() as descriptor, redirected(descriptor):
-        recorder = start(
-            tmp_path / "rings", out, recording(), {}, {}, 0, live=(1.0, 1_000_000), tell_events=True
-        )
-    assert recorder.stop() is None, "not killed, and not given up"
+    with where() as descriptor:
+        with redirected(descriptor):
+            recorder = start(
+                *(tmp_path / "rings", out, recording(), {}, {}, 0),
+                live=(1.0, 1_000_000),
+                tell_events=True,
+            )
+        assert recorder.stop() is None, "not killed, and not given up"
     log = open_log(out)
     assert len(log["/tonus/timing"]) == TICKS
     assert log.damage is None
