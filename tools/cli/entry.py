@@ -1,4 +1,4 @@
-"""Where the process of a command begins: nothing is loaded yet, and an interrupt ends it at once."""
+"""Where a command's process begins: nothing is loaded yet, and an interrupt ends it at once."""
 
 from __future__ import annotations
 
