@@ -10,7 +10,7 @@ FUZZ_SEED ?= $(shell date +%s)
 
 .PHONY: setup run test test-long bench bench-realtime least-stop load paper campaign torn isolation
 .PHONY: fuzz robust replay kill soak
-.PHONY: lint check-types lock clean
+.PHONY: lint check-types docs lock clean
 
 setup: $(STAMP)
 
@@ -108,10 +108,15 @@ robust: setup
 replay: setup
 	$(BIN)/python -m tests.replay.every_pair
 
+# The site, in site/. The variable silences a notice of the theme's makers; docs/dependencies.md has it.
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "site/index.html"
+
 lock: setup
 	$(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-index-url \
 	  --no-emit-trusted-host --no-emit-find-links --no-header --no-annotate \
-	  --extra dev --extra bench --output-file requirements.lock pyproject.toml
+	  --extra dev --extra bench --extra docs --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf $(VENV) out dist build bench.json
+	rm -rf $(VENV) out dist build site bench.json

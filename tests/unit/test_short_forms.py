@@ -18,7 +18,7 @@ from tonus.tools.cli.main import tonus
 
 ROOT = HERE.parent
 MAKE = shutil.which("make") or "make"
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 _COMMAND = re.compile(r"(?:`|^\s*\$ |^    )(tonus [^`\n|]+)", re.MULTILINE)
 _PLACEHOLDER = re.compile(r"\.\.\.|[A-Z]{3,}|<|\{|\[")
 """in words that stand for others"""
