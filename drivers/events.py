@@ -31,14 +31,14 @@ EVENTS: dict[str, Meaning] = {
     "duplicate_pdo": Meaning("a second answer to one SYNC", "not used"),
     "short_pdo": Meaning("a PDO shorter than its mapping", _UNUSED),
     "long_pdo": Meaning("a PDO longer than its mapping", _UNUSED),
-    "foreign_frame": Meaning("a frame that belongs to no node of ours", "not used"),
+    "foreign_frame": Meaning("a frame with an unknown COB-ID", "not used"),
     "silent_pdo": Meaning("a node lives but answers no SYNC", "its axis or cells are lost"),
     "emcy": Meaning("an emergency message", ""),
     "short_emcy": Meaning("an emergency message cut short", "not used"),
     "heartbeat_lost": Meaning(
         "a node's heartbeat is missing", "its axis is lost; cells as they age"
     ),
-    "heartbeat_back": Meaning("a lost heartbeat is heard again", ""),
+    "heartbeat_back": Meaning("a node's heartbeat is received again", ""),
     "boot_up": Meaning("a node restarted and lost its configuration", _LOST),
     "left_operational": Meaning(
         "a node left NMT operational", "its axis or cells are lost until it returns or is reset"
@@ -57,10 +57,12 @@ EVENTS: dict[str, Meaning] = {
         "the controller has left the bus", "every axis and cell of the channel goes stale"
     ),
     "bus_recovered": Meaning("the controller is error-active again", ""),
-    "bus_deaf": Meaning("nothing can be received on a channel", _AGES),
-    "bus_flooded": Meaning("a channel is full of frames that are none of ours", _AGES),
+    "bus_deaf": Meaning("receive failure: nothing can be received on a channel", _AGES),
+    "bus_flooded": Meaning(
+        "receive overrun: a channel is full of frames with unknown COB-IDs", _AGES
+    ),
     "bus_stalled": Meaning(
-        "nobody on a channel answers",
+        "no node of a channel answers",
         "its axes and cells are lost; frames not yet sent are dropped",
     ),
     "frame_lost": Meaning("an EtherCAT frame did not come back in its tick", _AGES),
@@ -70,10 +72,10 @@ EVENTS: dict[str, Meaning] = {
     ),
     "slave_silent": Meaning("a slave takes no part in any exchange", _LOST),
     "ring_open": Meaning(
-        "a cable of a ring is out; every slave is reached from one end or the other",
+        "a cable of a ring is disconnected; every slave is reached from one end or the other",
         "the exchange goes on as far as the master can; one more cable stops the robot",
     ),
-    "ring_closed": Meaning("all cables of a ring are there again", ""),
+    "ring_closed": Meaning("all cables of a ring are connected again", ""),
     "slave_left_op": Meaning(
         "a slave left OP, with its AL status code", "its axis is lost until it is in OP again"
     ),
@@ -83,13 +85,18 @@ EVENTS: dict[str, Meaning] = {
     ),
     "drive_error": Meaning("a drive's error code (0x603F)", ""),
     "clock_astray": Meaning(
-        "a slave's clock is away from the reference", "the exchange goes on; its SYNC0 is off"
+        "a slave's distributed clock is out of sync with the reference",
+        "the exchange goes on; its SYNC0 is off",
     ),
     "frame_near_sync": Meaning(
         "process data pass close to SYNC0", "a sample may be a tick older than counted"
     ),
-    "non_finite_torque": Meaning("control commanded a torque that is no number", "it gets 0"),
-    "tracker_malformed": Meaning("a tracker datagram that cannot be believed", "not used"),
+    "non_finite_torque": Meaning(
+        "control commanded a torque that is not a finite number", "it gets 0"
+    ),
+    "tracker_malformed": Meaning(
+        "a tracker datagram that is malformed or not plausible", "not used"
+    ),
     "tracker_receive_failure": Meaning(
         "the tracker's socket reports an error", "the estimate rests on the cables meanwhile"
     ),

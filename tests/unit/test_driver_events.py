@@ -7,9 +7,7 @@ from pathlib import Path
 
 from tonus import drivers
 from tonus.drivers.events import EVENTS
-from tonus.runtime.safety import firewall
 
-DOCS = Path("docs/events.md")
 _TELLS = {"add", "counted", "begin"}
 
 
@@ -34,10 +32,3 @@ def test_every_event_has_a_meaning() -> None:
     for name, entry in EVENTS.items():
         assert entry.meaning, name
         assert not entry.meaning.endswith(".")
-
-
-def test_the_documentation_lists_the_same_events() -> None:
-    rows = [line.split("|") for line in DOCS.read_text().splitlines() if line.startswith("| `")]
-    listed = {row[1].strip(" `"): (row[2].strip(), row[3].strip()) for row in rows}
-    every = EVENTS | firewall.EVENTS
-    assert listed == {name: (entry.meaning, entry.reaction) for name, entry in every.items()}

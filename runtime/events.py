@@ -1,0 +1,84 @@
+"""The events of the daemon and of the recorder: what each name means, and what is done about it.
+
+Those of the drivers are in `tonus.drivers.events`, those of the firewall in its module. A fault is
+an event too: its name in small letters. docs/events.md has them all.
+"""
+
+from __future__ import annotations
+
+from tonus.drivers.events import Meaning
+
+EVENTS: dict[str, Meaning] = {
+    "state": Meaning("the state machine went from one state to another", ""),
+    "operator": Meaning(
+        "a command was accepted, or a scenario chosen; with the sender, where there is one", ""
+    ),
+    "refused": Meaning("a command was refused; with the sender and the reason", "nothing changes"),
+    "signal": Meaning("the process received SIGHUP while it serves commands", "nothing changes"),
+    "overrun": Meaning(
+        "at least realtime.overrun_ticks ticks were missed in a row",
+        "the platform holds or stops, as realtime.overrun says",
+    ),
+    "stop_mode": Meaning(
+        "the mode of the controlled stop: on_path, descent or passive",
+        "never back to an earlier mode",
+    ),
+    "envelope": Meaning(
+        "the level of the Dynamic Safety Envelope: green, amber (a bound is near), red (a bound is "
+        "met)",
+        "amber: stiffness or speed comes down; red: a fault follows",
+    ),
+    "wrench_deficit": Meaning(
+        "the cables cannot deliver the commanded wrench within their tension bounds",
+        "they deliver the nearest wrench that they can",
+    ),
+    "tracker_lost": Meaning(
+        "no usable tracker pose for tracker.maximum_age_ms",
+        "the pose estimate uses the cables alone; arming is refused",
+    ),
+    "tracker_back": Meaning("tracker poses are used again", ""),
+    "tracker_learnt": Meaning(
+        "the tracker differs from the cables by the same amount for some time",
+        "the cable lengths are referenced to the tracker anew",
+    ),
+    "pose_cables": Meaning(
+        "the cable lengths contradict each other or the motion: a slack or slipped cable, "
+        "or a wrong parameter",
+        "the pose estimate goes on; a fault follows if one cable stands out",
+    ),
+    "pose_tracker": Meaning(
+        "consecutive tracker poses are far from the estimate", "these poses are not used"
+    ),
+    "pose_singular": Meaning(
+        "the cables hardly determine the pose (singular structure matrix)",
+        "the pose estimate goes on",
+    ),
+    "pose_good": Meaning("lengths, tensions and tracker agree again", ""),
+    "keyframe_left_out": Meaning(
+        "the controller's state is larger than a keyframe may be",
+        "a replay begins at an earlier keyframe or at the first tick",
+    ),
+    "recording_stopped": Meaning(
+        "the recorder cannot write, for example because the disk is full",
+        "control goes on; the ring keeps the newest records",
+    ),
+    "recording_resumed": Meaning(
+        "the recorder writes again, in another file; with the number of missing cycles", ""
+    ),
+    "records_lost": Meaning(
+        "the ring overwrote records before the recorder read them", "counted; control goes on"
+    ),
+    "log_deleted": Meaning("an old log file was deleted", "as recording.keep_files says"),
+    "recorder_restarted": Meaning(
+        "the recorder died and was started again", "it writes another file from what the ring holds"
+    ),
+    "recorder_lost": Meaning(
+        "the recorder and its keeper died; later their rings were recorded",
+        "the file holds what was in the rings",
+    ),
+    "daemon_lost": Meaning(
+        "the daemon ended without closing the log",
+        "the recorder completes the file; the drives' heartbeat consumers stop the robot",
+    ),
+}
+"""Every name that `tonus.runtime` and `tonus.tools` write into a log."""
