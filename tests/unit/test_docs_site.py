@@ -81,6 +81,14 @@ def test_a_dead_link_would_be_found() -> None:
     assert dead(page, "`[a](gone.md)`\n\n    [a](gone.md)\n") == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_source_file_that_a_page_names_is_there(page: Path) -> None:
+    named = re.findall(
+        r"`((?:config|docs|drivers|runtime|sim|tests|tools)/[\w./-]+)`", page.read_text()
+    )
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
 class Page(HTMLParser):
     """The text of a page outside of code, headings and navigation."""
 
