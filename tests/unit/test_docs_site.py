@@ -81,6 +81,13 @@ def test_a_dead_link_would_be_found() -> None:
     assert dead(page, "`[a](gone.md)`\n\n    [a](gone.md)\n") == []
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda page: page.stem)
+def test_a_page_begins_with_whom_it_is_for(page: Path) -> None:
+    title, first = page.read_text().split("\n\n")[:2]
+    assert title.startswith("# ")
+    assert first.startswith("For ")
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_source_file_that_a_page_names_is_there(page: Path) -> None:
     named = re.findall(
@@ -130,6 +137,15 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_site_has_every_page(site: Path) -> None:
     for page in (ROOT / "docs").rglob("*.md"):
         assert (site / page.relative_to(ROOT / "docs").with_suffix(".html")).is_file(), page
+
+
+def test_a_page_needs_no_other_host(site: Path) -> None:
+    """But for what draws the diagram of the states, whose source is shown without it."""
+    for path in site.rglob("*.html"):
+        loaded = re.findall(
+            r"<(?:script|link|img)[^>]+(?:src|href)=\"?(?:https?:)?//[^\" >]+", path.read_text()
+        )
+        assert not loaded, f"{path.name}: {loaded[0]}"
 
 
 def test_no_table_or_list_of_the_site_is_left_as_text(site: Path) -> None:

@@ -13,6 +13,9 @@ from tonus.tools.run.truth import TOPIC as TRUTH
 
 _HEAD = """# The log
 
+For those who evaluate runs: every topic and signal of a log with type, unit and meaning, and the
+commands that read a log.
+
 One MCAP file a run. Every topic below is a ROS 2 message in CDR, once a cycle, its definition
 inside the file; besides them `/tonus/events` (what a person wants to know), and `/can/<channel>`
 with every raw frame as `can_msgs/msg/Frame`. Configuration, scenario and installed packages are

@@ -24,6 +24,8 @@ from tonus.runtime.words import STOP_TEXT, TEXT, reaction
 
 _HEAD = """# The state machine
 
+For operators and developers: every state, what each event does in it, and how the robot stops.
+
 One table (`runtime/states.py`) says what every event does in every state; this page is printed
 from it (`python -m tonus.tools.report.states`). At most one event a tick is followed, a fault
 before a command. *Armed* states, in which drives are enabled, have a thick border.
