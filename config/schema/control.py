@@ -476,7 +476,7 @@ class Recording(Section):
     compression: Literal["zstd", "lz4", "none"]
     raw_frames: bool
     keyframe_s: Positive = 10.0
-    """a replay may begin at one of these; a log of before there were any says nothing of them"""
+    """a replay may begin at one of these"""
     viewer_hz: NonNegative = 0.0
     """messages a second of the robot's picture for viewers; 0: none"""
     rotate_mb: NonNegative = 0.0

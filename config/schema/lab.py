@@ -230,7 +230,7 @@ class Lab(Section):
     drive: PowerStage = PowerStage()
     phantom: Phantom | None = None
     start_timeout_s: Positive = 180.0
-    """how long its process may take until it answers; a log of before there was one says nothing"""
+    """how long its process may take until it answers"""
 
 
 class LoadPoint(Section):

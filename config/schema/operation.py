@@ -1,6 +1,6 @@
 """How the daemon is operated: its control socket, and what must be in order before it arms.
 
-The defaults are for a log of before there was this section; `config/operation.yaml` states them.
+A key that is left out has the value that `config/operation.yaml` states.
 """
 
 from __future__ import annotations

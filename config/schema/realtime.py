@@ -41,7 +41,7 @@ class HostLimits(Section):
 
 
 class RealTime(Section):
-    """Defaults are what logs of before there were these keys were made with."""
+    """What the daemon asks of the host. A key that is left out asks for nothing."""
 
     policy: Annotated[Policy, BeforeValidator(_off)]
     """require: no run without all of it; prefer: each refusal is reported; off: nothing is asked.

@@ -119,7 +119,6 @@ class Robot(Section):
     gearbox: Gearbox
     motor: Motor
     response: Response = Response()
-    """a log of before there was any says nothing of it"""
     workspace: Workspace
     home: Vector3
     """m: where HOLD keeps the platform"""

@@ -27,7 +27,6 @@ class Config(Section):
     realtime: RealTime
     recording: Recording
     operation: Operation = Operation()
-    """a log of before there was any says nothing of it"""
     scenario: str
     """the scenario that runs when none is named"""
     lab: Lab | None = None

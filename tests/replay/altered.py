@@ -26,7 +26,9 @@ def altered(
     edit: Edit = keep_all,
     *,
     attachments: dict[str, bytes] | None = None,
+    renamed: tuple[str, str] = ("", ""),
 ) -> Path:
+    """``renamed``: a field's name in every schema, and another of the same length."""
     framing = scan(source)
     file = McapFile(out, "zstd")
     for name, values in framing.metadata.items():
@@ -36,7 +38,8 @@ def altered(
     channels = {}
     for number, channel in framing.channels.items():
         schema = framing.schemas[channel.schema_id]
-        channels[number] = file.channel(channel.topic, schema.name, schema.data.decode())
+        text = schema.data.decode().replace(*renamed) if renamed[0] else schema.data.decode()
+        channels[number] = file.channel(channel.topic, schema.name, text)
     for place in framing.chunks:
         data = content(source, place)
         assert data is not None

@@ -287,9 +287,8 @@ class _Replayer:
         done = np.zeros(len(ticks), bool)
         rows = self._inputs(batch)
         state = batch["/tonus/state"].messages
-        operators = state["operator"]
-        # A log of before there was anything to choose has no such signal.
-        selects = state["select"] if "select" in (state.dtype.names or ()) else 0 * operators
+        operators = self._input(state, "/tonus/state", "operator", ())
+        selects = self._input(state, "/tonus/state", "select", ())
         failed = state["fault"] == Fault.CONTROL_FAILED
         for index, tick in enumerate(ticks.tolist()):
             if tick > self._last:
