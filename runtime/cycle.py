@@ -108,6 +108,8 @@ class ControlCycle:
         self._last_tick, self._skipped = -1, 0
         self._even = np.zeros(CABLES, dtype=np.int64)
         """(n,) ticks in a row that came on time and with a fresh sample"""
+        self.unobserved = np.zeros(CABLES, dtype=np.int64)
+        """(n,) ticks in a row in which a drum's motion could not be held against its torque"""
         self._drum_rate, self._none = np.zeros(CABLES), np.zeros(CABLES)
         self._desired_drums = (np.zeros(CABLES), np.zeros(CABLES))
         self._bearing = np.zeros((6, CABLES))
@@ -149,16 +151,17 @@ class ControlCycle:
         self._skipped = tick - self._last_tick - 1
         self._even[slice(None) if self._skipped else doubtful] = 0
         self._last_tick = tick
+        due = sensing.usable & ~sequence.faults.failed & sequence.enabled
+        even = self._even >= _EVEN_TICKS
+        self.unobserved += 1
+        self.unobserved[even | ~due] = 0
         self._isolation.drums(
             sensing.angle,
             sensing.rate,
             self._torque,
             sensing.tension,
             self._robot.drum.radius * self._drum_rate,
-            sensing.usable
-            & ~sequence.faults.failed
-            & (self._even >= _EVEN_TICKS)
-            & sequence.enabled,
+            due & even,
             sensing.interval,
         )
         if sequence.passive_share >= 0.0:

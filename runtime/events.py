@@ -32,6 +32,13 @@ EVENTS: dict[str, Meaning] = {
         "the cables cannot deliver the commanded wrench within their tension bounds",
         "they deliver the nearest wrench that they can",
     ),
+    "drums_unobserved": Meaning(
+        "samples of a drive were late or of uncertain time for isolation.unobserved_s without a gap",
+        "the run continues; a drum that jams or slips is found by its cable's length alone",
+    ),
+    "drums_observed": Meaning(
+        "the samples of every drive are on time again", "torque and motion are compared again"
+    ),
     "tracker_lost": Meaning(
         "no usable tracker pose for tracker.maximum_age_ms",
         "the pose estimate uses the cables alone; arming is refused",

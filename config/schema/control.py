@@ -385,6 +385,8 @@ class Isolation(Section):
     """in a row, in a descent"""
     sample_doubt: Positive
     """s of doubt when a sample was taken, beyond which it is not held against its torque"""
+    unobserved_s: Positive
+    """s in which samples keep a drum from being held against its torque, until it is an event"""
     acceleration: Positive
     """times what a drum's motor can give, at its current limit and without a cable"""
     overwound: Positive

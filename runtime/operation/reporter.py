@@ -34,6 +34,9 @@ class Reporter:
     def __init__(self, config: Config, cycle: ControlCycle, events: EventSink) -> None:
         self._config, self._events = config, events
         self._sequence, self._record = cycle.sequence, cycle.record
+        self._unobserved, self._blind = cycle.unobserved, False
+        seconds = config.control.isolation.unobserved_s
+        self._blind_ticks = round(seconds / config.control.rates.period)
         self.fault = ""
         """the present one in words, and what is done about it; empty: there is none"""
         self._stamp_ns = self._tick = 0
@@ -73,6 +76,7 @@ class Reporter:
         self._watch_tracker()
         self._watch_estimator()
         self._watch_deficit()
+        self._watch_drums()
 
     def _watch_tracker(self) -> None:
         """Without poses the estimator runs on the cables alone: a degraded mode, and said so."""
@@ -112,6 +116,19 @@ class Reporter:
             text = f"{deficit:.1f} N of the commanded wrench cannot be delivered"
             self._tell(Level.WARNING, "wrench_deficit", "", text)
         self._short = short
+
+    def _watch_drums(self) -> None:
+        """Where samples come late too often, a jammed or slipping drum would not be found by its
+        torque."""
+        longest = int(self._unobserved.max())
+        if self._blind and longest == 0:
+            self._blind = False
+            self._tell(Level.INFO, "drums_observed", "", "torque and motion are compared again")
+        elif not self._blind and longest > self._blind_ticks:
+            self._blind = True
+            axis = int(self._unobserved.argmax())
+            text = "samples are late or of uncertain time: torque and motion cannot be compared"
+            self._tell(Level.WARNING, "drums_unobserved", f"axis {axis}", text)
 
     def _report_fault(self) -> None:
         sequence = self._sequence

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from tests.loop import QUICK, ClosedLoop, configured
+from tonus.runtime.operation.reporter import Reporter
 from tonus.runtime.states import Fault, State
 
 
@@ -43,3 +44,16 @@ def test_the_estimate_moves_on_while_ticks_are_missed() -> None:
     np.testing.assert_allclose(pose.velocity, truth["velocity"], atol=0.05)
     np.testing.assert_allclose(pose.position, truth["position"], atol=2e-3)
     assert loop.cycle.sequence.fault is Fault.NONE
+
+
+def test_drums_that_cannot_be_observed_are_a_named_mode() -> None:
+    config, scenario = configured("hold", QUICK)
+    loop, told = ClosedLoop(config, scenario), list[str]()
+    loop.until(State.HOLD)
+    reporter = Reporter(config, loop.cycle, lambda _s, _t, _l, name, _w, _x: told.append(name))
+    for late_ns, ticks in ((0, 300), (200_000, 150), (0, 5), (200_000, 250), (0, 10)):
+        for _ in range(ticks):
+            loop.image.axes["doubt_ns"] = late_ns
+            loop.tick()
+            reporter.look(0, loop.number)
+    assert [name for name in told if "observed" in name] == ["drums_unobserved", "drums_observed"]
