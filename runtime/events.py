@@ -33,7 +33,7 @@ EVENTS: dict[str, Meaning] = {
         "they deliver the nearest wrench that they can",
     ),
     "drums_unobserved": Meaning(
-        "samples of a drive were late or of uncertain time for isolation.unobserved_s without a gap",
+        "samples of a drive were late or of uncertain time throughout isolation.unobserved_s",
         "the run continues; a drum that jams or slips is found by its cable's length alone",
     ),
     "drums_observed": Meaning(
