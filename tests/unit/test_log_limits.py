@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -90,15 +91,22 @@ def damaged(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ["info"],
         ["info", "--json"],
-        ["timing"],
-        ["timing", "--json"],
+        ["timing", "--budget", "BUDGET"],
+        ["timing", "--json", "--budget", "BUDGET"],
         ["export", "--format", "csv", "--topics", "/tonus/state", "--out", "OUT"],
     ],
 )
 def test_a_damaged_log_is_used_and_costs_the_exit_code(
     damaged: Path, tmp_path: Path, arguments: list[str]
 ) -> None:
-    verb, *options = [str(tmp_path / "t") if each == "OUT" else each for each in arguments]
+    budget, out = tmp_path / "generous.yaml", tmp_path / "t"
+    limit = "{signal: wakeup_us, at: 99, at_most: 1.0e+9}"
+    budget.write_text(f"name: generous\nstates: [HOLD, ACTIVE]\nlimits: [{limit}]\n")
+    given = {"OUT": str(out), "BUDGET": str(budget)}
+    verb, *options = [given.get(each, each) for each in arguments]
+    whole = CliRunner().invoke(command, [verb, str(record(tmp_path / "whole", 1200)), *options])
+    assert whole.exit_code == 0, whole.output
+    shutil.rmtree(out, ignore_errors=True)
     result = CliRunner().invoke(command, [verb, str(damaged), *options])
     assert result.exit_code == 1, result.output
     assert "cut short" in " ".join(result.output.split())
