@@ -97,7 +97,7 @@ def printed(command: Command, folder: Path, *, whole: bool) -> tuple[str, int]:
     """What a command prints, and its exit code."""
     words = shlex.split(command.line)
     if words[:3] == ["python", "-m", "pytest"]:
-        return _tested(words[-1], folder), 0
+        return _tested(words, folder), 0
     if words[0] == "python":
         out = io.StringIO()
         with contextlib.redirect_stdout(out):
@@ -114,14 +114,16 @@ def printed(command: Command, folder: Path, *, whole: bool) -> tuple[str, int]:
     return result.output, code
 
 
-def _tested(name: str, folder: Path) -> str:
-    """Runs the tests of a file here, which saves a process the imports."""
-    module = importlib.import_module(Path(name).stem)
-    tests = [each for key, each in vars(module).items() if key.startswith("test_")]
+def _tested(words: list[str], folder: Path) -> str:
+    """Runs the tests of a file here, which saves a process the imports; each has the folder that
+    pytest would give it."""
+    module = importlib.import_module(Path(words[-1]).stem)
+    tests = {key: test for key, test in vars(module).items() if key.startswith("test_")}
     assert tests
-    for number, test in enumerate(tests):
-        (folder / f"test{number}").mkdir()
-        test(folder / f"test{number}")
+    for name, test in tests.items():
+        place = folder / words[words.index("--basetemp") + 1] / f"{name[:30]}0"
+        place.mkdir(parents=True)
+        test(place)
     return f"{len(tests)} passed in 1.00s"
 
 
