@@ -45,7 +45,10 @@ class DirectFieldbus:
         self.channels: tuple[str, ...] = ()
         self._port = port
         self._clock = clock
-        self._settings = epos4.settings(config.robot, config.fieldbus.drive)
+        self._settings = [
+            epos4.settings(train.motor, config.fieldbus.drive)
+            for train in config.robot.drive_trains
+        ]
         self._offset_ns = round(config.fieldbus.sample_offset_us * 1000)
         self._events = EventLog()
         self._exchange = Exchange(
@@ -67,7 +70,7 @@ class DirectFieldbus:
         failed = []
         for axis in range(CABLES):
             try:
-                await apply(_Objects(self._port, axis), self._settings)
+                await apply(_Objects(self._port, axis), self._settings[axis])
             except DriverError as error:
                 failed.append(f"axis {axis}: {error}")
         if failed:

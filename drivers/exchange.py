@@ -48,6 +48,7 @@ CELL = np.dtype(
 UNTRUSTED = 0xFF
 """Status of a cell whose node raised an emergency, whatever its mapped status says."""
 
+Array = NDArray[np.float64]
 _WORD = 8
 _STATES = np.frombuffer(STATE_OF, np.uint8)
 _ENABLED = int(AxisState.OPERATION_ENABLED)
@@ -61,21 +62,21 @@ def _convert(
     raw_cells: NDArray[np.void],
     newest: int,
     fresh: int,
-    scale: tuple[float, float, float],
+    scale: tuple[Array, Array, float],
     states: NDArray[np.uint8],
     axes: NDArray[np.void],
     cells: NDArray[np.void],
 ) -> None:
     """Raw values to the image's tables. A sample of tick ``newest`` has age 0, and one from a tick
-    yet to come is none of this run's. ``scale``: rad an increment, N m a per mille, the cells'
-    divisor."""
+    yet to come is none of this run's. ``scale``: rad an increment and N m a per mille of each
+    axis, the cells' divisor."""
     for i in range(raw_axes.shape[0]):
         raw, axis = raw_axes[i], axes[i]
         age = newest - raw.tick
         if not 0 <= age < NEVER:
             age = NEVER
-        axis.angle = raw.position * scale[0]
-        axis.torque = raw.torque * scale[1]
+        axis.angle = raw.position * scale[0][i]
+        axis.torque = raw.torque * scale[1][i]
         axis.statusword = raw.statusword
         axis.error_code = raw.error_code
         axis.sampled_ns = raw.sampled_ns
@@ -126,14 +127,15 @@ class Exchange:
         self._events = events
         self._places = places
         self._freshness = freshness.measurement_ticks
-        self._scale = Scale.of(robot)
+        scales = [Scale.of(train) for train in robot.drive_trains]
         self._scales = (
-            self._scale.radian_per_increment,
-            self._scale.newton_metre_per_mille,
+            np.array([scale.radian_per_increment for scale in scales]),
+            np.array([scale.newton_metre_per_mille for scale in scales]),
             float(divisor(cell)),
         )
         self._axes = [Cia402Axis() for _ in range(CABLES)]
-        self._torque_limit = self._scale.mille_limit * self._scale.newton_metre_per_mille
+        self._per_newton_metre = [scale.mille_per_newton_metre for scale in scales]
+        self._torque_limits = [scale.mille_limit * scale.newton_metre_per_mille for scale in scales]
         self._reported = False
         self._axis_table, self._cell_table = image.axes, image.cells
         self._state = image.axes["state"]
@@ -176,11 +178,16 @@ class Exchange:
         wanted: list[float] = self._command_torque.tolist()
         if self._reported or not math.isfinite(sum(wanted)):
             self._report([math.isfinite(torque) for torque in wanted])
-        limit, per_newton_metre = self._torque_limit, self._scale.mille_per_newton_metre
         controlwords = []
         torques = []
-        for axis, state, command, torque in zip(
-            self._axes, self._state.tolist(), self._command.tolist(), wanted, strict=True
+        for axis, state, command, torque, limit, per_newton_metre in zip(
+            self._axes,
+            self._state.tolist(),
+            self._command.tolist(),
+            wanted,
+            self._torque_limits,
+            self._per_newton_metre,
+            strict=True,
         ):
             controlwords.append(axis.controlword(state, command))
             if state == _ENABLED and command == _ENABLE and math.isfinite(torque):

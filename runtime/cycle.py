@@ -67,6 +67,7 @@ class ControlCycle:
         """``others`` can be chosen instead of ``reference``, by their numbers from 1 on."""
         period = control.rates.period
         self._robot, self._control, self._period = robot, control, period
+        self._radius, self._axial_stiffness = robot.drum_radius, robot.axial_stiffness
         self.record = CycleRecord()
         self._kinematics = Kinematics(robot.geometry)
         self._sensing = Sensing(robot, control)
@@ -81,7 +82,7 @@ class ControlCycle:
             self._referencing,
             self._envelope,
             self._isolation,
-            robot.drum.radius,
+            self._radius,
         )
         self._guide = Guide(robot, control.sequence, control.envelope, reference, period, others)
         self._estimator = PoseEstimator(
@@ -160,7 +161,7 @@ class ControlCycle:
             sensing.rate,
             self._torque,
             sensing.tension,
-            self._robot.drum.radius * self._drum_rate,
+            self._radius * self._drum_rate,
             due & even,
             sensing.interval,
         )
@@ -313,7 +314,7 @@ class ControlCycle:
             sensing.contact,
             self._shortfall,
             self._referencing.wound,
-            self._robot.drum.radius * sensing.rate,
+            self._radius * sensing.rate,
             self._guide.push,
         )
         self._law = float(self._controller.stiffness(motion))
@@ -405,8 +406,8 @@ class ControlCycle:
             self._sensing.tension,
             (estimate.velocity, estimate.angular_velocity),
             (velocity, acceleration),
-            self._robot.drum.radius,
-            self._robot.cable.axial_stiffness,
+            self._radius,
+            self._axial_stiffness,
             self._drum_rate,
             desired_rate,
             desired_acceleration,

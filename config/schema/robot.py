@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from tonus.config.schema.axis import Cable, DriveTrain, Drum, Gearbox, Motor
 from tonus.config.schema.base import (
     Count,
     Finite,
@@ -17,6 +21,7 @@ from tonus.config.schema.base import (
 )
 
 CABLES = 8
+Array = NDArray[np.float64]
 EightPoints = Annotated[tuple[Vector3, ...], Field(min_length=CABLES, max_length=CABLES)]
 Interval = tuple[Finite, Finite]
 
@@ -37,53 +42,6 @@ class Geometry(Section):
     """m, in the platform frame"""
     moment_length: Positive
     """m, scales moments against forces where the two meet in one norm"""
-
-
-class Cable(Section):
-    axial_stiffness: Positive
-    """N: EA, so that a cable of unstretched length L0 has stiffness EA/L0"""
-    damping: NonNegative
-    """N s/m"""
-
-
-class Drum(Section):
-    radius: Positive
-    inertia: Positive
-    """kg m2 at the drum, motor and gearbox included"""
-    viscous_friction: NonNegative
-    """N m s/rad at the drum"""
-
-
-class Gearbox(Section):
-    numerator: Count
-    denominator: Count
-    efficiency: Annotated[float, Field(gt=0, le=1)]
-
-    @property
-    def ratio(self) -> float:
-        return self.numerator / self.denominator
-
-
-class Motor(Section):
-    torque_constant: Positive
-    """N m/A"""
-    nominal_current: Positive
-    """A: 0x3001:1, the base of the drive's per mille torque scale"""
-    current_limit: Positive
-    """A: 0x3001:2"""
-    encoder_pulses: Count
-    """per motor revolution; the drive counts four increments per pulse"""
-    nominal_speed_rpm: Positive
-
-    @property
-    def increments_per_revolution(self) -> int:
-        return 4 * self.encoder_pulses
-
-    @property
-    def rated_torque(self) -> float:
-        """N m: what 1000 per mille of 0x6071 stand for, to the micronewton metre of 0x6076."""
-        micro = round(self.nominal_current * 1e3) * round(self.torque_constant * 1e6) / 1000
-        return round(micro) * 1e-6
 
 
 class Workspace(Section):
@@ -127,16 +85,92 @@ class Robot(Section):
     gravity: Positive
 
     @property
-    def cable_per_increment(self) -> float:
-        """m of cable per encoder increment."""
-        turns = 1.0 / (self.motor.increments_per_revolution * self.gearbox.ratio)
-        return turns * 2.0 * 3.141592653589793 * self.drum.radius
+    def drive_trains(self) -> tuple[DriveTrain, ...]:
+        """One for each cable, in their order."""
+        train = DriveTrain(cable=self.cable, drum=self.drum, gearbox=self.gearbox, motor=self.motor)
+        return (train,) * CABLES
 
     @property
-    def tension_per_amp(self) -> float:
-        """N of cable per ampere of motor, gearbox losses included, while winding (eq. 6)."""
-        shaft = self.motor.torque_constant * self.gearbox.ratio * self.gearbox.efficiency
-        return shaft / self.drum.radius
+    def kinds_of_axes(self) -> dict[DriveTrain, tuple[int, ...]]:
+        """The drive trains that differ, each with its axes."""
+        found: dict[DriveTrain, tuple[int, ...]] = {}
+        for axis, train in enumerate(self.drive_trains):
+            found[train] = (*found.get(train, ()), axis)
+        return found
+
+    def whose(self, axes: Sequence[int]) -> str:
+        """What a message says after a value that only these axes have: nothing where all axes are
+        of one kind."""
+        if len(axes) == CABLES:
+            return ""
+        return f" on {'axis' if len(axes) == 1 else 'axes'} {', '.join(map(str, axes))}"
+
+    # What follows has one value per axis, (n,), in an array that is the caller's own.
+
+    @property
+    def axial_stiffness(self) -> Array:
+        """N: EA of each cable."""
+        return np.array([train.cable.axial_stiffness for train in self.drive_trains])
+
+    @property
+    def cable_damping(self) -> Array:
+        """N s/m"""
+        return np.array([train.cable.damping for train in self.drive_trains])
+
+    @property
+    def drum_radius(self) -> Array:
+        """m"""
+        return np.array([train.drum.radius for train in self.drive_trains])
+
+    @property
+    def drum_inertia(self) -> Array:
+        """kg m2 at the drum, motor and gearbox included"""
+        return np.array([train.drum.inertia for train in self.drive_trains])
+
+    @property
+    def drum_mass(self) -> Array:
+        """kg: each drum's inertia as its cable feels it"""
+        return np.array([train.drum_mass for train in self.drive_trains])
+
+    @property
+    def motor_speed(self) -> Array:
+        """rad/s, nominal, of the motor itself"""
+        return np.array([train.motor.nominal_speed for train in self.drive_trains])
+
+    @property
+    def viscous_friction(self) -> Array:
+        """N m s/rad at the drum"""
+        return np.array([train.drum.viscous_friction for train in self.drive_trains])
+
+    @property
+    def gear_ratio(self) -> Array:
+        """turns of the motor per turn of the drum"""
+        return np.array([train.gearbox.ratio for train in self.drive_trains])
+
+    @property
+    def gearbox_efficiency(self) -> Array:
+        """0 to 1"""
+        return np.array([train.gearbox.efficiency for train in self.drive_trains])
+
+    @property
+    def current_limit(self) -> Array:
+        """A"""
+        return np.array([train.motor.current_limit for train in self.drive_trains])
+
+    @property
+    def torque_per_amp(self) -> Array:
+        """N m at the drum per ampere of motor, without losses"""
+        return np.array([train.torque_per_amp for train in self.drive_trains])
+
+    @property
+    def torque_limit(self) -> Array:
+        """N m at the drum, of the motors' current limits, without losses"""
+        return np.array([train.torque_limit for train in self.drive_trains])
+
+    @property
+    def tension_per_amp(self) -> Array:
+        """N of cable per ampere of motor, gearbox losses included, while winding (eq. 6)"""
+        return np.array([train.tension_per_amp for train in self.drive_trains])
 
 
 class Tension(Section):

@@ -219,7 +219,7 @@ class CanopenFieldbus:
 
     def _add_drives(self, channel: Channel, number: int) -> None:
         device, exchange = self._bus.drive, self._exchange
-        settings = epos4.settings(self._config.robot, device)
+        trains = self._config.robot.drive_trains
         communication = Setting(
             0x1029, 1, device.on_communication_error, 1, "behaviour on a communication error"
         )
@@ -232,7 +232,7 @@ class CanopenFieldbus:
                 f"drive of axis {drive.axis}",
                 device,
                 device.tpdo,
-                (*settings, communication),
+                (*epos4.settings(trains[drive.axis].motor, device), communication),
                 drive=True,
                 consumer_ms=master_timeout_ms(self._bus, self._config.tolerance),
             )

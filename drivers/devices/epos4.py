@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from tonus.config.schema.axis import DriveTrain, Motor
 from tonus.config.schema.bus import Drive, EthercatDrive
-from tonus.config.schema.robot import Robot
 from tonus.drivers.cia301.setting import Kind, Setting
 from tonus.drivers.errors import DriverError
 
@@ -40,9 +40,10 @@ def require_interpolation(drive: Drive | EthercatDrive, period_us: int) -> None:
         )
 
 
-def settings(robot: Robot, drive: Drive | EthercatDrive) -> tuple[Setting, ...]:
-    """What an EPOS4 must hold before it is started, in the order in which it is written."""
-    motor, options = robot.motor, drive.options
+def settings(motor: Motor, drive: Drive | EthercatDrive) -> tuple[Setting, ...]:
+    """What the EPOS4 of a ``motor`` must hold before it is started, in the order in which it is
+    written."""
+    options = drive.options
     return (
         Setting(0x6040, 0, 0, 2, "power off: some objects change only then", Kind.COMMAND),
         Setting(0x3001, 1, round(motor.nominal_current * 1e3), 4, "nominal current, mA"),
@@ -64,7 +65,7 @@ def settings(robot: Robot, drive: Drive | EthercatDrive) -> tuple[Setting, ...]:
 
 @dataclass(frozen=True)
 class Scale:
-    """Device units against SI at the drum."""
+    """Device units of one axis against SI at its drum."""
 
     radian_per_increment: float
     newton_metre_per_mille: float
@@ -73,8 +74,8 @@ class Scale:
     """largest magnitude of a target torque: the current limit, and what 16 bits hold"""
 
     @staticmethod
-    def of(robot: Robot) -> Scale:
-        motor, ratio = robot.motor, robot.gearbox.ratio
+    def of(train: DriveTrain) -> Scale:
+        motor, ratio = train.motor, train.gearbox.ratio
         rated = motor.rated_torque * ratio
         limit = math.floor(PER_MILLE * motor.current_limit / motor.nominal_current)
         return Scale(

@@ -73,13 +73,14 @@ class Slave:
 def slaves(bus: EthercatBus, robot: Robot) -> list[Slave]:
     """The segment as it is configured. Raises `PdoError` for a mapping control cannot work with."""
     built = []
-    drive = epos4.settings(robot, bus.drive)
+    trains = robot.drive_trains
     for number, each in enumerate(bus.slaves):
         where = f"{bus.interface}/{number + 1}"
         identity = bus.identity(each)
         if each.axis is not None:
             rx, tx = bus.drive.rpdo, bus.drive.tpdo
-            title, settings = f"drive of axis {each.axis}", drive
+            title = f"drive of axis {each.axis}"
+            settings = epos4.settings(trains[each.axis].motor, bus.drive)
         else:
             rx, tx = (), bus.force_cell.mapping(len(each.cells))
             title = f"amplifier of cell {' '.join(map(str, each.cells))}"

@@ -195,7 +195,7 @@ def elongation(length: float, tension: float, axial_stiffness: float) -> float:
 
 @njit(cache=True)
 def accelerations(
-    wrench: Array, mobility: Array, rest: Array, body: tuple[float, Array, float, float]
+    wrench: Array, mobility: Array, rest: Array, body: tuple[float, Array, float, Array]
 ) -> Array:
     """(6,) under the cables' wrench, the external one and gravity. The gyroscopic moment is left to
     the external one: at 0.3 rad/s it is 1 mN m."""
@@ -268,7 +268,7 @@ def _judge(
     tensions: Array,
     usable: NDArray[np.bool_],
     rest: Array,
-    axial_stiffness: float,
+    axial_stiffness: Array,
     limits: tuple[float, float],
     lengths: Array,
     innovations: Array,
@@ -282,7 +282,7 @@ def _judge(
         innovations[i], believed[i] = math.nan, False
         if not usable[i]:
             continue
-        stretch = elongation(wanted[i], tensions[i], axial_stiffness)
+        stretch = elongation(wanted[i], tensions[i], axial_stiffness[i])
         found = wanted[i] + rest[OFFSETS - TWIST + i] + rest[EXCESS - TWIST] * stretch - lengths[i]
         if tensions[i] <= slack:
             innovations[i] = min(found, 0.0)
@@ -300,7 +300,7 @@ def _judge(
 @njit(cache=True)
 def filter_tick(
     state: tuple[Array, Array, Array, Array, Array],
-    body: tuple[float, Array, float, float],
+    body: tuple[float, Array, float, Array],
     period: float,
     noise: tuple[Array, float, float],
     anchors: tuple[Array, Array],
@@ -337,7 +337,7 @@ def filter_tick(
     for i in range(lengths.shape[0]):
         if not believed[i]:
             continue
-        stretch = elongation(wanted[i], tensions[i], body[3])
+        stretch = elongation(wanted[i], tensions[i], body[3][i])
         # The measured length is l(x) - offset - excess * stretch, so H = [-W', 0, 0, -1, -stretch];
         # in H a mean, for the cells' noise would pass for a motion that tells excess from offset.
         # Where it lags behind, the difference is one more uncertainty of the length.
@@ -374,7 +374,7 @@ def track(
     variances: tuple[float, float, float],
     then: tuple[Array, Array, NDArray[np.bool_]],
     anchors: tuple[Array, Array],
-    axial_stiffness: float,
+    axial_stiffness: Array,
     gate: float,
     innovation: Array,
     matrix: Array,
@@ -395,7 +395,7 @@ def track(
     cross = np.zeros((size, cables))
     spread = np.zeros((cables, cables))
     for i in range(cables):
-        stretch = elongation(then[0][i], then[1][i], axial_stiffness)
+        stretch = elongation(then[0][i], then[1][i], axial_stiffness[i])
         innovation[i] -= then[0][i] + rest[OFFSETS - TWIST + i] + rest[EXCESS - TWIST] * stretch
         for j in range(size):
             cross[j, i] = covariance[j, OFFSETS + i] + mean[i] * covariance[j, EXCESS]
@@ -405,7 +405,7 @@ def track(
             for row in range(6):
                 value += matrix[row, i] * matrix[row, j] * variances[0 if row < 3 else 1]
             spread[i, j] = value
-        stretch = elongation(then[0][i], then[1][i], axial_stiffness)
+        stretch = elongation(then[0][i], then[1][i], axial_stiffness[i])
         spread[i, i] += variances[2] + covariance[EXCESS, EXCESS] * (stretch - mean[i]) ** 2
         if not then[2][i]:
             spread[i, i] += _UNKNOWN
@@ -423,7 +423,7 @@ def track(
 @njit(cache=True)
 def carry_forward(
     state: tuple[Array, Array, Array, Array, Array],
-    body: tuple[float, Array, float, float],
+    body: tuple[float, Array, float, Array],
     period: float,
     wrench: Array,
     anchors: tuple[Array, Array],
@@ -446,7 +446,7 @@ def carry_forward(
 @njit(cache=True)
 def estimate_tick(
     state: tuple[Array, Array, Array, Array, Array],
-    body: tuple[float, Array, float, float],
+    body: tuple[float, Array, float, Array],
     period: float,
     noise: tuple[Array, float, float],
     anchors: tuple[Array, Array],

@@ -119,7 +119,7 @@ class PoseEstimator:
         self._seen = Kinematics(robot.geometry)
         inertia = np.array(robot.platform.inertia)
         body = robot.platform
-        self._body = (body.mass, inertia, robot.gravity, robot.cable.axial_stiffness)
+        self._body = (body.mass, inertia, robot.gravity, robot.axial_stiffness)
         self._anchors = (kinematics.frame, kinematics.platform)
         self._moment_length = robot.geometry.moment_length
         length, share = settings.length_sigma**2, period / settings.elongation_time
@@ -231,8 +231,8 @@ class PoseEstimator:
         external = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
         external[:] = -kinematics.matrix @ tensions
         external[2] += mass * gravity
-        for i, cable in enumerate(zip(kinematics.lengths, tensions, strict=True)):
-            self._stretch[i] = elongation(*cable, stiffness)
+        for i, cable in enumerate(zip(kinematics.lengths, tensions, stiffness, strict=True)):
+            self._stretch[i] = elongation(*cable)
         self._tensions[:] = tensions
         self._begin(samples)
         self._count = 0

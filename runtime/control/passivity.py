@@ -43,7 +43,7 @@ def felt_inertia(robot: Robot) -> float:
     and the bound must not lean on that.
     """
     kinematics, box = Kinematics(robot.geometry), robot.workspace
-    drum = robot.drum.inertia / robot.drum.radius**2
+    drum = robot.drum_mass
     largest = 0.0
     for place in (robot.home, *product(box.x, box.y, box.z)):
         kinematics.evaluate(np.array(place), np.array([1.0, 0.0, 0.0, 0.0]))

@@ -21,14 +21,14 @@ def _lengths(
     unstretched: Array,
     angle: Array,
     tension: Array,
-    radius: float,
-    axial_stiffness: float,
+    radius: Array,
+    axial_stiffness: Array,
     wound: Array,
     lengths: Array,
 ) -> None:
     for i in range(angle.shape[0]):
-        wound[i] = unstretched[i] - radius * angle[i]
-        lengths[i] = wound[i] * (1.0 + tension[i] / axial_stiffness)
+        wound[i] = unstretched[i] - radius[i] * angle[i]
+        lengths[i] = wound[i] * (1.0 + tension[i] / axial_stiffness[i])
 
 
 class Referencing:
@@ -37,6 +37,7 @@ class Referencing:
 
     def __init__(self, robot: Robot, sequence: Sequence, kinematics: Kinematics) -> None:
         self._robot, self._sequence, self._kinematics = robot, sequence, kinematics
+        self._radius, self._axial_stiffness = robot.drum_radius, robot.axial_stiffness
         self.unstretched = np.zeros(CABLES)
         """m, at drum angle zero"""
         self.wound = np.zeros(CABLES)
@@ -86,20 +87,19 @@ class Referencing:
         if not error <= sequence.referencing_tension_error:
             return f"a cable's tension is {error:.1f} N away from {wanted_tension:.0f} N"
         self._kinematics.evaluate(self.position, self.quaternion)
-        stretch = 1.0 + tension / robot.cable.axial_stiffness
-        self.unstretched = self._kinematics.lengths / stretch + robot.drum.radius * angle
+        stretch = 1.0 + tension / self._axial_stiffness
+        self.unstretched = self._kinematics.lengths / stretch + self._radius * angle
         return ""
 
     def lengths(self, angle: Array, tension: Array) -> Array:
         """Anchor-to-anchor lengths (8,) in m from drum angles (rad) and tensions (N); they stay
         until the next call, and so do the unstretched ones in `wound`."""
-        robot = self._robot
         _lengths(
             self.unstretched,
             angle,
             tension,
-            robot.drum.radius,
-            robot.cable.axial_stiffness,
+            self._radius,
+            self._axial_stiffness,
             self.wound,
             self._lengths,
         )

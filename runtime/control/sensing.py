@@ -28,7 +28,7 @@ def _drum_rates(
     age: NDArray[np.uint16],
     sampled_ns: NDArray[np.int64],
     tick: int,
-    limits: tuple[float, float],
+    limits: tuple[float, Array],
     last: Array,
     sampled: tuple[NDArray[np.int64], NDArray[np.int64]],
     rate: Array,
@@ -36,7 +36,7 @@ def _drum_rates(
     implausible: NDArray[np.bool_],
 ) -> None:
     """Difference of consecutive samples over the time between them; held while there is none. A
-    step that no motor can make in that time is no sample. ``limits``: period, largest rate;
+    step that no motor can make in that time is no sample. ``limits``: period, largest rates (8,);
     ``sampled``: tick and time (ns) of the last samples. Where a SYNC takes the samples, it is as
     late as its tick, so the time between two counts and not the number of ticks."""
     period, fastest = limits
@@ -57,7 +57,7 @@ def _drum_rates(
                 interval[i] += late_ns * 1e-9
             shortest = max(interval[i], _CLOSEST * period)
             change = (angle[i] - last[i]) / shortest
-            implausible[i] = not abs(change) <= fastest
+            implausible[i] = not abs(change) <= fastest[i]
             if not implausible[i] and shortest == interval[i]:
                 rate[i] = change
         if not implausible[i]:
@@ -115,7 +115,7 @@ def _sense(
     ages: tuple[NDArray[np.uint16], NDArray[np.uint16]],
     sampled_ns: NDArray[np.int64],
     tick: int,
-    limits: tuple[float, float, float, int, int],
+    limits: tuple[float, Array, float, int, int],
     drums: tuple[Array, tuple[NDArray[np.int64], NDArray[np.int64]], Array, Array],
     cells: tuple[Array, Array],
     last_ages: tuple[NDArray[np.uint16], NDArray[np.uint16]],
@@ -124,9 +124,9 @@ def _sense(
     usable: NDArray[np.bool_],
     present: NDArray[np.bool_],
 ) -> None:
-    """All of a tick. Pairs are of axes and cells; ``limits``: period, largest rate, largest force,
-    fresh ticks, stale ticks; ``drums``: last angles, when sampled, rates, intervals; ``cells``:
-    tare, force."""
+    """All of a tick. Pairs are of axes and cells; ``limits``: period, largest rates (8,), largest
+    force, fresh ticks, stale ticks; ``drums``: last angles, when sampled, rates, intervals;
+    ``cells``: tare, force."""
     period, fastest, largest, fresh, stale = limits
     limit = (period, fastest)
     _drum_rates(reported[0], ages[0], sampled_ns, tick, limit, *drums, implausible[0])
@@ -152,10 +152,9 @@ class Sensing:
         self._period = rates.period
         self._fresh_ticks = freshness.measurement_ticks
         self._stale_ticks = freshness.stale_stop_ticks
-        motor = robot.motor.nominal_speed_rpm * 2.0 * math.pi / 60.0
         self._limits = (
             rates.period,
-            control.filters.plausible_speed * motor / robot.gearbox.ratio,
+            control.filters.plausible_speed * robot.motor_speed / robot.gear_ratio,
             control.filters.plausible_force,
             freshness.measurement_ticks,
             freshness.stale_stop_ticks,

@@ -37,15 +37,16 @@ def drum_motion(
     tension: Array,
     twist: tuple[Array, Array],
     desired: tuple[Array, Array],
-    radius: float,
-    axial_stiffness: float,
+    radius: Array,
+    axial_stiffness: Array,
     rate: Array,
     desired_rate: Array,
     desired_acceleration: Array,
 ) -> bool:
     """Drum rates (8,) that follow the platform's ``twist`` at constant tension (eq. 1), and rates
-    and accelerations on the ``desired`` motion (velocity, acceleration), level. Whether the rates
-    and the ``wrench`` are numbers.
+    and accelerations on the ``desired`` motion (velocity, acceleration), level. ``radius`` (8,) of
+    the drums, ``axial_stiffness`` (8,) of the cables. Whether the rates and the ``wrench`` are
+    numbers.
     """
     finite = True
     for row in range(6):
@@ -56,9 +57,9 @@ def drum_motion(
             following += matrix[row, i] * twist[0][row] + matrix[3 + row, i] * twist[1][row]
             wanted += matrix[row, i] * desired[0][row]
             bend += matrix[row, i] * desired[1][row]
-        rate[i] = following / (radius * (1.0 + tension[i] / axial_stiffness))
-        desired_rate[i] = wanted / radius
-        desired_acceleration[i] = bend / radius
+        rate[i] = following / (radius[i] * (1.0 + tension[i] / axial_stiffness[i]))
+        desired_rate[i] = wanted / radius[i]
+        desired_acceleration[i] = bend / radius[i]
         finite = finite and math.isfinite(rate[i]) and math.isfinite(desired_rate[i])
     return finite
 
@@ -68,15 +69,19 @@ def _expected(
     tension: Array,
     rate: Array,
     acceleration: Array,
-    drive: tuple[float, float, float, float, float, float, float],
+    drums: tuple[Array, Array, Array, Array],
+    friction: tuple[float, float, float],
     torque: Array,
 ) -> None:
-    radius, inertia, viscous, coulomb, load, efficiency, slip = drive
+    """``drums`` (8,): radius, inertia, viscous friction, efficiency of the gearbox; ``friction``:
+    Coulomb (N), share of the tension, cable speed (m/s) from which it acts in full."""
+    radius, inertia, viscous, efficiency = drums
+    coulomb, load, slip = friction
     for i in range(tension.shape[0]):
-        way, pull = math.tanh(rate[i] / slip), radius * tension[i]
-        needed = pull + way * (radius * coulomb + load * pull)
-        needed += viscous * rate[i] + inertia * acceleration[i]
-        through = efficiency if way < 0.0 else 1.0 / efficiency
+        way, pull = math.tanh(rate[i] / (slip / radius[i])), radius[i] * tension[i]
+        needed = pull + way * (radius[i] * coulomb + load * pull)
+        needed += viscous[i] * rate[i] + inertia[i] * acceleration[i]
+        through = efficiency[i] if way < 0.0 else 1.0 / efficiency[i]
         torque[i] = needed * (1.0 + abs(way) * (through - 1.0)) - pull
 
 
@@ -88,14 +93,18 @@ def _torques(
     rate: Array,
     expected: Array,
     usable: NDArray[np.bool_],
-    gains: tuple[float, float, float, float, float, float, float],
-    leading: tuple[float, float, float],
+    drums: tuple[Array, Array],
+    gains: tuple[float, float, float, float, float],
+    leading: tuple[Array, float, float],
     lengths: Array,
     past: tuple[Array, Array],
     integral: Array,
     torque: Array,
 ) -> None:
-    radius, forward, proportional, integral_step, integral_limit, damping, limit = gains
+    """``drums`` (8,): radius, largest torque; ``leading``: rate (8,) for each newton a tick of a
+    cable of 1 m, share of a tick in the slope, largest slope (N)."""
+    radius, limit = drums
+    forward, proportional, integral_step, integral_limit, damping = gains
     turn, follow, fastest = leading
     last, slope = past
     for i in range(reference.shape[0]):
@@ -110,43 +119,40 @@ def _torques(
         error = reference[i] - measured[i]
         grown = integral[i] + (integral_step * error if math.isfinite(error) else 0.0)
         integral[i] = min(max(grown, -integral_limit), integral_limit)
-        wanted = radius * (forward * reference[i] + proportional * error + integral[i])
-        ahead = turn * lengths[i] * slope[i]
+        wanted = radius[i] * (forward * reference[i] + proportional * error + integral[i])
+        ahead = turn[i] * lengths[i] * slope[i]
         wanted += damping * (rate_reference[i] + ahead - rate[i]) + forward * expected[i]
         if math.isfinite(wanted):
-            torque[i] = min(max(wanted, -limit), limit)
+            torque[i] = min(max(wanted, -limit[i]), limit[i])
 
 
 class TensionLoop:
     """One tick of eight independent loops."""
 
     def __init__(self, robot: Robot, settings: Settings, period: float) -> None:
-        motor, ratio = robot.motor, robot.gearbox.ratio
+        radius = robot.drum_radius
+        self._drums = (radius, robot.torque_limit)
         self._gains = (
-            robot.drum.radius,
             settings.feed_forward,
             settings.proportional,
             settings.integral * period,
             settings.integral_limit,
             settings.rate_damping,
-            motor.current_limit * motor.torque_constant * ratio,
         )
         self._lead = (
-            settings.lead / (robot.cable.axial_stiffness * robot.drum.radius * period),
+            settings.lead / (robot.axial_stiffness * radius * period),
             1.0 - math.exp(-2.0 * math.pi * settings.lead_cutoff_hz * period),
             settings.lead_rate * period,
         )
         self._past = (np.full(CABLES, np.nan), np.zeros(CABLES))
-        drum, friction = robot.drum, settings.friction
-        self._drive = (
-            drum.radius,
-            drum.inertia,
-            drum.viscous_friction,
-            friction.coulomb,
-            friction.load,
-            robot.gearbox.efficiency,
-            friction.slip / drum.radius,
+        friction = settings.friction
+        self._model = (
+            radius,
+            robot.drum_inertia,
+            robot.viscous_friction,
+            robot.gearbox_efficiency,
         )
+        self._friction = (friction.coulomb, friction.load, friction.slip)
         self._still = (np.zeros(CABLES), np.zeros(CABLES))
         self._expected = np.zeros(CABLES)
         self._torque = np.zeros(CABLES)
@@ -161,7 +167,7 @@ class TensionLoop:
     def take_over(self, before: TensionLoop) -> None:
         """Go on where another loop has been, if there is an integral to go on with."""
         self.reset()
-        if self._gains[3] > 0.0:
+        if self._gains[2] > 0.0:
             self.integral[:] = before.integral
 
     def __call__(
@@ -177,7 +183,13 @@ class TensionLoop:
         """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N, rates
         in rad/s, winding in positive, cable ``lengths`` in m; ``desired``: rate and acceleration of
         the desired motion, None for none."""
-        _expected(reference, *(desired or self._still), self._drive, self._expected)
+        _expected(
+            reference,
+            *(desired or self._still),
+            self._model,
+            self._friction,
+            self._expected,
+        )
         _torques(
             reference,
             measured,
@@ -185,6 +197,7 @@ class TensionLoop:
             rate,
             self._expected,
             usable,
+            self._drums,
             self._gains,
             self._lead,
             lengths,

@@ -19,7 +19,7 @@ class Fallback:
         """``part`` guards the cycle's own fallback."""
         settings, period = config.operation.fallback, config.control.rates.period
         self._cycle, self._part = cycle, part
-        self._still = settings.rest_travel / config.robot.drum.radius
+        self._still = settings.rest_travel / config.robot.drum_radius
         self._rest_ticks = max(1, round(settings.rest_s / period))
         self._longest_ticks = round(settings.longest_s / period)
         self._off_ticks = max(1, round(settings.off_s / period))

@@ -34,18 +34,19 @@ def _passive(
     rate: Array,
     chosen: NDArray[np.bool_],
     share: Array,
-    law: tuple[float, float, float, float],
+    radius: Array,
+    law: tuple[float, float, float],
     torque: Array,
 ) -> None:
-    """``law``: drum radius, T_0, d, F_max; ``share`` (n,): of T_0, 0 to 1."""
-    radius, tension, damping, largest = law
+    """``radius`` (n,) of the drums; ``law``: T_0, d, F_max; ``share`` (n,): of T_0, 0 to 1."""
+    tension, damping, largest = law
     for i in range(rate.shape[0]):
         if not chosen[i]:
             continue
         torque[i] = 0.0
-        force = share[i] * tension - damping * radius * rate[i]
+        force = share[i] * tension - damping * radius[i] * rate[i]
         if math.isfinite(force):
-            torque[i] = radius * min(max(force, -largest), largest)
+            torque[i] = radius[i] * min(max(force, -largest), largest)
 
 
 @njit(cache=True)
@@ -53,39 +54,40 @@ def _taken_up(
     rate: Array,
     following: Array,
     slack: NDArray[np.bool_],
-    law: tuple[float, float, float, float],
+    radius: Array,
+    law: tuple[float, float, float],
     torque: Array,
 ) -> None:
-    """``law``: drum radius (m), closing speed (m/s), damping (N s/m), largest speed (m/s)."""
-    radius, closing, damping, fastest = law
+    """``radius`` (n,) m; ``law``: closing speed (m/s), damping (N s/m), largest speed (m/s)."""
+    closing, damping, fastest = law
     for i in range(rate.shape[0]):
         if not slack[i]:
             continue
-        ahead = min(max(radius * following[i], -fastest), fastest)
-        force = damping * (ahead + closing - radius * rate[i])
-        torque[i] = radius * force if math.isfinite(force) else 0.0
+        ahead = min(max(radius[i] * following[i], -fastest), fastest)
+        force = damping * (ahead + closing - radius[i] * rate[i])
+        torque[i] = radius[i] * force if math.isfinite(force) else 0.0
 
 
 @njit(cache=True)
 def _bounded(
     rate: Array,
     usable: NDArray[np.bool_],
+    radius: Array,
     speeds: tuple[float, float, float],
-    law: tuple[float, float, float, float],
-    largest: float,
+    passive: float,
+    largest: Array,
     period: float,
     capacity: float,
     tank: Array,
     torque: Array,
 ) -> None:
     """Brake and tank on planned torques. ``speeds``: reel in, reel out (m/s), damping beyond;
-    ``largest``: torque (N m)."""
-    radius, passive = law[0], law[1]
+    ``passive``: T_0; ``radius`` (m) and ``largest`` torque (N m) of each drum (n,)."""
     inward, outward, damping = speeds
     for i in range(rate.shape[0]):
         if not usable[i]:
             continue
-        speed, force = radius * rate[i], torque[i] / radius
+        speed, force = radius[i] * rate[i], torque[i] / radius[i]
         if not math.isfinite(speed):
             torque[i] = 0.0
             continue
@@ -96,20 +98,20 @@ def _bounded(
             force = passive + tank[i] / (period * speed)
             drawn = tank[i]
         tank[i] = min(max(tank[i] - drawn, 0.0), capacity)
-        torque[i] = min(max(radius * force, -largest), largest)
+        torque[i] = min(max(radius[i] * force, -largest[i]), largest[i])
 
 
 class Guard:
     """One tick of every drum's own bounds. Torques in N m at the drum, rates in rad/s."""
 
     def __init__(self, robot: Robot, settings: Stop, period: float) -> None:
-        s, radius = settings, robot.drum.radius
-        self._law = (radius, s.passive_tension, s.passive_damping, s.passive_force)
+        s = settings
+        self._radius = robot.drum_radius
+        self._law = (s.passive_tension, s.passive_damping, s.passive_force)
         self._speeds = (s.reel_in, s.reel_out, s.reel_damping)
-        self._slack = (radius, s.take_up_speed, s.take_up_damping, s.reel_in)
+        self._slack = (s.take_up_speed, s.take_up_damping, s.reel_in)
         self._period, self._capacity = period, s.tank
-        motor = robot.motor
-        self._largest = motor.current_limit * motor.torque_constant * robot.gearbox.ratio
+        self._largest = robot.torque_limit
         self.tank = np.full(CABLES, s.tank)
         """J (n,)"""
         self._torque, self._share = np.zeros(CABLES), np.zeros(CABLES)
@@ -122,7 +124,7 @@ class Guard:
         ``share`` of the passive tension, of all or of each (n,)."""
         self._torque[:] = 0.0
         self._share[:] = share
-        _passive(rate, trusted, self._share, self._law, self._torque)
+        _passive(rate, trusted, self._share, self._radius, self._law, self._torque)
         return self._torque
 
     def take_up(
@@ -131,15 +133,16 @@ class Guard:
         """Planned torques (n,) of cables that are ``slack`` (n,) become, in place, those that keep
         the drum at the rate ``following`` the platform (n,) rad/s, a little faster: a cable
         whose drum lags snaps taut later."""
-        _taken_up(rate, following, slack, self._slack, torque)
+        _taken_up(rate, following, slack, self._radius, self._slack, torque)
 
     def bound(self, torque: Array, rate: Array, usable: NDArray[np.bool_]) -> None:
         """Planned torques (n,) of ``usable`` cables (n,) within a descent's bounds, in place."""
         _bounded(
             rate,
             usable,
+            self._radius,
             self._speeds,
-            self._law,
+            self._law[0],
             self._largest,
             self._period,
             self._capacity,

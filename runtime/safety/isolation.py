@@ -75,7 +75,8 @@ def _turn(
     following: Array,
     watched: NDArray[np.bool_],
     interval: Array,
-    limits: tuple[float, float, float, float, float, float],
+    drives: tuple[Array, Array, Array],
+    limits: tuple[float, float, float],
     observed: tuple[Array, Array, Array],
     misled: Counts,
     past: tuple[Array, Array, Array],
@@ -83,27 +84,29 @@ def _turn(
 ) -> None:
     """``drums``: angles (rad), rates (rad/s) and the torques (N m) that made them; ``following``:
     m/s that the cables shorten by the platform's motion; ``interval``: s that a rate is the mean
-    of; ``limits``: drum radius, its mass at the cable, observer time, force (N) and share of the
-    torque's that may be unexplained, and the largest acceleration (m/s2); ``observed``: explained
-    momentum, unexplained force, mean force of the torque; ``past``: last angles, speeds, intervals.
+    of; ``drives`` (8,): drum radius, its mass at the cable, and the largest acceleration (m/s2);
+    ``limits``: observer time, force (N) and share of the torque's that may be unexplained;
+    ``observed``: explained momentum, unexplained force, mean force of the torque; ``past``: last
+    angles, speeds, intervals.
     """
-    radius, mass, time, force, share, fastest = limits
+    radius, mass, fastest = drives
+    time, force, share = limits
     explained, unexplained, mean = observed
     last, before, since = past
     for i in range(tension.shape[0]):
-        speed, pull = radius * drums[1][i], drums[2][i] / radius
+        speed, pull = radius[i] * drums[1][i], drums[2][i] / radius[i]
         if not (watched[i] and math.isfinite(speed + pull + tension[i] + following[i])):
-            explained[i], unexplained[i], mean[i] = mass * speed, 0.0, abs(pull)
+            explained[i], unexplained[i], mean[i] = mass[i] * speed, 0.0, abs(pull)
             misled[i], travel[i], last[i], before[i] = 0, 0.0, drums[0][i], speed
             since[i] = interval[i]
             continue
         period = interval[i]
         explained[i] += period * (pull - tension[i] + unexplained[i])
-        unexplained[i] = (mass * speed - explained[i]) / time
+        unexplained[i] = (mass[i] * speed - explained[i]) / time
         mean[i] += period / time * (abs(pull) - mean[i])
         beyond = abs(unexplained[i]) > force + share * mean[i]
         misled[i] = misled[i] + 1 if beyond else 0
-        if abs(speed - before[i]) > fastest * 0.5 * (period + since[i]):
+        if abs(speed - before[i]) > fastest[i] * 0.5 * (period + since[i]):
             misled[i] = _CERTAIN
         before[i], since[i] = speed, period
         travel[i] = travel[i] + period * following[i] if drums[0][i] == last[i] else 0.0
@@ -137,17 +140,10 @@ class Isolation:
 
     def __init__(self, robot: Robot, settings: Settings, stop: Stop, period: float) -> None:
         self._settings, self._taut = settings, stop.taut_tension
-        radius = robot.drum.radius
-        mass, motor = robot.drum.inertia / radius**2, robot.motor
-        strongest = motor.current_limit * motor.torque_constant * robot.gearbox.ratio / radius
-        self._turning = (
-            radius,
-            mass,
-            settings.torque_s,
-            settings.torque_error,
-            settings.torque_share,
-            settings.acceleration * strongest / mass,
-        )
+        radius, mass = robot.drum_radius, robot.drum_mass
+        strongest = robot.torque_limit / radius
+        self._drives = (radius, mass, settings.acceleration * strongest / mass)
+        self._turning = (settings.torque_s, settings.torque_error, settings.torque_share)
         self._observed = (np.zeros(CABLES), np.zeros(CABLES), np.zeros(CABLES))
         self._torques = np.zeros((_UNDER_WAY, CABLES))
         self._misled = np.zeros(CABLES, dtype=np.int64)
@@ -212,6 +208,7 @@ class Isolation:
             following,
             watched,
             interval,
+            self._drives,
             self._turning,
             self._observed,
             self._misled,

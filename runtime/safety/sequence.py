@@ -71,9 +71,9 @@ class Sequence:
         referencing: Referencing,
         envelope: Envelope,
         isolation: Isolation,
-        radius: float,
+        radius: NDArray[np.float64],
     ) -> None:
-        """``radius`` (m): of the drums."""
+        """``radius`` (n,) m: of the drums."""
         self._control, self._settings = control, control.sequence
         self._sensing, self._referencing, self._envelope = sensing, referencing, envelope
         self._isolation, self._radius = isolation, radius
@@ -201,7 +201,7 @@ class Sequence:
         enough."""
         stop = self._control.stop
         pulling = self.faults.drums_trusted & ~self.faults.torn
-        fastest = float(np.abs(self._sensing.rate * pulling).max()) * self._radius
+        fastest = float((np.abs(self._sensing.rate * pulling) * self._radius).max())
         self._standing = self._standing + self._period if fastest < stop.rest_speed else 0.0
         if self.stop_mode is not StopMode.PASSIVE:
             return

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.bus import CELLS
 from tonus.config.schema.lab import CellNoise
-from tonus.config.schema.robot import CABLES, Motor
+from tonus.config.schema.robot import CABLES, Robot
 from tonus.sim.plant.streams import Stream, generator
 
 Floats = NDArray[np.float64]
@@ -26,9 +26,9 @@ _INTERVAL_NS = 1_000_000
 _BLOCK = 1024
 """Noise is drawn for so many conversions at once."""
 # Places in the parameter vector of `_sample`.
-_PER_RADIAN = 0
-_RANGE = 1
-_PER_AMPERE = 2
+_RANGE = 0
+_PER_RADIAN = 1
+_PER_AMPERE = _PER_RADIAN + CABLES
 _OFFSET = _PER_AMPERE + CABLES
 _DIGITS = _OFFSET + CELLS
 _GAIN = _DIGITS + CELLS
@@ -82,7 +82,7 @@ def _sample(
     force: Floats,
 ) -> None:
     for i in range(CABLES):
-        count = int(np.floor(angle[i] * p[_PER_RADIAN])) - int(p[_ZERO + i])
+        count = int(np.floor(angle[i] * p[_PER_RADIAN + i])) - int(p[_ZERO + i])
         words[POSITION + i] = (count + _INT32) % (2 * _INT32) - _INT32
         mille = np.rint(current[i] * p[_PER_AMPERE + i])
         words[TORQUE + i] = int(min(max(mille, -_INT16 - 1), _INT16))
@@ -102,7 +102,7 @@ class Samples:
     who asks and how often changes nothing.
     """
 
-    def __init__(self, plant: Measured, motor: Motor, noise: CellNoise, seed: int) -> None:
+    def __init__(self, plant: Measured, robot: Robot, noise: CellNoise, seed: int) -> None:
         self.plant = plant
         self.force = np.zeros(CELLS)
         """N, of the same instant"""
@@ -115,10 +115,11 @@ class Samples:
         self._noise = np.zeros((_BLOCK, CELLS))
         self._block = -1
         self._p = np.zeros(_LENGTH)
-        self.per_revolution = motor.increments_per_revolution
-        self.per_radian = self.per_revolution / (2.0 * pi)
-        """increments of a motor's encoder"""
-        self._p[_PER_RADIAN] = self.per_radian
+        motors = [train.motor for train in robot.drive_trains]
+        self.per_revolution = [motor.increments_per_revolution for motor in motors]
+        """increments of each motor's encoder"""
+        self.per_radian = [count / (2.0 * pi) for count in self.per_revolution]
+        self._p[_PER_RADIAN : _PER_RADIAN + CABLES] = self.per_radian
         self._p[_RANGE] = noise.range
         self._p[_DIGITS : _DIGITS + CELLS] = 1.0
         self._p[_GAIN : _GAIN + CELLS] = 1.0
@@ -182,7 +183,7 @@ class Samples:
     def count(self, axis: int) -> int:
         """Increments of an axis' encoder since the plant's own zero, where an index pulse is; the
         plant stands at the present."""
-        return floor(float(self.plant.motor_angle[axis]) * self.per_radian)
+        return floor(float(self.plant.motor_angle[axis]) * self.per_radian[axis])
 
     def position(self, axis: int) -> int:
         """Increments as an axis' drive counts them; the plant stands at the present."""

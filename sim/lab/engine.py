@@ -105,7 +105,7 @@ class Lab:
             displacement=script.displacement,
             start_ns=start_ns,
         )
-        self.samples = Samples(self.plant, config.robot.motor, lab.noise.force_cell, seed)
+        self.samples = Samples(self.plant, config.robot, lab.noise.force_cell, seed)
         self._timers: list[tuple[int, int, Callback]] = []
         self._timer_count = 0
         self._truth = truth

@@ -82,16 +82,16 @@ def pull_cables(s: Any, p: Any, prescribed: bool) -> None:
     """
     for i in range(8):
         _course(s, p, i)
-        free = p.start_length[i] - p.radius * s.drum_angle[i] + s.slipped[i]
+        free = p.start_length[i] - p.radius[i] * s.drum_angle[i] + s.slipped[i]
         stretch = s.length[i] - free
         elastic = 0.0
         tension = 0.0
         if prescribed:
             tension = s.tension[i]
         elif stretch > 0.0 and p.axial_stiffness[i] > 0.0:
-            rate = p.radius * s.drum_rate[i] - p.slip_rate[i] - tip_speed(s, i)
+            rate = p.radius[i] * s.drum_rate[i] - p.slip_rate[i] - tip_speed(s, i)
             elastic = _pull(p, i, stretch, free)
-            tension = max(0.0, elastic + p.cable_damping * rate)
+            tension = max(0.0, elastic + p.cable_damping[i] * rate)
             s.dissipation += (tension - elastic) * rate
         s.tension[i] = tension
         s.elastic[i] = elastic

@@ -130,7 +130,7 @@ class Defects:
     def rub_drum(self, axis: int, force: float, over: float = 0.0) -> Ender:
         """Add Coulomb friction of ``force`` N at the cable, growing within ``over`` s."""
         place, friction = ("friction", axis), self._p["coulomb"]
-        radius, base = float(self._p["radius"]), float(self._coulomb[axis])
+        radius, base = float(self._p["radius"][axis]), float(self._coulomb[axis])
 
         def set_to(added: float) -> None:
             friction[axis] = base + added * radius

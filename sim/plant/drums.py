@@ -19,7 +19,7 @@ def follow_currents(s: Any, p: Any, keep: float) -> None:
     difference that remains."""
     for i in range(8):
         goal = s.current_reference[i] if s.powered[i] else 0.0
-        goal = min(p.current_limit, max(-p.current_limit, goal))
+        goal = min(p.current_limit[i], max(-p.current_limit[i], goal))
         s.current[i] = goal + (s.current[i] - goal) * keep
 
 
@@ -32,19 +32,19 @@ def _slowed(trial: float, slowing: float) -> float:
 
 
 @inner
-def _sliding(p: Any, friction: float, rate: float) -> float:
+def _sliding(p: Any, i: int, friction: float, rate: float) -> float:
     """Friction torque at a speed: it rises towards standstill as Stribeck found."""
     if p.stribeck > 0.0:
-        ratio = rate / p.stribeck_rate
+        ratio = rate / p.stribeck_rate[i]
         return float(friction * (1.0 + p.stribeck * exp(-ratio * ratio)))
     return friction
 
 
 @inner
-def _gearbox(p: Any, motor: float, rate: float) -> float:
+def _gearbox(p: Any, i: int, motor: float, rate: float) -> float:
     """The torque that the gearbox takes, against the motion: driving the cable, the motor loses
     1 - eta of its own; driven by it, it holds 1/eta as much as its own."""
-    return float((p.driving_loss if motor * rate > 0.0 else p.driven_loss) * abs(motor))
+    return float((p.driving_loss[i] if motor * rate > 0.0 else p.driven_loss[i]) * abs(motor))
 
 
 @inner
@@ -80,15 +80,16 @@ def teeth(s: Any, p: Any) -> None:
 @inner
 def _kick_rotor(s: Any, p: Any, i: int, motor: float, dt: float) -> tuple[float, float]:
     """The rotor's mean rate over the kick and the power it loses."""
-    drag = p.rotor_viscous * s.rotor_rate[i]
+    drag = p.rotor_viscous[i] * s.rotor_rate[i]
     old = s.half_rotor_rate[i]
-    trial = old + dt / p.rotor_inertia * (motor - s.teeth_torque[i] - drag)
-    friction = _sliding(p, p.rotor_coulomb[i], s.rotor_rate[i]) + _gearbox(p, motor, trial)
-    new = 0.0 if s.locked[i] else _slowed(trial, dt / p.rotor_inertia * friction)
+    trial = old + dt / p.rotor_inertia[i] * (motor - s.teeth_torque[i] - drag)
+    friction = _sliding(p, i, p.rotor_coulomb[i], s.rotor_rate[i])
+    friction += _gearbox(p, i, motor, trial)
+    new = 0.0 if s.locked[i] else _slowed(trial, dt / p.rotor_inertia[i] * friction)
     mean = 0.5 * (old + new)
     s.rotor_acceleration[i] = (new - old) / dt
     s.half_rotor_rate[i] = new
-    return mean, drag * s.rotor_rate[i] + _lost(s, p.rotor_inertia * (trial - new) * mean, dt)
+    return mean, drag * s.rotor_rate[i] + _lost(s, p.rotor_inertia[i] * (trial - new) * mean, dt)
 
 
 @inner
@@ -115,10 +116,10 @@ def kick_drums(s: Any, p: Any, dt: float, losses: float) -> float:
     for i in range(8):
         torque = p.torque_per_amp[i] * s.current[i]
         copper += p.resistance * s.current[i] * s.current[i]
-        drag = p.viscous * s.drum_rate[i]
+        drag = p.viscous[i] * s.drum_rate[i]
         old = s.half_rate[i]
         friction = _sliding(
-            p, p.coulomb[i] + p.load_friction[i] * p.radius * s.tension[i], s.drum_rate[i]
+            p, i, p.coulomb[i] + p.load_friction[i] * p.radius[i] * s.tension[i], s.drum_rate[i]
         )
         held = s.locked[i] != 0 or s.jammed[i] != 0
         if p.backlash > 0.0:
@@ -126,16 +127,16 @@ def kick_drums(s: Any, p: Any, dt: float, losses: float) -> float:
             s.input_work += dt * torque * mean
             losses += lost
             torque, held = s.teeth_torque[i], s.jammed[i] != 0
-        trial = old + dt / p.drum_inertia * (torque - p.radius * s.tension[i] - drag)
+        trial = old + dt / p.drum_inertia[i] * (torque - p.radius[i] * s.tension[i] - drag)
         if p.backlash == 0.0:
-            friction += _gearbox(p, torque, trial)
-        new = 0.0 if held else _slowed(trial, dt / p.drum_inertia * friction)
+            friction += _gearbox(p, i, torque, trial)
+        new = 0.0 if held else _slowed(trial, dt / p.drum_inertia[i] * friction)
         mean = 0.5 * (old + new)
-        losses += drag * s.drum_rate[i] + _lost(s, p.drum_inertia * (trial - new) * mean, dt)
+        losses += drag * s.drum_rate[i] + _lost(s, p.drum_inertia[i] * (trial - new) * mean, dt)
         if p.backlash == 0.0:
             s.input_work += dt * torque * mean
         if s.elastic[i] > 0.0:
-            s.wound -= stored(p, i, s.elastic[i], dt * p.radius * mean)[1]
+            s.wound -= stored(p, i, s.elastic[i], dt * p.radius[i] * mean)[1]
         s.drum_acceleration[i] = (new - old) / dt
         s.half_rate[i] = new
     if p.slipping > 0.0:

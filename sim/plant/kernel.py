@@ -125,7 +125,7 @@ def _account(s: Any, p: Any) -> None:
     platform = 0.0
     electrical = 0.0
     for i in range(8):
-        kinetic += 0.5 * p.drum_inertia * s.drum_rate[i] ** 2
+        kinetic += 0.5 * p.drum_inertia[i] * s.drum_rate[i] ** 2
         s.stored[i] = 0.0
         if s.elastic[i] > 0.0:
             s.stored[i] = stored(p, i, s.elastic[i], s.strain_length[i])[0]
@@ -134,10 +134,10 @@ def _account(s: Any, p: Any) -> None:
         angle, rate = s.drum_angle[i], s.drum_rate[i]
         if p.backlash > 0.0:
             angle, rate = s.rotor_angle[i], s.rotor_rate[i]
-            kinetic += 0.5 * p.rotor_inertia * rate**2
+            kinetic += 0.5 * p.rotor_inertia[i] * rate**2
             strain += s.teeth_energy[i]
-        s.motor_angle[i] = p.ratio * (p.encoder_gain[i] * angle + p.encoder_offset[i])
-        s.motor_rate[i] = p.ratio * p.encoder_gain[i] * rate
+        s.motor_angle[i] = p.ratio[i] * (p.encoder_gain[i] * angle + p.encoder_offset[i])
+        s.motor_rate[i] = p.ratio[i] * p.encoder_gain[i] * rate
         electrical += p.torque_per_amp[i] * s.current[i] * rate + p.resistance * s.current[i] ** 2
     for i in range(9):
         s.cell_force[i] = p.cell_gain[i] * s.cell_filtered[i] + p.cell_offset[i]

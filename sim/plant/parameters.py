@@ -50,7 +50,7 @@ def parameters(
     tips = np.array(robot.geometry.platform, dtype=np.float64)
     low = tips[:, 2].min()
     # Driven backwards, a gearbox of efficiency eta holds the cable with motor torque / eta.
-    efficiency = robot.gearbox.efficiency if plant.gearbox_losses else 1.0
+    efficiency = robot.gearbox_efficiency if plant.gearbox_losses else np.ones(CABLES)
     values = {
         "mass": robot.platform.mass * scale,
         "inertia": np.array(robot.platform.inertia) * scale,
@@ -58,20 +58,20 @@ def parameters(
         "anchors": anchors,
         "tips": robot.geometry.platform,
         "pulley_radius": plant.pulley_radius,
-        "axial_stiffness": robot.cable.axial_stiffness * plant.stiffness_scale * stiffness,
-        "cable_damping": robot.cable.damping,
-        "radius": robot.drum.radius,
-        "drum_inertia": robot.drum.inertia,
-        "viscous": robot.drum.viscous_friction,
-        "coulomb": plant.coulomb_friction * robot.drum.radius * friction,
+        "axial_stiffness": robot.axial_stiffness * plant.stiffness_scale * stiffness,
+        "cable_damping": robot.cable_damping,
+        "radius": robot.drum_radius,
+        "drum_inertia": robot.drum_inertia,
+        "viscous": robot.viscous_friction,
+        "coulomb": plant.coulomb_friction * robot.drum_radius * friction,
         "load_friction": plant.load_friction * friction,
         "teeth_stiffness": inf,
         "driving_loss": 1.0 - efficiency,
         "driven_loss": 1.0 / efficiency - 1.0,
-        "torque_per_amp": robot.motor.torque_constant * robot.gearbox.ratio,
+        "torque_per_amp": robot.torque_per_amp,
         "resistance": plant.winding_resistance,
-        "ratio": robot.gearbox.ratio,
-        "current_limit": robot.motor.current_limit,
+        "ratio": robot.gear_ratio,
+        "current_limit": robot.current_limit,
         "current_pole": 2.0 * pi * plant.current_loop_hz,
         "cell_pole": 2.0 * pi * lab.noise.force_cell.bandwidth_hz,
         "cradle_place": robot.rest,
@@ -92,7 +92,7 @@ def parameters(
         record[name] = value
     if plant.stribeck is not None:
         record["stribeck"] = plant.stribeck.share
-        record["stribeck_rate"] = plant.stribeck.speed / robot.drum.radius
+        record["stribeck_rate"] = plant.stribeck.speed / robot.drum_radius
     if plant.stiffening is not None:
         _stiffen(record, plant.stiffening)
     if plant.backlash is not None:
@@ -109,7 +109,7 @@ def _stiffen(record: NDArray[Any], stiffening: Stiffening) -> None:
 def _divide(record: NDArray[Any], backlash: Backlash, step: float) -> None:
     """Make rotor and drum two bodies with the play between them. Raises `LabError`."""
     share = backlash.rotor_share
-    reduced = share * (1.0 - share) * float(record["drum_inertia"][0])
+    reduced = share * (1.0 - share) * float(record["drum_inertia"][0].min())
     if step * sqrt(backlash.stiffness / reduced) > _COARSEST:
         finest = 1e6 * _COARSEST / sqrt(backlash.stiffness / reduced)
         raise LabError(

@@ -72,7 +72,7 @@ def test_a_loop_has_margins_if_and_only_if_it_decays(
     assume(abs(rate) > LEAST)
     gains = {"proportional": proportional, "integral": integral, "rate_damping": damping}
     found = tension_loop_margins(
-        ROBOT,
+        ROBOT.drive_trains[0],
         CONFIG.control.tension_loop.model_copy(update=gains),
         period,
         cable_length=length,

@@ -36,7 +36,7 @@ NEGATIVE, HOME, POSITIVE = -5000, (2000, 4000), 8000
 def home(method: int, start: int = 0) -> tuple[OneDrive, float]:
     """Run a method among the switches; the encoder's count where home was found."""
     bench = servo(HMM)
-    per_radian = bench.lab.samples.per_radian
+    per_radian = bench.lab.samples.per_radian[0]
     begin = float(bench.lab.plant.motor_angle[0]) * per_radian - start
     for sub, speed in ((1, 400), (2, 120)):
         bench.write(0x6099, sub, speed)

@@ -134,7 +134,7 @@ def test_a_push_rises_lasts_and_falls() -> None:
 def test_the_devices_show_what_a_broken_sensor_shows() -> None:
     with Bench(DIRECT) as bench, Bench(DIRECT) as sound:
         samples = bench.lab.samples
-        per_radian = samples.per_radian * bench.config.robot.gearbox.ratio
+        per_radian = samples.per_radian[2] * bench.config.robot.gearbox.ratio
         inject(bench, "cell_offset", cell=8, force=30.0)
         inject(bench, "encoder_slip", axis=2, angle=0.5)
         bench.wait(5)

@@ -15,7 +15,7 @@ from tonus.runtime.control.compiled import filter_tick, rotate, rotation_between
 from tonus.runtime.control.kinematics import Kinematics
 
 ROBOT = load("config/can.yaml")[0].robot
-EA, PERIOD = ROBOT.cable.axial_stiffness, 1e-3
+EA, PERIOD = ROBOT.axial_stiffness, 1e-3
 BODY = (ROBOT.platform.mass, np.array(ROBOT.platform.inertia), ROBOT.gravity, EA)
 LENGTH_VARIANCE = 4e-10
 USABLE = np.array([True, True, False, True, True, True, True, True])

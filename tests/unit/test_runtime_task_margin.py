@@ -38,7 +38,7 @@ def test_with_an_unmoving_platform_only_the_tension_loop_is_left() -> None:
     lab = config.lab
     assert lab is not None
     alone = tension_loop_margins(
-        config.robot,
+        config.robot.drive_trains[0],
         config.control.tension_loop,
         config.control.rates.period,
         cable_length=float(kinematics.lengths.mean()),

@@ -152,7 +152,7 @@ def margins(
     settings: Settings = SETTINGS, length: float = 1.2, delay: int = DELAY_TICKS
 ) -> Margins:
     return tension_loop_margins(
-        ROBOT,
+        ROBOT.drive_trains[0],
         settings,
         PERIOD,
         cable_length=length,
@@ -232,7 +232,7 @@ def test_a_loop_is_judged_by_its_poles_and_not_by_where_it_falls_below_one(lengt
         update={"proportional": 19.115, "rate_damping": 0.377, "integral": 166.7}
     )
     found = tension_loop_margins(
-        ROBOT,
+        ROBOT.drive_trains[0],
         settings,
         0.002,
         cable_length=length,

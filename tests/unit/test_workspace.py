@@ -87,7 +87,7 @@ def elastic_wrench(unstretched: Array, position: Array, turn: Rotation) -> Array
 def test_stiffness_is_the_slope_of_the_elastic_cables() -> None:
     at = some(4, 5)
     tensions = 45.0 + 10.0 * np.random.default_rng(5).normal(size=(5, 8))
-    elastic, geometric = matrices(at, tensions, EA)
+    elastic, geometric = matrices(at, tensions, np.full(8, EA))
     for pose in range(5):
         unstretched = at.lengths[pose] / (1.0 + tensions[pose] / EA)
         point, turn = at.positions[pose], Rotation.from_rotvec(at.rotations[pose])
@@ -123,7 +123,7 @@ def test_the_figures_the_geometry_was_chosen_by_hold() -> None:
     assert 0.197 <= closures(turned, 0.1).min() <= 0.21
     slack = stiffness(turned, ROBOT, 45.0)
     assert slack.geometric.min() == pytest.approx(190.0, rel=0.02)
-    elastic, _ = matrices(turned, np.zeros((len(turned.lengths), 8)), EA)
+    elastic, _ = matrices(turned, np.zeros((len(turned.lengths), 8)), np.full(8, EA))
     sideways, coupling = elastic[:, :3, :3], elastic[:, :3, 3:]
     rotational = elastic[:, 3:, 3:] - np.swapaxes(coupling, 1, 2) @ np.linalg.solve(
         sideways, coupling

@@ -74,16 +74,17 @@ def _commands(run: Observed, _: Bounds) -> Iterator[Violation]:
     """Tensions asked for lie in [0, T_max], at command in [T_min, T_max]; torques in the drives'
     reach; all are numbers."""
     reference = run.cycle["tension"]["reference"]
-    tension, motor = run.config.control.tension, run.config.robot.motor
+    tension, reach = run.config.control.tension, run.config.robot.torque_limit
     low = np.where(np.isin(run.state, _AT_COMMAND), tension.min, 0.0)[:, None]
     wrong = ~((reference >= low / _ROUNDING) & (reference <= tension.max * _ROUNDING))
     yield from _worst(
         "commanded_tension", run.cycle_ns, wrong, reference, tension.max, "N asked of cable"
     )
     torque = np.abs(run.cycle["drives"]["torque_command"])
-    reach = motor.current_limit * motor.torque_constant * run.config.robot.gearbox.ratio
     wrong = ~(torque <= reach * _ROUNDING)
-    yield from _worst("commanded_torque", run.cycle_ns, wrong, torque, reach, "N m asked of axis")
+    yield from _worst(
+        "commanded_torque", run.cycle_ns, wrong, torque, float(reach.max()), "N m asked of axis"
+    )
 
 
 def _stale(run: Observed, _: Bounds) -> Iterator[Violation]:

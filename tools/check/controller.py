@@ -15,7 +15,7 @@ from tonus.runtime.errors import ControllerError
 from tonus.tools.check.controller_time import controller_time
 from tonus.tools.check.finding import Finding
 from tonus.tools.margins.probe import Probe
-from tonus.tools.margins.task import least_margins, loops
+from tonus.tools.margins.task import least_margins, loops, worst_axes
 
 _PROBES = 200
 """motions of one kind"""
@@ -89,6 +89,8 @@ def _whole_loop(config: Config, name: str, *, foreign: bool) -> Iterator[Finding
     for cut in ("torque", "force"):
         text = f"{how}, cut at the {cut}: "
         least = least_margins(found, cut)
+        if len(config.robot.kinds_of_axes) > 1:
+            text += f"worst{config.robot.whose(worst_axes(found, cut, floors))}, "
         ok = least.meet(floors)
         if name == "eq9_literal":  # is kept because it is
             ok = True

@@ -182,21 +182,24 @@ def _load(config: Config, scenario: Scenario, load: Load, path: Array) -> Findin
 
 def _drives(config: Config) -> Iterator[Finding]:
     robot, control = config.robot, config.control
-    current = control.tension.max / robot.tension_per_amp
+    currents = control.tension.max / robot.tension_per_amp
+    weakest = int((currents / robot.current_limit).argmax())
+    current, limit = float(currents[weakest]), float(robot.current_limit[weakest])
     yield Finding(
         "motor torque",
-        current <= robot.motor.current_limit,
+        current <= limit,
         "control.tension.max",
-        f"{control.tension.max:g} N need {current:.2f} A of {robot.motor.current_limit:g} A",
+        f"{control.tension.max:g} N need {current:.2f} A of {limit:g} A{_whose(robot, weakest)}",
         "lower control.tension.max or raise robot.motor.current_limit",
     )
-    turns = robot.motor.nominal_speed_rpm / 60.0 / robot.gearbox.ratio
-    speed = 2.0 * math.pi * turns * robot.drum.radius
+    speeds = robot.motor_speed / robot.gear_ratio * robot.drum_radius
+    slowest = int(speeds.argmin())
+    speed = float(speeds[slowest])
     yield Finding(
         "motor speed",
         speed >= control.envelope.speed_limit,
         "control.envelope.speed_limit",
-        f"a cable runs at up to {speed:.3f} m/s, the envelope admits "
+        f"a cable runs at up to {speed:.3f} m/s{_whose(robot, slowest)}, the envelope admits "
         f"{control.envelope.speed_limit:g} m/s",
         "lower control.envelope.speed_limit or the gear ratio",
     )
@@ -207,7 +210,8 @@ def _drum_damping(config: Config) -> Iterator[Finding]:
     and its torque acts two periods later for one. With mass over delay or less the phase margin is
     32 deg at least."""
     robot, period = config.robot, config.control.rates.period
-    most = robot.drum.inertia / robot.drum.radius**2 / (_DELAY_PERIODS * period)
+    lightest = int(robot.drum_mass.argmin())
+    most = float(robot.drum_mass[lightest]) / (_DELAY_PERIODS * period)
     for name in ("passive_damping", "take_up_damping", "reel_damping"):
         damping = float(getattr(config.control.stop, name))
         yield Finding(
@@ -215,27 +219,35 @@ def _drum_damping(config: Config) -> Iterator[Finding]:
             damping < most,
             f"control.stop.{name}",
             f"{damping:g} N s/m on a drum's own rate; a delay of "
-            f"{1e3 * _DELAY_PERIODS * period:g} ms admits less than {most:.0f} N s/m",
+            f"{1e3 * _DELAY_PERIODS * period:g} ms admits less than {most:.0f} N s/m"
+            f"{_whose(robot, lightest)}",
             f"lower control.stop.{name}, or shorten control.rates.period_us",
         )
 
 
 def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
-    """Shortest, mean and longest cable; a cable's stiffness goes with one over its length."""
+    """Shortest, mean and longest cable; a cable's stiffness goes with one over its length. Of
+    several kinds of axes the worst counts."""
     loop, response = config.control.tension_loop, config.response
+    robot = config.robot
     where = "control.tension_loop"
     lengths = [float(length) for length in (at.lengths.min(), at.lengths.mean(), at.lengths.max())]
-    found = [
-        tension_loop_margins(
-            config.robot,
-            loop,
-            config.control.rates.period,
-            cable_length=length,
-            current_loop_hz=response.current_loop_hz,
-            cell_bandwidth_hz=response.force_cell_hz,
-        )
-        for length in lengths
-    ]
+    kinds = {
+        axes: [
+            tension_loop_margins(
+                train,
+                loop,
+                config.control.rates.period,
+                cable_length=length,
+                current_loop_hz=response.current_loop_hz,
+                cell_bandwidth_hz=response.force_cell_hz,
+            )
+            for length in lengths
+        ]
+        for train, axes in robot.kinds_of_axes.items()
+    }
+    axes, found = min(kinds.items(), key=lambda kind: min(each.reserve(loop) for each in kind[1]))
+    span = f"{lengths[0]:.2f} to {lengths[2]:.2f} m"
     floors = f"floors {loop.gain_margin_db:g} dB and {loop.phase_margin_deg:g} deg"
     text = "unstable: a pole of the closed loop lies outside the unit circle"
     if all(margin.stable for margin in found):
@@ -245,9 +257,14 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
         "tension loop",
         all(margin.meet(loop) for margin in found),
         where,
-        f"{text} over cables of {lengths[0]:.2f} to {lengths[2]:.2f} m, {floors}",
+        f"{text}{robot.whose(axes)} over cables of {span}, {floors}",
         "lower proportional, or change rate_damping",
     )
+
+
+def _whose(robot: Robot, worst: int) -> str:
+    """The axes that are as the ``worst`` one."""
+    return robot.whose(robot.kinds_of_axes[robot.drive_trains[worst]])
 
 
 def _place(position: Array) -> str:

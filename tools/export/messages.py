@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from tonus.config import Config
+from tonus.config.schema.axis import DriveTrain
 from tonus.config.schema.bus import CONTACT_CELL, CanopenBus, Channel, Device
 from tonus.drivers.canopen import emcy, identifiers
 from tonus.drivers.cia301.pdo import Mapping as PdoMapping
@@ -105,8 +106,9 @@ def _channel(
     )
     yield Message(identifiers.SYNC, "SYNC", MASTER, everyone, 0, cycle_ms=cycle_ms)
     yield _heartbeat(MASTER, bus.master.node_id, bus.master.heartbeat_ms, everyone)
+    trains = config.robot.drive_trains
     for drive in channel.drives:
-        name, known = f"Axis{drive.axis}", _of_drive(config)
+        name, known = f"Axis{drive.axis}", _of_drive(trains[drive.axis])
         tpdo = bus.drive.tpdo
         yield from _node(name, drive.node_id, "drive", bus.drive, tpdo, known, cycle_ms)
     for cell in channel.force_cells:
@@ -192,8 +194,8 @@ def _raw(entry: int, start: int, where: str) -> Signal:
     )
 
 
-def _of_drive(config: Config) -> Known:
-    scale = epos4.Scale.of(config.robot)
+def _of_drive(train: DriveTrain) -> Known:
+    scale = epos4.Scale.of(train)
     position = Signal(
         "Position",
         0,

@@ -38,7 +38,7 @@ def identify_cables(records: Sequence[Record], anchor_sigma: float) -> list[Esti
     )
     count = sum(found is not None for found in fits)
     half_width = math.hypot(half_width, NORMAL * math.sqrt(askew) / count)
-    configured = records[0].config.robot.cable.axial_stiffness
+    configured = float(records[0].config.robot.axial_stiffness.mean())
     each = each_of(fits, 0)
     return [
         Estimate("axial_stiffness", "cable stiffness EA", "N", value, half_width, configured, each)
@@ -80,7 +80,7 @@ def _stretch(record: Record, cable: int) -> _Stretch:
     taut = np.interp(record.exposure, record.time, record.inner(record.during(*_STATES))) == 1.0
     at = record.exposure[taut]
     way = ways(record.config, record.seen_position[taut], record.seen_rotation[taut])[:, cable]
-    wound = record.config.robot.drum.radius * record.smooth(record.angle[:, cable])
+    wound = float(record.config.robot.drum_radius[cable]) * record.smooth(record.angle[:, cable])
     columns = (
         wound,
         np.gradient(wound, record.period),

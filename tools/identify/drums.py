@@ -68,7 +68,7 @@ def gather(records: Sequence[Record], cable: int) -> Drum:
     """What all records say about one drum."""
     columns: tuple[list[Array], ...] = ([], [], [], [], [], [])
     blocks: list[NDArray[np.int64]] = []
-    radius = records[0].config.robot.drum.radius
+    radius = float(records[0].config.robot.drum_radius[cable])
     for record in records:
         rate = record.smooth(np.gradient(record.angle[:, cable], record.period))
         turning = np.abs(rate) * radius > _SLOWEST
@@ -115,10 +115,15 @@ def identify_drums(records: Sequence[Record]) -> tuple[list[Estimate], list[tupl
     robot, lab = config.robot, config.lab
     coulomb = lab.plant.coulomb_friction if lab else None
     load = lab.plant.load_friction if lab else None
-    efficiency = robot.gearbox.efficiency
+    efficiency = float(robot.gearbox_efficiency.mean())
     rows = (
-        ("drum_inertia", "drum inertia J", "kg m²", robot.drum.inertia),
-        ("viscous_friction", "viscous friction b", "N m s/rad", robot.drum.viscous_friction),
+        ("drum_inertia", "drum inertia J", "kg m²", float(robot.drum_inertia.mean())),
+        (
+            "viscous_friction",
+            "viscous friction b",
+            "N m s/rad",
+            float(robot.viscous_friction.mean()),
+        ),
         ("coulomb_friction", "Coulomb friction F_c", "N", coulomb),
         ("load_friction", "load friction μ", "", load),
         ("efficiency_driving", "gearbox, driving η", "", efficiency),

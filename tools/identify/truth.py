@@ -73,16 +73,16 @@ def _drawn(record: Record) -> dict[str, float]:
     if lab is None or TRUTH not in record.log or not seed.isdigit():
         raise ToolError(f"{record.path}: not a lab's log, so nobody knows; leave out --truth")
     plant = Plant(robot, lab, seed=int(seed), phantom=None, load=None).parameters[0]
-    efficiency = 1.0 - float(plant["driving_loss"])
+    efficiency = 1.0 - float(np.mean(plant["driving_loss"]))
     # A stiffening cable's EA is that of small changes about the pretension.
     stiffness = plant["axial_stiffness"] + plant["stiffening"] * record.config.control.tension.pre
     return {
         "platform_mass": float(plant["mass"]),
         "moved_mass": float(plant["mass"]),
         "axial_stiffness": float(np.mean(stiffness)),
-        "drum_inertia": float(plant["drum_inertia"]),
-        "viscous_friction": float(plant["viscous"]),
-        "coulomb_friction": float(np.mean(plant["coulomb"])) / robot.drum.radius,
+        "drum_inertia": float(np.mean(plant["drum_inertia"])),
+        "viscous_friction": float(np.mean(plant["viscous"])),
+        "coulomb_friction": float(np.mean(plant["coulomb"] / plant["radius"])),
         "load_friction": float(np.mean(plant["load_friction"])),
         "efficiency_driving": efficiency,
         "efficiency_driven": efficiency,

@@ -2,7 +2,8 @@
 
 Translation along one axis at home, linear and frictionless, as in
 `tonus.tools.margins.tension_loop`: the eight drums move in the pattern g_i = u_i . d of that axis,
-so that they are one drum behind one cable, and G = sum g_i^2 of them pull at the platform. The
+so that they are one drum behind one cable, and G = sum g_i^2 of them pull at the platform. Where
+axes differ, each kind is computed as if all were of it, and the worst counts. The
 estimator is taken as exact but for its delay, so a load observer, which then sees only what comes
 from outside, changes nothing here. The loop is cut at the torque, where everything acts, and at the
 force, where the outer loop alone does.
@@ -10,12 +11,13 @@ force, where the outer loop alone does.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from tonus.config.schema.axis import DriveTrain
 from tonus.config.schema.control import TensionLoop
 from tonus.config.schema.root import Config
 from tonus.runtime.control.controllers import make_controller
@@ -54,28 +56,33 @@ class _Loop:
         *,
         follows: bool,
         response: LinearResponse | None = None,
+        train: DriveTrain | None = None,
     ) -> None:
-        """``outer`` is the feedback, or, where there is a ``response``, that is."""
+        """``outer`` is the feedback, or, where there is a ``response``, that is. All cables are
+        taken as driven by ``train``; None: by that of axis 0."""
         self._response = response
         robot, bandwidth = config.robot, config.response
+        train = train or robot.drive_trains[0]
+        self.axes = robot.kinds_of_axes[train]
+        """whose drive train it is"""
         kinematics = Kinematics(robot.geometry)
         kinematics.evaluate(np.array(robot.home), _LEVEL)
         self._gather = gather = float((kinematics.matrix[axis] ** 2).sum())
-        self._radius = radius = robot.drum.radius
+        self._radius = radius = train.drum.radius
         self._follows = follows
         self._tension, self._outer, self._period = tension, outer, config.control.rates.period
-        k = robot.cable.axial_stiffness / float(kinematics.lengths.mean())
+        k = train.cable.axial_stiffness / float(kinematics.lengths.mean())
         self._turn = tension.lead / (k * radius * self._period)
         """rad/s of the drum for each newton by which the reference moves in a tick"""
         self._follow = 1.0 - np.exp(-2.0 * np.pi * tension.lead_cutoff_hz * self._period)
-        c, inertia, mass = robot.cable.damping, robot.drum.inertia, robot.platform.mass
+        c, inertia, mass = train.cable.damping, train.drum.inertia, robot.platform.mass
         drive = 2.0 * np.pi * bandwidth.current_loop_hz
         cell = 2.0 * np.pi * bandwidth.force_cell_hz
         pull = np.array([k * radius, c * radius, 0.0, 0.0, -k, -c])
         flow = np.zeros((_PLANT, _PLANT))
         flow[0, 1] = flow[4, 5] = 1.0
         flow[1] = -radius / inertia * pull
-        flow[1, 1] -= robot.drum.viscous_friction / inertia
+        flow[1, 1] -= train.drum.viscous_friction / inertia
         flow[1, 2] = 1.0 / inertia
         flow[2, 2] = -drive
         flow[3] = cell * pull
@@ -175,13 +182,20 @@ def loops(config: Config, controller: str) -> list[_Loop]:
         if not responses:
             raise
         laws = ()
-    found = [
-        _Loop(config, tension, outer, axis, follows=follows) for outer in laws for axis in range(3)
-    ]
-    return found + [
-        _Loop(config, tension, LinearLaw(), each.axis, follows=follows, response=each)
-        for each in responses
-    ]
+    found = []
+    for train in config.robot.kinds_of_axes:
+        found += [
+            _Loop(config, tension, outer, axis, follows=follows, train=train)
+            for outer in laws
+            for axis in range(3)
+        ]
+        found += [
+            _Loop(
+                config, tension, LinearLaw(), each.axis, follows=follows, response=each, train=train
+            )
+            for each in responses
+        ]
+    return found
 
 
 def least_margins(found: Iterable[_Loop], cut: str) -> Margins:
@@ -199,6 +213,15 @@ def least_margins(found: Iterable[_Loop], cut: str) -> Margins:
             min(least.reduction_db, here.reduction_db),
         )
     return least
+
+
+def worst_axes(found: Sequence[_Loop], cut: str, floors: TensionLoop) -> tuple[int, ...]:
+    """The axes whose loops have the least margins against their ``floors``."""
+    kinds = dict.fromkeys(loop.axes for loop in found)
+    least = {
+        axes: least_margins([loop for loop in found if loop.axes == axes], cut) for axes in kinds
+    }
+    return min(kinds, key=lambda axes: least[axes].reserve(floors))
 
 
 def margins(config: Config, controller: str, *, cut: str = "torque") -> Margins:

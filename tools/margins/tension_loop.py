@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from tonus.config.schema.axis import DriveTrain
 from tonus.config.schema.control import TensionLoop
-from tonus.config.schema.robot import Robot
 
 Array = NDArray[np.float64]
 DELAY_TICKS = 2
@@ -48,12 +48,17 @@ class Margins:
         gain, phase = loop.gain_margin_db, loop.phase_margin_deg
         return self.stable and self.least_gain_db >= gain and self.phase_deg >= phase
 
+    def reserve(self, loop: TensionLoop) -> float:
+        """How far above the floors of the configuration, by the scarcer of the two: the margin over
+        its floor; the least of several is the worst of them."""
+        return min(self.least_gain_db / loop.gain_margin_db, self.phase_deg / loop.phase_margin_deg)
+
 
 UNSTABLE = Margins(-np.inf, -np.inf, 0.0, -np.inf)
 
 
 def tension_loop_margins(
-    robot: Robot,
+    train: DriveTrain,
     loop: TensionLoop,
     period: float,
     *,
@@ -62,13 +67,13 @@ def tension_loop_margins(
     cell_bandwidth_hz: float,
     delay_ticks: int = DELAY_TICKS,
 ) -> Margins:
-    """Margins for a cable of ``cable_length`` m; drive and cell have first-order bandwidths. The
-    poles of the closed loop decide whether there are any."""
-    plant = _plant(robot, period, cable_length, current_loop_hz, cell_bandwidth_hz)
-    if not stable(_closed_loop(plant, robot, loop, period, delay_ticks)):
+    """Margins of an axis with a cable of ``cable_length`` m; drive and cell have first-order
+    bandwidths. The poles of the closed loop decide whether there are any."""
+    plant = _plant(train, period, cable_length, current_loop_hz, cell_bandwidth_hz)
+    if not stable(_closed_loop(plant, train, loop, period, delay_ticks)):
         return UNSTABLE
     frequency = frequencies(period)
-    return margins_of(_open_loop(plant, robot, loop, period, delay_ticks, frequency), frequency)
+    return margins_of(_open_loop(plant, train, loop, period, delay_ticks, frequency), frequency)
 
 
 def stable(matrix: Array) -> bool:
@@ -110,13 +115,13 @@ _Plant = tuple[Array, Array, Array]
 
 
 def _plant(
-    robot: Robot,
+    train: DriveTrain,
     period: float,
     cable_length: float,
     current_loop_hz: float,
     cell_bandwidth_hz: float,
 ) -> _Plant:
-    drum, cable = robot.drum, robot.cable
+    drum, cable = train.drum, train.cable
     stiffness = cable.axial_stiffness / cable_length
     radius, inertia = drum.radius, drum.inertia
     drive, cell = 2.0 * np.pi * current_loop_hz, 2.0 * np.pi * cell_bandwidth_hz
@@ -141,7 +146,7 @@ def _plant(
 
 
 def _closed_loop(
-    plant: _Plant, robot: Robot, loop: TensionLoop, period: float, delay_ticks: int
+    plant: _Plant, train: DriveTrain, loop: TensionLoop, period: float, delay_ticks: int
 ) -> Array:
     """State matrix: the plant; the last angle; the integral, if there is one; torques under way."""
     step, effect, (force, angle) = plant
@@ -151,12 +156,12 @@ def _closed_loop(
     matrix, asked = np.zeros((size, size)), np.zeros(size)
     matrix[:4, :4] = step
     matrix[4, :4] = angle
-    asked[:4] = -robot.drum.radius * (loop.proportional + loop.integral * period) * force
+    asked[:4] = -train.drum.radius * (loop.proportional + loop.integral * period) * force
     asked[:4] -= loop.rate_damping / period * angle
     asked[4] = loop.rate_damping / period
     if integrates:
         matrix[5, :4], matrix[5, 5] = loop.integral * period * force, 1.0
-        asked[5] = -robot.drum.radius
+        asked[5] = -train.drum.radius
     if delay_ticks:
         matrix[:4, -1] = effect
         matrix[first] = asked
@@ -168,7 +173,7 @@ def _closed_loop(
 
 def _open_loop(
     plant: _Plant,
-    robot: Robot,
+    train: DriveTrain,
     loop: TensionLoop,
     period: float,
     delay_ticks: int,
@@ -178,7 +183,7 @@ def _open_loop(
     z = np.exp(2j * np.pi * frequency * period)
     answer = seen @ np.linalg.solve(z[:, None, None] * np.eye(4) - step, effect[:, None])
     integral = loop.integral * period * z / (z - 1.0)
-    on_force = robot.drum.radius * (loop.proportional + integral)
+    on_force = train.drum.radius * (loop.proportional + integral)
     on_angle = loop.rate_damping * (1.0 - 1.0 / z) / period
     returned = on_force * answer[:, 0, 0] + on_angle * answer[:, 1, 0]
     return np.asarray(returned * z ** (-delay_ticks))

@@ -200,9 +200,9 @@ def _drive_efficiency(trial: Trial, span: slice) -> float | None:
     if lab is None:
         return None
     current, rate = truth["current"][span], truth["drum_rate"][span]
-    shaft = robot.motor.torque_constant * robot.gearbox.ratio * current * rate
+    shaft = robot.torque_per_amp * current * rate
     electrical = shaft + lab.plant.winding_resistance * current**2
-    cable = truth["tension"][span] * robot.drum.radius * rate
+    cable = truth["tension"][span] * robot.drum_radius * rate
     driving = (shaft > 0.0) & (cable > 0.0)
     spent = float(electrical[driving].sum())
     return 100.0 * float(cable[driving].sum()) / spent if spent > 0.0 else None

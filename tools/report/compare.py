@@ -211,7 +211,7 @@ def _measured(log: Log, active: NDArray[np.intp], config: Config) -> dict[str, N
     """What the robot measured in the place of truth; zero where it measures nothing."""
     pose, wrench = log["/tonus/pose"][active], log["/tonus/wrench"][active]
     drives = log["/tonus/drives"][active]
-    per_ampere = config.robot.motor.torque_constant * config.robot.gearbox.ratio
+    per_ampere = config.robot.torque_per_amp
     absent = ("contact_penetration", "platform_power", "electrical_power")
     losses = ("friction_losses", "cable_losses", "copper_losses")
     return {

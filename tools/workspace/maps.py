@@ -104,7 +104,7 @@ def compute(
         if missing is not None:
             part = part.without(missing)
         left = [reserves(part, load, bounds, length).min(axis=1) for load in loads]
-        stiff = stiffness(part, robot, bounds.pre)
+        stiff = stiffness(part, robot, bounds.pre, missing)
         # A platform that the cables cannot carry has no stiffness.
         held = (
             np.where(left[0] >= 0.0, values, np.nan)

@@ -29,8 +29,9 @@ class Stiffness:
     """N/m, tensions held"""
 
 
-def matrices(at: Poses, tensions: Array, axial_stiffness: float) -> tuple[Array, Array]:
-    """K_E and K_G (n, 6, 6) under ``tensions`` (n, cables).
+def matrices(at: Poses, tensions: Array, axial_stiffness: Array) -> tuple[Array, Array]:
+    """K_E and K_G (n, 6, 6) under ``tensions`` (n, cables), of cables of ``axial_stiffness``
+    (cables,).
 
     K_G = sum of T/l [P, -P R; R P, -R P R] + T [0, 0; 0, -U R] over the cables, with
     P = 1 - u u', R = [r]x and U = [u]x.
@@ -67,10 +68,12 @@ def balanced(at: Poses, robot: Robot, level: float) -> Array:
     return np.asarray(even + np.einsum("nca,na->nc", np.linalg.pinv(at.matrices), lacking))
 
 
-def stiffness(at: Poses, robot: Robot, level: float) -> Stiffness:
+def stiffness(at: Poses, robot: Robot, level: float, missing: int | None = None) -> Stiffness:
     """At the tensions nearest to ``level`` that carry the platform; the geometric one at ``level``
-    in every cable."""
-    modulus = robot.cable.axial_stiffness
+    in every cable. ``missing``: the cable that ``at`` is without."""
+    modulus = robot.axial_stiffness
+    if missing is not None:
+        modulus = np.delete(modulus, missing)
     elastic, geometric = matrices(at, balanced(at, robot, level), modulus)
     total = elastic + geometric
     total = 0.5 * (total + np.swapaxes(total, 1, 2))

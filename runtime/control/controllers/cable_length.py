@@ -31,7 +31,8 @@ class PidLength(Controller):
         self._step = gains.integral * control.rates.period
         self._kinematics = Kinematics(robot.geometry)
         self._kinematics.evaluate(np.array(robot.home), LEVEL)
-        cable = self._kinematics.lengths / robot.cable.axial_stiffness
+        self._axial_stiffness = robot.axial_stiffness
+        cable = self._kinematics.lengths / self._axial_stiffness
         series = 1.0 / (1.0 / gains.proportional + cable)
         pull = self._kinematics.matrix[:3]
         self.resting_stiffness = float(np.trace(pull * series @ pull.T)) / 3.0
@@ -59,7 +60,7 @@ class PidLength(Controller):
         wrench[:3] = self._robot.platform.mass * motion.desired_acceleration + self._weight
         wrench[:3] += motion.push
         forward = closed_form(kinematics.matrix, wrench, centre)
-        wanted = kinematics.lengths / (1.0 + forward / self._robot.cable.axial_stiffness)
+        wanted = kinematics.lengths / (1.0 + forward / self._axial_stiffness)
         error = motion.wound - wanted
         rate = kinematics.matrix[:3].T @ motion.desired_velocity - motion.winding
         if stiffness >= self.resting_stiffness:

@@ -35,7 +35,7 @@ class Servo:
         self._integral = 0.0
         self._speed_gains = [self.find(0x30A2, n) for n in range(1, 5)]
         self._position_gains = [self.find(0x30A1, n) for n in range(1, 6)]
-        self.per_radian = samples.per_radian
+        self.per_radian = samples.per_radian[axis]
         self.limit = 0.0
         """A, what may flow now"""
         self.limited = False
@@ -69,7 +69,7 @@ class Servo:
 
     @property
     def revolution(self) -> int:
-        return self._samples.per_revolution
+        return self._samples.per_revolution[self._axis]
 
     def start(self) -> None:
         """Begin at the present speed, position and current; the plant stands at the present."""

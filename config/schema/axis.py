@@ -1,0 +1,94 @@
+"""One axis from cable to motor, and what an axis may have that the others do not."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import Field
+
+from tonus.config.schema.base import Count, NonNegative, Positive, Section
+
+Efficiency = Annotated[float, Field(gt=0, le=1)]
+
+
+class Cable(Section):
+    axial_stiffness: Positive
+    """N: EA, so that a cable of unstretched length L0 has stiffness EA/L0"""
+    damping: NonNegative
+    """N s/m"""
+
+
+class Drum(Section):
+    radius: Positive
+    inertia: Positive
+    """kg m2 at the drum, motor and gearbox included"""
+    viscous_friction: NonNegative
+    """N m s/rad at the drum"""
+
+
+class Gearbox(Section):
+    numerator: Count
+    denominator: Count
+    efficiency: Efficiency
+
+    @property
+    def ratio(self) -> float:
+        return self.numerator / self.denominator
+
+
+class Motor(Section):
+    torque_constant: Positive
+    """N m/A"""
+    nominal_current: Positive
+    """A: 0x3001:1, the base of the drive's per mille torque scale"""
+    current_limit: Positive
+    """A: 0x3001:2"""
+    encoder_pulses: Count
+    """per motor revolution; the drive counts four increments per pulse"""
+    nominal_speed_rpm: Positive
+
+    @property
+    def increments_per_revolution(self) -> int:
+        return 4 * self.encoder_pulses
+
+    @property
+    def nominal_speed(self) -> float:
+        """rad/s"""
+        return self.nominal_speed_rpm * 2.0 * math.pi / 60.0
+
+    @property
+    def rated_torque(self) -> float:
+        """N m: what 1000 per mille of 0x6071 stand for, to the micronewton metre of 0x6076."""
+        micro = round(self.nominal_current * 1e3) * round(self.torque_constant * 1e6) / 1000
+        return round(micro) * 1e-6
+
+
+class DriveTrain(Section):
+    """What one motor moves one cable with."""
+
+    cable: Cable
+    drum: Drum
+    gearbox: Gearbox
+    motor: Motor
+
+    @property
+    def drum_mass(self) -> float:
+        """kg: the drum's inertia as the cable feels it."""
+        return self.drum.inertia / self.drum.radius**2
+
+    @property
+    def torque_per_amp(self) -> float:
+        """N m at the drum per ampere of motor, without losses."""
+        return self.motor.torque_constant * self.gearbox.ratio
+
+    @property
+    def torque_limit(self) -> float:
+        """N m at the drum, of the motor's current limit, without losses."""
+        return self.motor.current_limit * self.motor.torque_constant * self.gearbox.ratio
+
+    @property
+    def tension_per_amp(self) -> float:
+        """N of cable per ampere of motor, gearbox losses included, while winding (eq. 6)."""
+        shaft = self.motor.torque_constant * self.gearbox.ratio * self.gearbox.efficiency
+        return shaft / self.drum.radius
