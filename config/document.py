@@ -13,6 +13,8 @@ from yaml.reader import ReaderError
 from tonus.config.errors import ConfigError
 
 Key = tuple[str | int, ...]
+_NAMES = ("tag:yaml.org,2002:str", "tag:yaml.org,2002:int")
+"""What a key may be: a plain word, or an axis' number, which then is a text too."""
 Scalar = str | int | float | bool | None
 INCLUDE = "!include"
 
@@ -152,11 +154,15 @@ def _included(
 
 
 def _name(node: yaml.Node, shown: str, key: Key) -> str:
-    if isinstance(node, yaml.ScalarNode) and node.tag == "tag:yaml.org,2002:str":
+    if isinstance(node, yaml.ScalarNode) and node.tag in _NAMES:
         return str(node.value)
     what = repr(node.value) if isinstance(node, yaml.ScalarNode) else "a list or mapping"
     raise ConfigError(
-        shown, node.start_mark.line + 1, dotted(key), f"{what} is no key", "a key is a plain word"
+        shown,
+        node.start_mark.line + 1,
+        dotted(key),
+        f"{what} is no key",
+        "a key is a plain word or a number",
     )
 
 

@@ -43,6 +43,7 @@ _REMEDY = {
     "too_long": "remove the surplus items",
     "value_error": "change one of the values",
 }
+_OF_KEY = "[key]"
 _EXPECTED = "give a value of that type"
 
 
@@ -248,11 +249,14 @@ def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) ->
 
 
 def _real_key(document: Document, loc: tuple[int | str, ...]) -> Key:
-    """pydantic names union branches in its locations; the document has no such step."""
+    """pydantic names union branches in its locations, and says where it is about a key and not its
+    value; the document has no such steps."""
     key: list[str | int] = []
     place: Any = document.data
     for index, part in enumerate(loc):
         last = index == len(loc) - 1
+        if part == _OF_KEY:
+            continue
         if isinstance(place, dict):
             if part in place:
                 place = place[part]
@@ -276,7 +280,7 @@ def _fields(model: type[BaseModel], key: Key) -> list[str]:
             fields = getattr(candidate, "model_fields", {})
             if part in fields:
                 inner += _models(fields[part].annotation)
-            elif isinstance(part, int):
+            elif isinstance(part, int) or part.isdecimal():
                 inner.append(candidate)
         candidates = inner
     for candidate in candidates:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from tonus.config.schema.base import Count, NonNegative, Positive, Section
 
@@ -92,3 +92,73 @@ class DriveTrain(Section):
         """N of cable per ampere of motor, gearbox losses included, while winding (eq. 6)."""
         shaft = self.motor.torque_constant * self.gearbox.ratio * self.gearbox.efficiency
         return shaft / self.drum.radius
+
+
+Part = TypeVar("Part", bound=Section)
+
+
+class _Overrides(Section):
+    """What is stated here takes the place of a default; what is not stays out of the record."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _stated(cls, value: Any) -> Any:
+        if value is None:
+            raise ValueError("has no value; give one, or remove the key to keep the default")
+        return value
+
+    @model_serializer(mode="wrap")
+    def _as_stated(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: value for name, value in write(self).items() if value is not None}
+
+    def over(self, default: Part) -> Part:
+        """The ``default`` with what is stated here in place of its own."""
+        stated = {name: value for name, value in self if value is not None}
+        return default.model_copy(update=stated)
+
+
+class CableOverrides(_Overrides):
+    axial_stiffness: Positive | None = None
+    damping: NonNegative | None = None
+
+
+class DrumOverrides(_Overrides):
+    radius: Positive | None = None
+    inertia: Positive | None = None
+    viscous_friction: NonNegative | None = None
+
+
+class GearboxOverrides(_Overrides):
+    numerator: Count | None = None
+    denominator: Count | None = None
+    efficiency: Efficiency | None = None
+
+
+class MotorOverrides(_Overrides):
+    torque_constant: Positive | None = None
+    nominal_current: Positive | None = None
+    current_limit: Positive | None = None
+    encoder_pulses: Count | None = None
+    nominal_speed_rpm: Positive | None = None
+
+
+class AxisOverrides(_Overrides):
+    """Any part of any section of a `DriveTrain`."""
+
+    cable: CableOverrides = CableOverrides()
+    drum: DrumOverrides = DrumOverrides()
+    gearbox: GearboxOverrides = GearboxOverrides()
+    motor: MotorOverrides = MotorOverrides()
+
+    @model_serializer(mode="wrap")
+    def _as_stated(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: value for name, value in write(self).items() if value}
+
+    def of(self, default: DriveTrain) -> DriveTrain:
+        """The ``default`` with what is stated here in place of its own."""
+        return DriveTrain(
+            cable=self.cable.over(default.cable),
+            drum=self.drum.over(default.drum),
+            gearbox=self.gearbox.over(default.gearbox),
+            motor=self.motor.over(default.motor),
+        )

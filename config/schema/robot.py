@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
-from tonus.config.schema.axis import Cable, DriveTrain, Drum, Gearbox, Motor
+from tonus.config.schema.axis import AxisOverrides, Cable, DriveTrain, Drum, Gearbox, Motor
 from tonus.config.schema.base import (
     Count,
     Finite,
@@ -44,6 +50,16 @@ class Geometry(Section):
     """m, scales moments against forces where the two meet in one norm"""
 
 
+def _axis_number(value: Any) -> Any:
+    """Documents have texts as keys; a second spelling of a number would hide the first."""
+    if str(value) not in map(str, range(CABLES)):
+        raise ValueError(f"there is no axis {value}; axes are numbered 0 to {CABLES - 1}")
+    return int(value)
+
+
+AxisNumber = Annotated[int, BeforeValidator(_axis_number)]
+
+
 class Workspace(Section):
     x: Interval
     y: Interval
@@ -76,6 +92,8 @@ class Robot(Section):
     drum: Drum
     gearbox: Gearbox
     motor: Motor
+    axes: dict[AxisNumber, AxisOverrides] = {}
+    """by axis, 0 to 7: what it has that differs from ``cable``, ``drum``, ``gearbox``, ``motor``"""
     response: Response = Response()
     workspace: Workspace
     home: Vector3
@@ -84,11 +102,21 @@ class Robot(Section):
     """m: where the platform lies on its cradle while the drives are off"""
     gravity: Positive
 
+    @model_serializer(mode="wrap")
+    def _as_stated(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A robot whose axes are alike is written as one that has no ``axes``."""
+        written: dict[str, Any] = write(self)
+        if not self.axes:
+            written.pop("axes", None)
+        return written
+
     @property
     def drive_trains(self) -> tuple[DriveTrain, ...]:
         """One for each cable, in their order."""
         train = DriveTrain(cable=self.cable, drum=self.drum, gearbox=self.gearbox, motor=self.motor)
-        return (train,) * CABLES
+        return tuple(
+            self.axes[axis].of(train) if axis in self.axes else train for axis in range(CABLES)
+        )
 
     @property
     def kinds_of_axes(self) -> dict[DriveTrain, tuple[int, ...]]:

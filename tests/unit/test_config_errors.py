@@ -70,6 +70,11 @@ def make_directory(folder: Path) -> None:
     (folder / CONFIG).mkdir()
 
 
+def axes(text: str) -> Edit:
+    """The robot with ``axes`` in one line."""
+    return Edit(ROBOT, "gravity: 9.80665", f"gravity: 9.80665\naxes: {{{text}}}")
+
+
 CASES = [
     Broken(
         "policy", Edit(REALTIME, "spin_us: 30", "spin_us: 30\npolicy: demand"), REALTIME,
@@ -186,7 +191,59 @@ CASES = [
     ),
     Broken(
         "a number as key", Edit(ROBOT, "gravity: 9.80665", "gravity: 9.80665\n7: 8"), ROBOT, "7: 8",
-        "robot", "'7' is no key", "a key is a plain word",
+        "robot.7", "is not a key here", "remove it",
+    ),
+    Broken(
+        "a fraction as key", Edit(ROBOT, "gravity: 9.80665", "gravity: 9.80665\n.5: 8"), ROBOT,
+        ".5: 8", "robot", "'.5' is no key", "a key is a plain word or a number",
+    ),
+    Broken(
+        "an axis that is not there", axes("8: {drum: {radius: 0.03}}"), ROBOT, "8: {",
+        "robot.axes.8", "there is no axis 8", "axes are numbered 0 to 7",
+    ),
+    Broken(
+        "an axis by a name", axes("upper: {drum: {radius: 0.03}}"), ROBOT, "upper: {",
+        "robot.axes.upper", "there is no axis upper", "axes are numbered 0 to 7",
+    ),
+    Broken(
+        "an axis in a second spelling", axes("4: {}, 04: {}"), ROBOT, "04: {}",
+        "robot.axes.04", "there is no axis 04", "axes are numbered 0 to 7",
+    ),
+    Broken(
+        "an axis twice", axes("4: {}, 4: {}"), ROBOT, "4: {}, 4: {}",
+        "robot.axes.4", "given twice", "keep one of the two",
+    ),
+    Broken(
+        "a list of axes", Edit(ROBOT, "gravity: 9.80665", "gravity: 9.80665\naxes: [4]"), ROBOT,
+        "axes: [4]", "robot.axes", "should be a valid dictionary", "give a value of that type",
+    ),
+    Broken(
+        "an empty axis", axes("4: "), ROBOT, "4: }", "robot.axes.4",
+        "should be a valid dictionary", "give a value of that type",
+    ),
+    Broken(
+        "an axis' misspelt section", axes("4: {drums: {radius: 0.03}}"), ROBOT, "drums",
+        "robot.axes.4.drums", "is not a key here", "did you mean drum?",
+    ),
+    Broken(
+        "an axis' misspelt value", axes("4: {drum: {radios: 0.03}}"), ROBOT, "radios",
+        "robot.axes.4.drum.radios", "is not a key here", "did you mean radius?",
+    ),
+    Broken(
+        "an axis' negative radius", axes("4: {drum: {radius: -0.03}}"), ROBOT, "-0.03",
+        "robot.axes.4.drum.radius", "should be greater than 0, not -0.03", "choose a larger value",
+    ),
+    Broken(
+        "an axis' value left out", axes("4: {drum: {radius: }}"), ROBOT, "radius: }",
+        "robot.axes.4.drum.radius", "has no value", "remove the key to keep the default",
+    ),
+    Broken(
+        "an axis' efficiency above one", axes("4: {gearbox: {efficiency: 1.2}}"), ROBOT, "1.2",
+        "robot.axes.4.gearbox.efficiency", "less than or equal to 1, not 1.2", "choose a smaller",
+    ),
+    Broken(
+        "an axis with half a pulse", axes("4: {motor: {encoder_pulses: 0.5}}"), ROBOT, "0.5",
+        "robot.axes.4.motor.encoder_pulses", "should be a valid integer", "give a value",
     ),
     Broken(
         "a list as key", Edit(ROBOT, "gravity: 9.80665", "gravity: 9.80665\n[a, b]: 8"), ROBOT,

@@ -7,6 +7,7 @@ from typing import Any
 
 from tonus.config import Config
 from tonus.config.loader import load_plausible
+from tonus.config.schema.axis import AxisOverrides
 from tonus.config.schema.plausible import Bound
 from tonus.tools.check.finding import Finding
 
@@ -14,17 +15,33 @@ from tonus.tools.check.finding import Finding
 def plausibility(config: Config) -> Iterator[Finding]:
     """One finding for each implausible value, or one that all are plausible."""
     bounds = load_plausible().bounds
-    wrong = [each for each in (_judge(config, bound) for bound in bounds) if each is not None]
+    judged = (
+        _judge(key, value, bound) for bound in bounds for key, value in _stated(config, bound)
+    )
+    wrong = [each for each in judged if each is not None]
     if not wrong:
         text = f"{len(bounds)} values are of the size that their units let expect"
         yield Finding("units", True, "robot", text, "give SI units")
     yield from wrong
 
 
-def _judge(config: Config, bound: Bound) -> Finding | None:
+def _stated(config: Config, bound: Bound) -> Iterator[tuple[str, Any]]:
+    """Every key at which a bound's quantity is given, with its value: an axis may have its own."""
     value: Any = config
-    for part in bound.key.split("."):
+    parts = bound.key.split(".")
+    for part in parts:
         value = getattr(value, part)
+    yield bound.key, value
+    if parts[0] != "robot" or parts[1] not in AxisOverrides.model_fields:
+        return
+    _, section, field = parts
+    for axis, overrides in config.robot.axes.items():
+        own = getattr(getattr(overrides, section), field)
+        if own is not None:
+            yield f"robot.axes.{axis}.{section}.{field}", own
+
+
+def _judge(key: str, value: Any, bound: Bound) -> Finding | None:
     found = bound.largest(value)
     if bound.low <= found <= bound.high:
         return None
@@ -33,4 +50,4 @@ def _judge(config: Config, bound: Bound) -> Finding | None:
     if bound.low <= found / bound.factor <= bound.high:
         what += f"; it looks like {bound.mistaken}"
         remedy = f"give it in {bound.unit}: {found / bound.factor:g}"
-    return Finding("units", False, bound.key, what, remedy)
+    return Finding("units", False, key, what, remedy)
