@@ -24,6 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tonus.config.schema.axis import DriveTrain
 from tonus.config.schema.control import TensionLoop as Settings
 from tonus.config.schema.robot import CABLES, Robot
 
@@ -93,18 +94,18 @@ def _torques(
     rate: Array,
     expected: Array,
     usable: NDArray[np.bool_],
-    drums: tuple[Array, Array],
-    gains: tuple[float, float, float, float, float],
+    drums: tuple[Array, Array, Array],
+    gains: tuple[float, float, float, float],
     leading: tuple[Array, float, float],
     lengths: Array,
     past: tuple[Array, Array],
     integral: Array,
     torque: Array,
 ) -> None:
-    """``drums`` (8,): radius, largest torque; ``leading``: rate (8,) for each newton a tick of a
-    cable of 1 m, share of a tick in the slope, largest slope (N)."""
-    radius, limit = drums
-    forward, proportional, integral_step, integral_limit, damping = gains
+    """``drums`` (8,): radius, damping, largest torque; ``leading``: rate (8,) of a drum for each
+    newton a tick of a cable of 1 m, share of a tick in the slope, largest slope (N)."""
+    radius, damping, limit = drums
+    forward, proportional, integral_step, integral_limit = gains
     turn, follow, fastest = leading
     last, slope = past
     for i in range(reference.shape[0]):
@@ -121,9 +122,17 @@ def _torques(
         integral[i] = min(max(grown, -integral_limit), integral_limit)
         wanted = radius[i] * (forward * reference[i] + proportional * error + integral[i])
         ahead = turn[i] * lengths[i] * slope[i]
-        wanted += damping * (rate_reference[i] + ahead - rate[i]) + forward * expected[i]
+        wanted += damping[i] * (rate_reference[i] + ahead - rate[i]) + forward * expected[i]
         if math.isfinite(wanted):
             torque[i] = min(max(wanted, -limit[i]), limit[i])
+
+
+def of_axis(settings: Settings, train: DriveTrain, robot: Robot) -> Settings:
+    """The settings of one axis: they are stated for the robot's default drum, and the damping goes
+    with the drum's inertia. A drum of another radius with the same mass at the cable then makes the
+    same loop."""
+    share = train.drum.inertia / robot.drum.inertia
+    return settings.model_copy(update={"rate_damping": settings.rate_damping * share})
 
 
 class TensionLoop:
@@ -131,13 +140,14 @@ class TensionLoop:
 
     def __init__(self, robot: Robot, settings: Settings, period: float) -> None:
         radius = robot.drum_radius
-        self._drums = (radius, robot.torque_limit)
+        each = [of_axis(settings, train, robot) for train in robot.drive_trains]
+        damping = np.array([own.rate_damping for own in each])
+        self._drums = (radius, damping, robot.torque_limit)
         self._gains = (
             settings.feed_forward,
             settings.proportional,
             settings.integral * period,
             settings.integral_limit,
-            settings.rate_damping,
         )
         self._lead = (
             settings.lead / (robot.axial_stiffness * radius * period),

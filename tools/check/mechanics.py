@@ -12,6 +12,7 @@ from tonus.config import Config, Scenario
 from tonus.config.schema.lab import Load
 from tonus.config.schema.robot import Robot, Workspace
 from tonus.runtime.control.reference import trajectory
+from tonus.runtime.control.tension import of_axis
 from tonus.tools.check.feasibility import (
     Feasibility,
     Poses,
@@ -236,7 +237,7 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
         axes: [
             tension_loop_margins(
                 train,
-                loop,
+                of_axis(loop, train, robot),
                 config.control.rates.period,
                 cable_length=length,
                 current_loop_hz=response.current_loop_hz,

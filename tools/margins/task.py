@@ -24,6 +24,7 @@ from tonus.runtime.control.controllers import make_controller
 from tonus.runtime.control.controllers.linear import LinearLaw, NoLinearLawError
 from tonus.runtime.control.controllers.registry import is_foreign
 from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.control.tension import of_axis
 from tonus.tools.margins.linearisation import LinearResponse, commands_tensions, linear_responses
 from tonus.tools.margins.tension_loop import (
     DELAY_TICKS,
@@ -70,7 +71,8 @@ class _Loop:
         self._gather = gather = float((kinematics.matrix[axis] ** 2).sum())
         self._radius = radius = train.drum.radius
         self._follows = follows
-        self._tension, self._outer, self._period = tension, outer, config.control.rates.period
+        self._tension = tension = of_axis(tension, train, robot)
+        self._outer, self._period = outer, config.control.rates.period
         k = train.cable.axial_stiffness / float(kinematics.lengths.mean())
         self._turn = tension.lead / (k * radius * self._period)
         """rad/s of the drum for each newton by which the reference moves in a tick"""
