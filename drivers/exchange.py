@@ -127,7 +127,8 @@ class Exchange:
         self._events = events
         self._places = places
         self._freshness = freshness.measurement_ticks
-        scales = [Scale.of(train) for train in robot.drive_trains]
+        trains = zip(robot.drive_trains, robot.signs, strict=True)
+        scales = [Scale.of(train, sign) for train, sign in trains]
         self._scales = (
             np.array([scale.radian_per_increment for scale in scales]),
             np.array([scale.newton_metre_per_mille for scale in scales]),
@@ -135,7 +136,9 @@ class Exchange:
         )
         self._axes = [Cia402Axis() for _ in range(CABLES)]
         self._per_newton_metre = [scale.mille_per_newton_metre for scale in scales]
-        self._torque_limits = [scale.mille_limit * scale.newton_metre_per_mille for scale in scales]
+        self._torque_limits = [
+            scale.mille_limit * abs(scale.newton_metre_per_mille) for scale in scales
+        ]
         self._reported = False
         self._axis_table, self._cell_table = image.axes, image.cells
         self._state = image.axes["state"]

@@ -123,9 +123,12 @@ class ClosedLoop:
         self._sigma = noise.sigma
         digits = config.fieldbus.force_cell.decimal_digits
         self._cell_grid = 10.0**-digits
-        self._increments = robot.motor.increments_per_revolution / (2.0 * np.pi)
-        self._ratio, self._rated = robot.gearbox.ratio, robot.motor.rated_torque
-        self._torque_constant = robot.motor.torque_constant
+        motors = [train.motor for train in robot.drive_trains]
+        per_revolution = np.array([motor.increments_per_revolution for motor in motors])
+        self._increments = per_revolution / (2.0 * np.pi)
+        self._ratio = robot.gear_ratio * robot.signs
+        self._rated = np.array([motor.rated_torque for motor in motors])
+        self._torque_constant = np.array([motor.torque_constant for motor in motors])
         self._sample: tuple[Array, Array] | None = None
         self._enabled = np.zeros(len(self.image.axes), dtype=bool)
         self._current = np.zeros(len(self.image.axes))

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+)
 
-from tonus.config.schema.base import Count, NonNegative, Positive, Section
+from tonus.config.schema.base import Count, NonNegative, Positive, Section, no_boolean
 
+Sign = Annotated[Literal[1, -1], BeforeValidator(no_boolean)]
 Efficiency = Annotated[float, Field(gt=0, le=1)]
 
 
@@ -143,8 +150,10 @@ class MotorOverrides(_Overrides):
 
 
 class AxisOverrides(_Overrides):
-    """Any part of any section of a `DriveTrain`."""
+    """Any part of any section of a `DriveTrain`, and how the motor is mounted."""
 
+    sign: Sign = 1
+    """which way the motor turns, as its encoder counts, to wind the cable in: 1 up, -1 down"""
     cable: CableOverrides = CableOverrides()
     drum: DrumOverrides = DrumOverrides()
     gearbox: GearboxOverrides = GearboxOverrides()

@@ -92,7 +92,7 @@ class Robot(Section):
     drum: Drum
     gearbox: Gearbox
     motor: Motor
-    axes: dict[AxisNumber, AxisOverrides] = {}
+    axes: dict[AxisNumber, AxisOverrides] = Field(default_factory=dict)
     """by axis, 0 to 7: what it has that differs from ``cable``, ``drum``, ``gearbox``, ``motor``"""
     response: Response = Response()
     workspace: Workspace
@@ -117,6 +117,12 @@ class Robot(Section):
         return tuple(
             self.axes[axis].of(train) if axis in self.axes else train for axis in range(CABLES)
         )
+
+    @property
+    def signs(self) -> tuple[int, ...]:
+        """Of each axis: 1 where its motor turns up, as its encoder counts, to wind the cable in; -1
+        where it turns down."""
+        return tuple(self.axes[axis].sign if axis in self.axes else 1 for axis in range(CABLES))
 
     @property
     def kinds_of_axes(self) -> dict[DriveTrain, tuple[int, ...]]:

@@ -65,7 +65,8 @@ def settings(motor: Motor, drive: Drive | EthercatDrive) -> tuple[Setting, ...]:
 
 @dataclass(frozen=True)
 class Scale:
-    """Device units of one axis against SI at its drum."""
+    """Device units of one axis against SI at its drum, winding in positive: both factors are
+    negative for a motor that turns the other way."""
 
     radian_per_increment: float
     newton_metre_per_mille: float
@@ -74,12 +75,13 @@ class Scale:
     """largest magnitude of a target torque: the current limit, and what 16 bits hold"""
 
     @staticmethod
-    def of(train: DriveTrain) -> Scale:
+    def of(train: DriveTrain, sign: int = 1) -> Scale:
+        """``sign``: 1, or -1 for a motor that turns down to wind in."""
         motor, ratio = train.motor, train.gearbox.ratio
-        rated = motor.rated_torque * ratio
+        rated = sign * motor.rated_torque * ratio
         limit = math.floor(PER_MILLE * motor.current_limit / motor.nominal_current)
         return Scale(
-            radian_per_increment=2.0 * math.pi / (motor.increments_per_revolution * ratio),
+            radian_per_increment=sign * 2.0 * math.pi / (motor.increments_per_revolution * ratio),
             newton_metre_per_mille=rated / PER_MILLE,
             mille_per_newton_metre=PER_MILLE / rated,
             mille_limit=min(limit, INT16_MAX),

@@ -54,7 +54,7 @@ class Measured(Protocol):
     @property
     def motor_rate(self) -> Floats: ...
     @property
-    def current(self) -> Floats: ...
+    def motor_current(self) -> Floats: ...
     @property
     def cell_force(self) -> Floats: ...
     @property
@@ -137,7 +137,7 @@ class Samples:
                 self._draw(conversion // _BLOCK)
             _sample(
                 plant.motor_angle,
-                plant.current,
+                plant.motor_current,
                 plant.cell_force,
                 self._p,
                 self._noise,

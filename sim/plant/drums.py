@@ -1,4 +1,5 @@
-"""Motors, gearboxes and drums. A positive angle, torque or current winds cable in.
+"""Motors, gearboxes and drums. A positive angle, torque or current winds cable in; only what the
+drives see and write of a motor has that motor's own sign.
 
 Inertia, friction and the rotor's angle are taken at the drum. As a rule rotor and drum are one
 body; with backlash they are two, with the play and the elastic teeth between them.
@@ -18,7 +19,7 @@ def follow_currents(s: Any, p: Any, keep: float) -> None:
     """Bring every current nearer to its reference, which is bounded; ``keep`` is the share of the
     difference that remains."""
     for i in range(8):
-        goal = s.current_reference[i] if s.powered[i] else 0.0
+        goal = p.sign[i] * s.current_reference[i] if s.powered[i] else 0.0
         goal = min(p.current_limit[i], max(-p.current_limit[i], goal))
         s.current[i] = goal + (s.current[i] - goal) * keep
 

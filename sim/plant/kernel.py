@@ -136,8 +136,10 @@ def _account(s: Any, p: Any) -> None:
             angle, rate = s.rotor_angle[i], s.rotor_rate[i]
             kinetic += 0.5 * p.rotor_inertia[i] * rate**2
             strain += s.teeth_energy[i]
-        s.motor_angle[i] = p.ratio[i] * (p.encoder_gain[i] * angle + p.encoder_offset[i])
-        s.motor_rate[i] = p.ratio[i] * p.encoder_gain[i] * rate
+        turns = p.sign[i] * p.ratio[i]
+        s.motor_angle[i] = turns * (p.encoder_gain[i] * angle + p.encoder_offset[i])
+        s.motor_rate[i] = turns * p.encoder_gain[i] * rate
+        s.motor_current[i] = p.sign[i] * s.current[i]
         electrical += p.torque_per_amp[i] * s.current[i] * rate + p.resistance * s.current[i] ** 2
     for i in range(9):
         s.cell_force[i] = p.cell_gain[i] * s.cell_filtered[i] + p.cell_offset[i]

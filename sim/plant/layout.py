@@ -27,9 +27,10 @@ STATE = np.dtype(
     [
         *((name, _FLOAT, (size,) if size else ()) for name, _, size, _, _ in TRUTH_FIELDS),
         *_fields(
-            motor_angle=_PER_CABLE,  # rad, motor side
+            motor_angle=_PER_CABLE,  # rad, motor side, the motor's own way positive
             motor_rate=_PER_CABLE,  # rad/s, motor side
-            current_reference=_PER_CABLE,  # A, written by the drives
+            motor_current=_PER_CABLE,  # A, positive where the motor's own way is
+            current_reference=_PER_CABLE,  # A, written by the drives, likewise
             cell_force=(_FLOAT, (CABLES + 1,)),  # N, what each cell shows
             cell_filtered=(_FLOAT, (CABLES + 1,)),  # N, behind each cell's low-pass
             slipped=_PER_CABLE,  # m, paid out by slipping on the drum
@@ -101,6 +102,7 @@ PARAMETERS = np.dtype(
         torque_per_amp=_PER_CABLE,  # N m/A at the drum, without losses
         resistance=_FLOAT,  # ohm
         ratio=_PER_CABLE,
+        sign=_PER_CABLE,  # -1 where the motor's own way lets the cable out
         current_limit=_PER_CABLE,
         current_pole=_FLOAT,  # rad/s
         cell_pole=_FLOAT,  # rad/s

@@ -71,6 +71,7 @@ def parameters(
         "torque_per_amp": robot.torque_per_amp,
         "resistance": plant.winding_resistance,
         "ratio": robot.gear_ratio,
+        "sign": robot.signs,
         "current_limit": robot.current_limit,
         "current_pole": 2.0 * pi * plant.current_loop_hz,
         "cell_pole": 2.0 * pi * lab.noise.force_cell.bandwidth_hz,

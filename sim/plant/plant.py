@@ -25,9 +25,10 @@ Floats = NDArray[np.float64]
 class Plant:
     """Platform, cables, drums and currents, at first at rest in the cradle with the cables slack.
 
-    Arrays are live views, valid after `advance`; the drives write ``current_reference`` (A),
-    ``powered`` and ``locked``. Equal seeds and equal calls of `advance` give equal bytes; other
-    instants to stop at give the same motion within the integrator's error.
+    Arrays are live views, valid after `advance`; the drives write ``current_reference`` (A; it has
+    the motor's own sign, like all that is named after the motor), ``powered`` and ``locked``. Equal
+    seeds and equal calls of `advance` give equal bytes; other instants to stop at give the same
+    motion within the integrator's error.
 
     ``phantom``, ``load`` and ``displacement`` are what the present scenario has, or None;
     ``start_ns`` is the time on the lab's clock at which the plant begins.
@@ -74,6 +75,7 @@ class Plant:
         self.motor_angle: Floats = state["motor_angle"][0]
         self.motor_rate: Floats = state["motor_rate"][0]
         self.current: Floats = state["current"][0]
+        self.motor_current: Floats = state["motor_current"][0]
         self.current_reference: Floats = state["current_reference"][0]
         self.cell_force: Floats = state["cell_force"][0]
         self.load_wrench: Floats = state["load"][0]
@@ -197,7 +199,7 @@ class Plant:
         self.state["rotor_angle"][0] = self.drum_angle + twist
         self.state["rotor_rate"] = 0.0
         self.current[:] = pull * p["radius"] / p["torque_per_amp"]
-        self.current_reference[:] = self.current
+        self.current_reference[:] = p["sign"] * self.current
         self.state["cell_filtered"][0, :CABLES] = pull
         self.powered[:] = True
         self._run(0, 0.0, -inf)

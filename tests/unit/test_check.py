@@ -56,7 +56,7 @@ def only(found: dict[str, Finding], rule: str) -> Finding:
     return found[rule]
 
 
-@pytest.mark.parametrize("name", ["can", "direct", "ethercat", "mixed", "robot"])
+@pytest.mark.parametrize("name", ["can", "direct", "ethercat", "mixed", "robot", "unlike_axes"])
 def test_what_is_shipped_passes(name: str) -> None:
     config, scenario = load(f"config/{name}.yaml")
     findings = check(config, scenario)
@@ -137,6 +137,31 @@ def test_one_id_on_two_channels_is_no_collision() -> None:
         ({"robot.rest": [0.0, 0.4, 0.0]}, "places", "outside the workspace"),
         ({"robot.motor.current_limit": 5.7}, "motor torque", "200 N need 5.75 A of 5.7 A"),
         ({"control.envelope.speed_limit": 0.6}, "motor speed", "0.516 m/s"),
+        (
+            {"robot.axes": {3: {"motor": {"current_limit": 5.0}}, 6: {"sign": -1}}},
+            "motor torque",
+            "200 N need 5.75 A of 5 A on axis 3",
+        ),
+        (
+            {"robot.axes": {axis: {"motor": {"nominal_speed_rpm": 1400}} for axis in (1, 2)}},
+            "motor speed",
+            "0.239 m/s on axes 1, 2,",
+        ),
+        (
+            {"robot.axes": {7: {"drum": {"inertia": 1.0e-3}}}},
+            "drum damping",
+            "less than 833 N s/m on axis 7",
+        ),
+        (
+            {"robot.axes": {5: {"cable": {"axial_stiffness": 30000.0}}}},
+            "tension loop",
+            "on axis 5 over cables of",
+        ),
+        (
+            {"robot.axes": {5: {"cable": {"axial_stiffness": 30000.0}}}},
+            "margins",
+            "on axis 5",
+        ),
         ({"control.stop.passive_damping": 3600.0}, "drum damping", "3600 N s/m"),
         ({"control.stop.reel_damping": 3500.0}, "drum damping", "less than 3500 N s/m"),
         ({"control.tension_loop.rate_damping": 0.1}, "tension loop", "floors 6 dB and 35 deg"),
@@ -348,6 +373,12 @@ def test_anchors_in_millimetres_are_named_with_the_remedy_and_nothing_else_is_co
     assert finding.where == "robot.geometry.frame"
     assert "it looks like mm" in finding.text
     assert "give it in m" in finding.remedy
+
+
+def test_an_axis_own_value_in_millimetres_is_named_at_its_place() -> None:
+    finding = only(failed({"robot.axes": {4: {"drum": {"radius": 25.0}}}}), "units")
+    assert finding.where == "robot.axes.4.drum.radius"
+    assert "it looks like mm" in finding.text
 
 
 @pytest.mark.parametrize(

@@ -242,6 +242,14 @@ CASES = [
         "robot.axes.4.gearbox.efficiency", "less than or equal to 1, not 1.2", "choose a smaller",
     ),
     Broken(
+        "an axis without a way to turn", axes("4: {sign: 0}"), ROBOT, "sign: 0",
+        "robot.axes.4.sign", "should be 1 or -1, not 0", "choose one of these",
+    ),
+    Broken(
+        "an axis that turns yes", axes("4: {sign: yes}"), ROBOT, "sign: yes",
+        "robot.axes.4.sign", "must be a number, not true", "YAML takes yes, no, on",
+    ),
+    Broken(
         "an axis with half a pulse", axes("4: {motor: {encoder_pulses: 0.5}}"), ROBOT, "0.5",
         "robot.axes.4.motor.encoder_pulses", "should be a valid integer", "give a value",
     ),

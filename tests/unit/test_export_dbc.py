@@ -71,6 +71,21 @@ def test_numbers_are_in_si_units_at_the_drum(can4: Database) -> None:
     }
 
 
+def test_an_axis_of_its_own_has_numbers_of_its_own() -> None:
+    """A motor with other encoder and gear that turns down to wind in."""
+    own = {
+        "sign": -1,
+        "gearbox": {"numerator": 10, "denominator": 1},
+        "motor": {"encoder_pulses": 500, "torque_constant": 0.1, "nominal_current": 5.0},
+    }
+    found = exported(overrides={"robot.axes": {2: own}})
+    data = bytes.fromhex("37 02") + (5000).to_bytes(4, "little") + (100).to_bytes(2, "little")
+    told = found.decode_message(0x183, data)
+    assert told["Position"] == pytest.approx(-3.141592653589793 / 2)
+    assert told["Torque"] == pytest.approx(-0.1 * 5 * 0.1 * 10)
+    assert found.decode_message(0x181, data)["Position"] > 0.0
+
+
 @pytest.mark.parametrize(
     ("word", "state"),
     [

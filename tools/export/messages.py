@@ -106,9 +106,9 @@ def _channel(
     )
     yield Message(identifiers.SYNC, "SYNC", MASTER, everyone, 0, cycle_ms=cycle_ms)
     yield _heartbeat(MASTER, bus.master.node_id, bus.master.heartbeat_ms, everyone)
-    trains = config.robot.drive_trains
+    trains, signs = config.robot.drive_trains, config.robot.signs
     for drive in channel.drives:
-        name, known = f"Axis{drive.axis}", _of_drive(trains[drive.axis])
+        name, known = f"Axis{drive.axis}", _of_drive(trains[drive.axis], signs[drive.axis])
         tpdo = bus.drive.tpdo
         yield from _node(name, drive.node_id, "drive", bus.drive, tpdo, known, cycle_ms)
     for cell in channel.force_cells:
@@ -194,8 +194,8 @@ def _raw(entry: int, start: int, where: str) -> Signal:
     )
 
 
-def _of_drive(train: DriveTrain) -> Known:
-    scale = epos4.Scale.of(train)
+def _of_drive(train: DriveTrain, sign: int) -> Known:
+    scale = epos4.Scale.of(train, sign)
     position = Signal(
         "Position",
         0,

@@ -60,7 +60,7 @@ class Servo:
     @property
     def current(self) -> float:
         """A"""
-        return float(self._plant.current[self._axis])
+        return float(self._plant.motor_current[self._axis])
 
     @property
     def encoder(self) -> int:
