@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,8 +126,10 @@ def crossing(reference: Path, motion: Motion) -> float:
 class Torn:
     """A robot in HOLD at a pose, from which every case begins."""
 
-    def __init__(self, home: Place) -> None:
+    def __init__(self, home: Place, robot: dict[str, Any] | None = None) -> None:
+        """``robot``: overrides of the shipped one."""
         overrides = QUICK | {"robot.home": list(home), "control.sequence.lift_s": 3.0}
+        overrides |= robot or {}
         config, scenario = configured("hold", overrides)
         self.home = home
         self._anchors = config.robot.geometry.frame

@@ -1,0 +1,187 @@
+"""A robot whose axes differ: what they have in common stays as it was, and each keeps its own."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hil.runs import configured, virtual
+from loop import QUICK, ClosedLoop
+
+from tests.torn import Torn
+from tonus.config import load
+from tonus.config.loader import load_bounds
+from tonus.config.schema.robot import CABLES
+from tonus.runtime.signals import TOPICS
+from tonus.runtime.states import Fault, State
+from tonus.sim.devices.output import Output
+from tonus.sim.devices.samples import POSITION, TORQUE, Samples
+from tonus.tools.campaign.invariants import within_bounds
+from tonus.tools.log import Log
+
+BUSES = ("config/direct.yaml", "config/can.yaml", "config/ethercat.yaml")
+FLIPPED = (1, 4, 6)
+SIGNS = np.array([-1 if axis in FLIPPED else 1 for axis in range(CABLES)])
+UNLIKE, _ = load("config/unlike_axes.yaml")
+AXES = UNLIKE.robot.model_dump(mode="json")["axes"]
+OTHER_WINCHES = (4, 5, 6, 7)
+START_NS = 2_000_000_000
+Wire = dict[str, list[Any]]
+
+
+def test_a_robot_that_lists_the_defaults_for_every_axis_is_the_same_robot(tmp_path: Path) -> None:
+    uniform, _ = load("config/direct.yaml")
+    robot = uniform.robot.model_dump(mode="json")
+    same = {name: robot[name] for name in ("cable", "drum", "gearbox", "motor")} | {"sign": 1}
+    logs = []
+    for number, axes in enumerate(({}, dict.fromkeys(range(CABLES), same))):
+        config, scenario = configured(
+            "config/direct.yaml", "contact", duration=1.0, overrides={"robot.axes": axes}
+        )
+        assert len(config.robot.axes) == len(axes)
+        result, log = virtual(config, scenario, tmp_path / str(number))
+        assert result.outcome.state is State.STANDBY, result.outcome.reason
+        logs.append(log)
+    for name in (*(topic.name for topic in TOPICS), "/tonus/truth"):
+        ours, theirs = (log[name] for log in logs)
+        assert len(ours) > 1000
+        assert ours.tobytes() == theirs.tobytes(), name
+
+
+@pytest.fixture
+def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
+    """What every emulated drive tells and is told, in device units, in the order of time."""
+    heard: Wire = defaultdict(list)
+    sample, target = Samples.at, Output.set_target
+
+    def at(samples: Samples, now_ns: int) -> list[int]:
+        words = sample(samples, now_ns)
+        heard["told"].append((now_ns, *words[: 2 * CABLES]))
+        return words
+
+    def set_target(output: Output, value: int) -> None:
+        heard[f"torque {output._axis}"].append(value)
+        target(output, value)
+
+    monkeypatch.setattr(Samples, "at", at)
+    monkeypatch.setattr(Output, "set_target", set_target)
+    return heard
+
+
+@pytest.mark.parametrize("path", BUSES)
+def test_motors_that_turn_the_other_way_move_the_platform_alike(
+    path: str, wire: Wire, tmp_path: Path
+) -> None:
+    wires, logs = [], []
+    for name, flipped in (("uniform", ()), ("flipped", FLIPPED)):
+        wire.clear()
+        config, scenario = configured(
+            path,
+            "sine_z",
+            duration=1.0,
+            overrides={"robot.axes": {axis: {"sign": -1} for axis in flipped}},
+        )
+        result, log = virtual(config, scenario, tmp_path / name, start_ns=START_NS)
+        assert not result.outcome.fault, result.outcome.reason
+        wires.append(dict(wire))
+        logs.append(log)
+    _same_motion(*logs)
+    one, other = ({row[0]: row[1:] for row in heard["told"]} for heard in wires)
+    shared = sorted(one.keys() & other.keys())
+    assert len(shared) > 2000
+    told, mirrored = (np.array([each[now] for now in shared]) for each in (one, other))
+    turned = told[:, POSITION : POSITION + CABLES]
+    assert (np.ptp(turned, axis=0) > 2000).all(), "every motor turns"
+    apart = SIGNS * mirrored[:, POSITION : POSITION + CABLES] - turned
+    assert np.abs(apart).max() < 0.01 * np.ptp(turned)
+    flowing = told[:, TORQUE : TORQUE + CABLES]
+    assert np.median(flowing, axis=0).min() > 20, "per mille, winding in"
+    assert (np.median(mirrored[:, TORQUE : TORQUE + CABLES], axis=0) * SIGNS > 20).all()
+    for axis, sign in enumerate(SIGNS):
+        ours, theirs = (np.array(heard[f"torque {axis}"]) for heard in wires)
+        assert ours.max() > 20
+        assert np.mean(sign * theirs) == pytest.approx(np.mean(ours), rel=0.02)
+
+
+def _same_motion(one: Log, other: Log) -> None:
+    """In truth, and in what control knows and commands: the encoders count down from the other
+    edge of an increment, so that the runs differ by what one increment is worth."""
+    for name, field, most in (
+        ("/tonus/truth", "position", 1e-5),
+        ("/tonus/truth", "tension", 0.1),
+        ("/tonus/truth", "drum_angle", 1e-3),
+        ("/tonus/truth", "current", 0.5),
+        ("/tonus/pose", "position", 1e-5),
+        ("/tonus/drives", "angle", 1e-3),
+    ):
+        ours, theirs = (log[name][field][-1000:] for log in (one, other))
+        assert np.abs(ours - theirs).max() < most, (name, field, np.abs(ours - theirs).max())
+
+
+@pytest.mark.parametrize("scenario", ["load_test", "contact"])
+def test_other_winches_on_four_axes_play_it_to_its_end_within_bounds(
+    scenario: str, tmp_path: Path
+) -> None:
+    config, played = load("config/unlike_axes.yaml", scenario)
+    result, log = virtual(config, played, tmp_path, seed=4)
+    assert result.outcome.state is State.STANDBY, result.outcome.reason
+    assert result.outcome.fault is Fault.NONE, "isolation finds nothing"
+    assert within_bounds(log, replayed=True) == []
+    active = log["/tonus/state"]["state"] == State.ACTIVE
+    stiffness = log["/tonus/stiffness"]["k_eq"][active]
+    assert active.sum() > 9000
+    assert (stiffness >= config.control.stiffness.minimum).all()
+    if scenario == "contact":
+        assert (
+            5.0 < log["/tonus/truth"]["contact_force"].max() < config.control.envelope.contact_limit
+        )
+
+
+@pytest.mark.parametrize("path", BUSES[1:])
+def test_the_drives_of_other_winches_are_set_up_on_a_bus(path: str, tmp_path: Path) -> None:
+    """Each against the rated torque of its own motor; a wrong one would be refused."""
+    config, scenario = configured(path, "sine_z", duration=1.0, overrides={"robot.axes": AXES})
+    result, log = virtual(config, scenario, tmp_path)
+    assert not result.outcome.fault, result.outcome.reason
+    part = slice(-500, None)
+    wanted = log["/tonus/pose"]["desired_position"]
+    error = (log["/tonus/pose"]["position"] - wanted)[log["/tonus/state"]["state"] == State.ACTIVE]
+    assert np.abs(error[part]).max() < 1e-3
+
+
+def test_angles_rates_and_torques_are_each_axis_own() -> None:
+    """Control's own numbers against the plant's, which are computed separately."""
+    config, scenario = load("config/can.yaml", "sine_z", QUICK | {"robot.axes": AXES})
+    loop = ClosedLoop(config, scenario)
+    loop.until(State.ACTIVE)
+    loop.run(0.5)
+    trace = loop.trace.during(State.ACTIVE, after=0.1)
+    angle, true = trace.cycle["drives"]["angle"], trace.truth["drum_angle"]
+    assert np.ptp(true, axis=0).min() > 0.03
+    assert np.abs(angle - true).max() < 3e-3, "an increment and what a drum turns in a tick or two"
+    rate = trace.cycle["drives"]["rate"].sum(axis=0) * config.control.rates.period
+    assert rate == pytest.approx(true[-1] - true[0], abs=3e-3)
+    asked, given = trace.cycle["tension"]["reference"], trace.truth["tension"]
+    assert np.abs(asked - given).mean(axis=0).max() < 1.0
+
+
+@pytest.mark.parametrize("cable", OTHER_WINCHES)
+def test_a_torn_cable_of_another_winch_is_named(robot: Torn, cable: int) -> None:
+    bounds = load_bounds()
+    (case,) = robot.cases(cable, ("rest",))
+    assert case.where == cable, case
+    assert Fault[case.fault] is Fault.CABLE_TORN, case
+    assert case.given_up == (cable,), case
+    assert case.found_after is not None, case
+    assert case.found_after <= bounds.found_within["cable_cut"], case
+    assert case.peak_speed <= bounds.speed, case
+    assert case.peak_tension <= bounds.tension * UNLIKE.control.tension.max, case
+    assert case.at_rest, case
+
+
+@pytest.fixture(scope="module")
+def robot() -> Torn:
+    return Torn((0.0, 0.0, 0.0), {"robot.axes": AXES})
