@@ -17,7 +17,7 @@ from tonus.config.loader import load_bounds
 from tonus.config.schema.robot import CABLES
 from tonus.runtime.signals import TOPICS
 from tonus.runtime.states import Fault, State
-from tonus.sim.devices.output import Output
+from tonus.sim.devices.cia402.output import Output
 from tonus.sim.devices.samples import POSITION, TORQUE, Samples
 from tonus.tools.campaign.invariants import within_bounds
 from tonus.tools.log import Log

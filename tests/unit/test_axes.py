@@ -9,7 +9,7 @@ import pytest
 
 from tonus.config import load
 from tonus.config.schema.robot import CABLES, Robot
-from tonus.drivers import epos4
+from tonus.drivers.devices import epos4
 
 PAPER = load("config/can.yaml")[0].robot
 
