@@ -68,7 +68,7 @@ def write_motion(
 ) -> None:
     """``estimate``: position, quaternion, velocity, angular velocity, external wrench; ``desired``:
     position, velocity, acceleration."""
-    pose, external = record[0].pose, record[0].wrench.external
+    pose, wrench = record[0].pose, record[0].wrench
     for k in range(3):
         pose.position[k] = estimate[0][k]
         pose.velocity[k] = estimate[2][k]
@@ -81,6 +81,6 @@ def write_motion(
     for k in range(4):
         pose.quaternion[k] = estimate[1][k]
     for k in range(6):
-        external[k] = estimate[4][k]
+        wrench.external[k] = estimate[4][k]
     for k in range(8):
         pose.length_offset[k] = length_offset[k]
