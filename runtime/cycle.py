@@ -9,7 +9,6 @@ reproduce every output bit for bit.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,28 +18,22 @@ from tonus.config.schema.control import Control
 from tonus.config.schema.robot import CABLES, Robot
 from tonus.config.schema.scenario import Reference
 from tonus.drivers.process_image import AxisCommand, ProcessImage
+from tonus.runtime.control.allocation import Allocation
 from tonus.runtime.control.controllers import Motion, make_controller
-from tonus.runtime.control.controllers.base import norm, share
-from tonus.runtime.control.distribution import (
-    TensionDistribution,
-    delivered,
-    opposition,
-    tension_bounds,
-)
+from tonus.runtime.control.controllers.base import norm
 from tonus.runtime.control.estimator import Doubts, Estimate, PoseEstimator
 from tonus.runtime.control.guide import Guide
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.control.passivity import Limiter
 from tonus.runtime.control.referencing import Referencing
 from tonus.runtime.control.sensing import Sensing
-from tonus.runtime.control.stiffness import LawTerms
 from tonus.runtime.control.tension import TensionLoop, drum_motion
-from tonus.runtime.recording.record_writers import write_measured, write_motion
+from tonus.runtime.recording.cycle_writer import CycleWriter
 from tonus.runtime.safety.descent import Descent
 from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.isolation import Isolation
 from tonus.runtime.safety.sequence import Sequence
-from tonus.runtime.signals import CycleRecord, Solver
+from tonus.runtime.signals import CycleRecord
 from tonus.runtime.states import ARMED, Operator, State
 
 Array = NDArray[np.float64]
@@ -49,8 +42,6 @@ _MOST_SKIPPED = 100
 """missed ticks in a row that the estimate is carried over: each takes as long as in a tick"""
 _EVEN_TICKS = 3
 """from a torque to the sample that shows it, and one more"""
-_SELECT_BIT = 24
-"""of the checksum's start, so that a tick without a choice has the checksum it always had"""
 
 
 class ControlCycle:
@@ -91,17 +82,23 @@ class ControlCycle:
         self._controller = make_controller(control.controller, robot, control)
         ratio = self._controller.damping_ratio
         self._limiter = Limiter(control.stiffness, control.passivity, robot, ratio, period)
-        self._usual = TensionDistribution(control.distribution, robot.geometry.moment_length)
-        self._distribution = self._usual
-        """that of this tick"""
+        self._allocation = Allocation(robot, control, self._controller, self._kinematics)
         self._descent = Descent(robot, control, period)
         self._loop = self._usual_loop = TensionLoop(robot, control.tension_loop, period)
         self._active_loop = self._usual_loop
         if self._controller.tension_loop != control.tension_loop:
             self._active_loop = TensionLoop(robot, self._controller.tension_loop, period)
-        self._reference = np.zeros(CABLES)
-        self._centre = np.zeros(CABLES)
-        self._agonism, self._gradient = np.zeros(CABLES), np.zeros(CABLES)
+        self._writer = CycleWriter(
+            self.record,
+            self._sensing,
+            self.sequence,
+            self._guide,
+            self._estimator,
+            self._controller,
+            self._limiter,
+            self._envelope,
+            self._allocation,
+        )
         self._pulling = np.zeros(CABLES)
         self._torque = np.zeros(CABLES)
         """N m, of the last tick"""
@@ -113,16 +110,7 @@ class ControlCycle:
         """(n,) ticks in a row in which a drum's motion could not be held against its torque"""
         self._drum_rate, self._none = np.zeros(CABLES), np.zeros(CABLES)
         self._desired_drums = (np.zeros(CABLES), np.zeros(CABLES))
-        self._bearing = np.zeros((6, CABLES))
-        self._delivered, self._geometric = np.zeros(6), 0.0
-        self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
-        self._wrench = np.zeros(6)
-        self._shortfall = np.zeros(3)
         self._law = 0.0
-        self._contraction = 0.0
-        """share by which all tensions are raised, on its way to what the stiffness asks for"""
-        activation = control.distribution.co_contraction_hz
-        self._activate = 1.0 if activation is None else share(activation, period)
         self._accepted = False
         self._finite = True
 
@@ -173,16 +161,17 @@ class ControlCycle:
             self._regulate(estimate)
             rate = self._drum_rates(estimate)
         elif sequence.straightening >= 0.0:
-            self._reference[:] = sequence.straightening * self._control.tension.referencing
+            straight = sequence.straightening * self._control.tension.referencing
+            self._allocation.reference[:] = straight
             rate = self._none
         else:
-            self._reference[:] = 0.0
+            self._allocation.reference[:] = 0.0
             rate = None
         if rate is None:
             image.commands["torque"] = 0.0
         else:
             image.commands["torque"] = self._loop(
-                self._reference,
+                self._allocation.reference,
                 sensing.tension,
                 rate,
                 sensing.rate,
@@ -212,7 +201,7 @@ class ControlCycle:
         if share < 0.0 or sequence.axis_command is not AxisCommand.ENABLE:
             trusted[:], share = False, 0.0
         shares = np.where(sequence.faults.torn, 0.0, share)
-        self._reference[:] = shares * stop.passive_tension * trusted
+        self._allocation.reference[:] = shares * stop.passive_tension * trusted
         torque = self._descent.guard.passive(self._sensing.rate, trusted, shares)
         image.commands["torque"] = self._torque[:] = torque
 
@@ -221,9 +210,9 @@ class ControlCycle:
     ) -> CycleRecord:
         """The record of the tick that `act` has just been called for, with the same arguments: the
         drives need not wait for it."""
-        self._write_inputs(image, tick, operator, select)
-        estimate = self._estimator.estimate if self.sequence.regulating else None
-        self._write_results(image, estimate)
+        self._writer.inputs(image, tick, operator, select)
+        self._writer.torques(image, self._loop)
+        self._writer.results(self._law, accepted=self._accepted)
         return self.record
 
     @property
@@ -249,7 +238,7 @@ class ControlCycle:
             self._loop.reset()
             self._limiter.reset()
             self._controller.reset()
-            self._contraction = 0.0
+            self._allocation.reset()
         elif state is State.PRETENSION:
             reference, tension = self._referencing, self._sensing.filter.value[:CABLES]
             self._estimator.start(
@@ -282,10 +271,13 @@ class ControlCycle:
             slack = watched & ~descent.taut
             self._isolation.reeled(self._kinematics.lengths, lengths, slack)
         self._isolation.step(
-            self._estimator.innovations, self._reference, sensing.filter.value[:CABLES], watched
+            self._estimator.innovations,
+            self._allocation.reference,
+            sensing.filter.value[:CABLES],
+            watched,
         )
         self._isolation.cells(
-            image.cells["force"], image.cells["age"], sensing.tension, self._reference
+            image.cells["force"], image.cells["age"], sensing.tension, self._allocation.reference
         )
         self._accepted = bool(tracker["fresh"]) and self._estimator.track(
             tracker["position"], tracker["quaternion"], float(tracker["delay"])
@@ -312,7 +304,7 @@ class ControlCycle:
             estimate.angular_velocity,
             estimate.external[:3],
             sensing.contact,
-            self._shortfall,
+            self._allocation.shortfall,
             self._referencing.wound,
             self._radius * sensing.rate,
             self._guide.push,
@@ -320,81 +312,22 @@ class ControlCycle:
         self._law = float(self._controller.stiffness(motion))
         cap = min(envelope.cap, sequence.stiffness_cap)
         stiffness = self._limiter(self._law, cap, motion.error, motion.error_rate, motion.external)
-        descending = sequence.descending
+        allocation = self._allocation
         # Into an array of ours: another shape is an error, another type of number is converted.
-        self._wrench[:] = (
+        allocation.wrench[:] = (
             self._controller.descent(motion)
-            if descending
+            if sequence.descending
             else self._controller.wrench(motion, stiffness)
         )
         sequence.height = float(estimate.position[2]) - self._robot.rest[2]
         sequence.load = max(norm(motion.external) - motion.contact, 0.0)
-        if descending:
-            self._descend()
+        if sequence.descending:
+            allocation.descend(self._descent, self._pulling, sequence.carrying, sequence.faults)
         else:
-            self._distribute(motion, stiffness)
-        self._geometric = delivered(
-            self._kinematics.matrix,
-            self._reference,
-            self._wrench,
-            self._gradient,
-            sensing.tension,
-            self._delivered,
-            self._shortfall,
-        )
-
-    def _descend(self) -> None:
-        """What the cables that are left are asked for."""
-        descent, sequence = self._descent, self.sequence
-        self._distribution = descent.distribution
-        self._reference = descent.plan(
-            self._kinematics.matrix,
-            self._wrench,
-            self._reference,
-            self._pulling,
-            sequence.carrying,
-            sequence.faults,
-        )
-        self._centre[:] = descent.centre
-
-    def _distribute(self, motion: Motion, stiffness: float) -> None:
-        """Co-contraction follows the stiffness; a cable that cannot be trusted carries nothing."""
-        levels, present = self.sequence.levels, self.sequence.carrying
-        level = levels.level * self._controller.tone
-        settings, base = self._control.distribution, self._controller.resting_stiffness
-        matrix = self._kinematics.matrix
-        contraction = settings.co_contraction * (stiffness / base - 1.0)
-        self._contraction += self._activate * (contraction - self._contraction)
-        opposition(
-            matrix,
-            self._kinematics.lengths,
-            self._wrench[:3],
-            settings.least_force,
-            self._agonism,
-            self._gradient,
-        )
-        tension_bounds(
-            matrix,
-            self._reference,
-            present,
-            (levels.low, levels.high, level, settings.tension_rate * self._period),
-            self._contraction,
-            self._agonism,
-            self._low,
-            self._high,
-            self._centre,
-            self._bearing,
-        )
-        wanted = self._controller.tensions(motion, stiffness, self._centre)
-        if wanted is not None:
-            self._centre[:] = wanted * present
-            self._wrench[:] = matrix @ self._centre
-        self._distribution = self._usual
-        self._reference = self._usual(
-            self._bearing, self._wrench, self._centre, self._low, self._high, self._gradient
-        )
-        active = self.sequence.state is State.ACTIVE
-        self._controller.applied(self._reference, self.sequence.elapsed if active else -1.0)
+            allocation.distribute(motion, stiffness, sequence.levels, sequence.carrying)
+            active = sequence.state is State.ACTIVE
+            self._controller.applied(allocation.reference, sequence.elapsed if active else -1.0)
+        allocation.deliver(sensing.tension)
 
     def _drum_rates(self, estimate: Estimate) -> Array:
         """Drum rates (8,) to damp against: those that follow the platform, or those desired."""
@@ -402,7 +335,7 @@ class ControlCycle:
         desired_rate, desired_acceleration = self._desired_drums
         self._finite = drum_motion(
             self._kinematics.matrix,
-            self._wrench,
+            self._allocation.wrench,
             self._sensing.tension,
             (estimate.velocity, estimate.angular_velocity),
             (velocity, acceleration),
@@ -414,109 +347,3 @@ class ControlCycle:
         )
         follows = self._controller.follows_platform and not self.sequence.descending
         return self._drum_rate if follows else desired_rate
-
-    def _write_inputs(
-        self, image: ProcessImage, tick: int, operator: Operator, select: int
-    ) -> None:
-        record, sensing, sequence = self.record, self._sensing, self.sequence
-        record.timing.tick[...] = tick
-        state = record.state
-        state.elapsed[...] = sequence.elapsed
-        state.scenario_time[...] = self._guide.time
-        said = tick * len(Operator) + operator
-        state.inputs[...] = image.checksum(said ^ select << _SELECT_BIT)
-        state.fault[...] = sequence.fault
-        state.fault_where[...] = sequence.where
-        state.stop_mode[...] = sequence.stop_mode
-        state.failed[:] = sequence.faults.failed
-        state.state[...] = sequence.state
-        state.operator[...] = operator
-        state.select[...] = select
-        state.scenario[...] = self._guide.chosen
-        write_measured(
-            record.data,
-            image.axes,
-            image.cells,
-            image.tracker,
-            sensing.rate,
-            sensing.tare,
-            sensing.filter.value,
-        )
-
-    def _write_results(self, image: ProcessImage, estimate: Estimate | None) -> None:
-        record, sensing = self.record, self._sensing
-        record.drives.torque_command[:] = image.commands["torque"]
-        record.drives.command[:] = image.commands["command"]
-        tension = record.tension
-        tension.reference[:] = self._reference
-        tension.measured[:] = sensing.tension
-        tension.integral[:] = self._loop.integral
-        if estimate is None:
-            tension.solver[...] = Solver.NONE
-            return
-        distribution = self._distribution
-        tension.solver[...] = distribution.solver
-        tension.iterations[...] = distribution.iterations
-        tension.co_contraction[:] = self._centre
-        tension.agonism[:] = self._agonism
-        pose, estimator, tracker = record.pose, self._estimator, record.tracker
-        tracker.accepted[...] = self._accepted
-        tracker.disagreement[...] = estimator.disagreement.distance
-        tracker.refused[...] = estimator.disagreement.poses
-        tracker.learnt[...] = estimator.disagreement.learnt
-        write_motion(
-            record.data,
-            (
-                estimate.position,
-                estimate.quaternion,
-                estimate.velocity,
-                estimate.angular_velocity,
-                estimate.external,
-            ),
-            self._guide.desired,
-            estimator.cable_position,
-            estimator.bias,
-            estimator.offsets,
-        )
-        pose.residual[...] = estimator.residual
-        pose.compliance[...] = estimator.compliance
-        pose.sigma[...] = estimator.sigma
-        pose.inconsistency[...] = estimator.inconsistency
-        pose.condition[...] = estimator.condition
-        pose.consistency[...] = estimator.consistency
-        self._write_law(record.stiffness, self._controller.terms)
-        self._write_energy(record.energy)
-        wrench = record.wrench
-        wrench.commanded[:] = self._wrench
-        wrench.delivered[:] = self._delivered
-        wrench.deficit[...] = distribution.deficit
-        wrench.contact[...] = sensing.contact
-        margins, envelope = record.envelope, self._envelope
-        margins.tension_high[...] = envelope.tension_high
-        margins.tension_low[...] = envelope.tension_low
-        margins.contact[...] = envelope.contact
-        margins.speed[...] = envelope.speed
-        margins.workspace[...] = envelope.workspace
-        margins.progress[...] = envelope.progress
-        margins.grade[...] = envelope.grade
-        margins.bound[...] = envelope.bound
-
-    def _write_law(self, stiffness: SimpleNamespace, terms: LawTerms) -> None:
-        stiffness.law[...] = self._law
-        stiffness.velocity_term[...] = terms.velocity
-        stiffness.force_term[...] = terms.force
-        stiffness.deviation_term[...] = terms.deviation
-        stiffness.cap[...] = self._envelope.cap
-        stiffness.k_eq[...] = self._limiter.value
-        stiffness.measured[...] = self._limiter.value + self._geometric
-
-    def _write_energy(self, energy: SimpleNamespace) -> None:
-        limiter, account = self._limiter, self._limiter.account
-        energy.storage[...] = account.storage
-        energy.storage_rate[...] = account.storage_rate
-        energy.stiffening[...] = account.stiffening
-        energy.dissipated[...] = account.dissipated
-        energy.external[...] = account.external
-        energy.tank[...] = limiter.tank.level
-        energy.k_rate[...] = account.stiffness_rate
-        energy.rise_bound[...] = limiter.rise_bound(limiter.value)

@@ -1,0 +1,123 @@
+"""The distribution stage: from a wrench and a stiffness to the tension reference of each cable.
+
+Co-contraction raises the tensions about which the least squares are taken; bounds follow the levels
+of the state and the tension rate. In a descent the cables that are left are asked for instead.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.config.schema.control import Control
+from tonus.config.schema.robot import CABLES, Robot
+from tonus.runtime.control.controllers import Controller, Motion
+from tonus.runtime.control.controllers.base import share
+from tonus.runtime.control.distribution import (
+    TensionDistribution,
+    delivered,
+    opposition,
+    tension_bounds,
+)
+from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.safety.descent import Descent
+from tonus.runtime.safety.faults import Faults
+from tonus.runtime.safety.sequence import Levels
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Allocation:
+    """Tension references (n,) N, at the pose that ``kinematics`` has been evaluated at."""
+
+    def __init__(
+        self, robot: Robot, control: Control, controller: Controller, kinematics: Kinematics
+    ) -> None:
+        settings = self._settings = control.distribution
+        self._controller, self._kinematics = controller, kinematics
+        self._usual = TensionDistribution(settings, robot.geometry.moment_length)
+        self.distribution = self._usual
+        """that of this tick"""
+        self.wrench = np.zeros(6)
+        """N and N m that are asked for"""
+        self.reference = np.zeros(CABLES)
+        self.centre = np.zeros(CABLES)
+        """N (n,), what the references are drawn towards"""
+        self.agonism = np.zeros(CABLES)
+        """(n,), how much a cable works with the wrench and against its antagonists"""
+        self.delivered = np.zeros(6)
+        """of ``wrench``, by the references"""
+        self.shortfall = np.zeros(3)
+        """N of force that measured tensions leave undelivered"""
+        self.geometric = 0.0
+        """N/m, stiffness that the tensions add by themselves"""
+        self._gradient = np.zeros(CABLES)
+        self._bearing = np.zeros((6, CABLES))
+        self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
+        self._contraction = 0.0
+        """share by which all tensions are raised, on its way to what the stiffness asks for"""
+        period = control.rates.period
+        self._step = control.distribution.tension_rate * period
+        activation = settings.co_contraction_hz
+        self._activate = 1.0 if activation is None else share(activation, period)
+
+    def reset(self) -> None:
+        self._contraction = 0.0
+
+    def distribute(self, motion: Motion, stiffness: float, levels: Levels, present: Mask) -> None:
+        """Co-contraction follows the ``stiffness`` (N/m); a cable that is not ``present`` (n,)
+        carries nothing."""
+        level = levels.level * self._controller.tone
+        settings, base = self._settings, self._controller.resting_stiffness
+        matrix = self._kinematics.matrix
+        contraction = settings.co_contraction * (stiffness / base - 1.0)
+        self._contraction += self._activate * (contraction - self._contraction)
+        opposition(
+            matrix,
+            self._kinematics.lengths,
+            self.wrench[:3],
+            settings.least_force,
+            self.agonism,
+            self._gradient,
+        )
+        tension_bounds(
+            matrix,
+            self.reference,
+            present,
+            (levels.low, levels.high, level, self._step),
+            self._contraction,
+            self.agonism,
+            self._low,
+            self._high,
+            self.centre,
+            self._bearing,
+        )
+        wanted = self._controller.tensions(motion, stiffness, self.centre)
+        if wanted is not None:
+            self.centre[:] = wanted * present
+            self.wrench[:] = matrix @ self.centre
+        self.distribution = self._usual
+        self.reference = self._usual(
+            self._bearing, self.wrench, self.centre, self._low, self._high, self._gradient
+        )
+
+    def descend(self, descent: Descent, tension: Array, carrying: Mask, faults: Faults) -> None:
+        """What the cables that are left are asked for; ``tension`` (n,) N as far as believed."""
+        self.distribution = descent.distribution
+        self.reference = descent.plan(
+            self._kinematics.matrix, self.wrench, self.reference, tension, carrying, faults
+        )
+        self.centre[:] = descent.centre
+
+    def deliver(self, tension: Array) -> None:
+        """What the references, and the measured ``tension`` (n,) N, give of the wrench."""
+        self.geometric = delivered(
+            self._kinematics.matrix,
+            self.reference,
+            self.wrench,
+            self._gradient,
+            tension,
+            self.delivered,
+            self.shortfall,
+        )

@@ -1,0 +1,155 @@
+"""What a tick writes into its record: its inputs, what the drives are told, and what each stage
+found."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from tonus.drivers.process_image import ProcessImage
+from tonus.runtime.control.allocation import Allocation
+from tonus.runtime.control.controllers import Controller
+from tonus.runtime.control.estimator import PoseEstimator
+from tonus.runtime.control.guide import Guide
+from tonus.runtime.control.passivity import Limiter
+from tonus.runtime.control.sensing import Sensing
+from tonus.runtime.control.tension import TensionLoop
+from tonus.runtime.recording.record_writers import write_measured, write_motion
+from tonus.runtime.safety.envelope import Envelope
+from tonus.runtime.safety.sequence import Sequence
+from tonus.runtime.signals import CycleRecord, Solver
+from tonus.runtime.states import Operator
+
+_SELECT_BIT = 24
+"""of the checksum's start, so that a tick without a choice has the checksum of its inputs alone"""
+
+
+class CycleWriter:
+    """Writes the record of a tick from the stages that it went through."""
+
+    def __init__(
+        self,
+        record: CycleRecord,
+        sensing: Sensing,
+        sequence: Sequence,
+        guide: Guide,
+        estimator: PoseEstimator,
+        controller: Controller,
+        limiter: Limiter,
+        envelope: Envelope,
+        allocation: Allocation,
+    ) -> None:
+        self._record, self._sensing, self._sequence = record, sensing, sequence
+        self._guide, self._estimator, self._controller = guide, estimator, controller
+        self._limiter, self._envelope, self._allocation = limiter, envelope, allocation
+
+    def inputs(self, image: ProcessImage, tick: int, operator: Operator, select: int) -> None:
+        record, sensing, sequence = self._record, self._sensing, self._sequence
+        record.timing.tick[...] = tick
+        state = record.state
+        state.elapsed[...] = sequence.elapsed
+        state.scenario_time[...] = self._guide.time
+        said = tick * len(Operator) + operator
+        state.inputs[...] = image.checksum(said ^ select << _SELECT_BIT)
+        state.fault[...] = sequence.fault
+        state.fault_where[...] = sequence.where
+        state.stop_mode[...] = sequence.stop_mode
+        state.failed[:] = sequence.faults.failed
+        state.state[...] = sequence.state
+        state.operator[...] = operator
+        state.select[...] = select
+        state.scenario[...] = self._guide.chosen
+        write_measured(
+            record.data,
+            image.axes,
+            image.cells,
+            image.tracker,
+            sensing.rate,
+            sensing.tare,
+            sensing.filter.value,
+        )
+
+    def torques(self, image: ProcessImage, loop: TensionLoop) -> None:
+        """What the drives are told, and the ``loop`` that it comes from."""
+        record = self._record
+        record.drives.torque_command[:] = image.commands["torque"]
+        record.drives.command[:] = image.commands["command"]
+        tension = record.tension
+        tension.reference[:] = self._allocation.reference
+        tension.measured[:] = self._sensing.tension
+        tension.integral[:] = loop.integral
+
+    def results(self, law: float, *, accepted: bool) -> None:
+        """What is there only while the platform is regulated: ``law`` (N/m), the stiffness law's
+        value, and whether a tracker pose was accepted."""
+        record, tension, estimate = self._record, self._record.tension, self._estimator.estimate
+        allocation = self._allocation
+        if not self._sequence.regulating:
+            tension.solver[...] = Solver.NONE
+            return
+        distribution = allocation.distribution
+        tension.solver[...] = distribution.solver
+        tension.iterations[...] = distribution.iterations
+        tension.co_contraction[:] = allocation.centre
+        tension.agonism[:] = allocation.agonism
+        pose, estimator, tracker = record.pose, self._estimator, record.tracker
+        tracker.accepted[...] = accepted
+        tracker.disagreement[...] = estimator.disagreement.distance
+        tracker.refused[...] = estimator.disagreement.poses
+        tracker.learnt[...] = estimator.disagreement.learnt
+        write_motion(
+            record.data,
+            (
+                estimate.position,
+                estimate.quaternion,
+                estimate.velocity,
+                estimate.angular_velocity,
+                estimate.external,
+            ),
+            self._guide.desired,
+            estimator.cable_position,
+            estimator.bias,
+            estimator.offsets,
+        )
+        pose.residual[...] = estimator.residual
+        pose.compliance[...] = estimator.compliance
+        pose.sigma[...] = estimator.sigma
+        pose.inconsistency[...] = estimator.inconsistency
+        pose.condition[...] = estimator.condition
+        pose.consistency[...] = estimator.consistency
+        self._write_law(record.stiffness, law)
+        self._write_energy(record.energy)
+        wrench = record.wrench
+        wrench.commanded[:] = allocation.wrench
+        wrench.delivered[:] = allocation.delivered
+        wrench.deficit[...] = distribution.deficit
+        wrench.contact[...] = self._sensing.contact
+        margins, envelope = record.envelope, self._envelope
+        margins.tension_high[...] = envelope.tension_high
+        margins.tension_low[...] = envelope.tension_low
+        margins.contact[...] = envelope.contact
+        margins.speed[...] = envelope.speed
+        margins.workspace[...] = envelope.workspace
+        margins.progress[...] = envelope.progress
+        margins.grade[...] = envelope.grade
+        margins.bound[...] = envelope.bound
+
+    def _write_law(self, stiffness: SimpleNamespace, law: float) -> None:
+        terms = self._controller.terms
+        stiffness.law[...] = law
+        stiffness.velocity_term[...] = terms.velocity
+        stiffness.force_term[...] = terms.force
+        stiffness.deviation_term[...] = terms.deviation
+        stiffness.cap[...] = self._envelope.cap
+        stiffness.k_eq[...] = self._limiter.value
+        stiffness.measured[...] = self._limiter.value + self._allocation.geometric
+
+    def _write_energy(self, energy: SimpleNamespace) -> None:
+        limiter, account = self._limiter, self._limiter.account
+        energy.storage[...] = account.storage
+        energy.storage_rate[...] = account.storage_rate
+        energy.stiffening[...] = account.stiffening
+        energy.dissipated[...] = account.dissipated
+        energy.external[...] = account.external
+        energy.tank[...] = limiter.tank.level
+        energy.k_rate[...] = account.stiffness_rate
+        energy.rise_bound[...] = limiter.rise_bound(limiter.value)
