@@ -132,6 +132,17 @@ class Robot(Section):
             found[train] = (*found.get(train, ()), axis)
         return found
 
+    def groups_of_axes(self, section: str, field: str) -> list[tuple[tuple[int, ...], bool]]:
+        """Axes with the same value of one field of a drive train, and whether it is stated as their
+        own or is the robot's default."""
+        found: dict[tuple[bool, float], tuple[int, ...]] = {}
+        for axis, train in enumerate(self.drive_trains):
+            overrides = self.axes.get(axis)
+            own = bool(overrides and getattr(getattr(overrides, section), field) is not None)
+            key = own, float(getattr(getattr(train, section), field))
+            found[key] = (*found.get(key, ()), axis)
+        return [(axes, own) for (own, _), axes in found.items()]
+
     def whose(self, axes: Sequence[int]) -> str:
         """What a message says after a value that only these axes have: nothing where all axes are
         of one kind."""

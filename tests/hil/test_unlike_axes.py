@@ -20,6 +20,7 @@ from tonus.runtime.states import Fault, State
 from tonus.sim.devices.cia402.output import Output
 from tonus.sim.devices.samples import POSITION, TORQUE, Samples
 from tonus.tools.campaign.invariants import within_bounds
+from tonus.tools.identify import identify
 from tonus.tools.log import Log
 
 BUSES = ("config/direct.yaml", "config/can.yaml", "config/ethercat.yaml")
@@ -138,6 +139,22 @@ def test_other_winches_on_four_axes_play_it_to_its_end_within_bounds(
         assert (
             5.0 < log["/tonus/truth"]["contact_force"].max() < config.control.envelope.contact_limit
         )
+
+
+def test_each_kind_of_axis_is_identified_by_itself(tmp_path: Path) -> None:
+    config, played = configured(
+        "config/direct.yaml", "identify_motion", duration=10.0, overrides={"robot.axes": AXES}
+    )
+    _, log = virtual(config, played, tmp_path)
+    found = identify([log.path], truth=True)
+    inertia = {each.axes: each for each in found.estimates if each.name == "drum_inertia"}
+    assert list(inertia) == [(0, 1, 2, 3), (4, 5, 6), (7,)]
+    assert inertia[4, 5, 6].keys == tuple(f"robot.axes.{axis}.drum.inertia" for axis in (4, 5, 6))
+    stiffness = {each.axes: each for each in found.estimates if each.name == "axial_stiffness"}
+    assert list(stiffness) == [(0, 1, 2, 3, 7), (4, 5, 6)]
+    for each in (*inertia.values(), *stiffness.values()):
+        assert each.value == pytest.approx(each.truth, rel=0.02), each.text
+        assert each.truth == pytest.approx(each.configured), each.text
 
 
 @pytest.mark.parametrize("path", BUSES[1:])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -28,13 +29,22 @@ EA = Estimate(
     3600.0,
     (3400.0, math.nan),
     truth=3410.0,
+    key="robot.cable.axial_stiffness",
 )
-VAGUE = Estimate("coulomb_friction", "Coulomb friction F_c", "N", 1.0, 3.0, 1.5)
-UNKNOWN = Estimate("load_friction", "load friction μ", "", 0.03, 0.001)
+VAGUE = Estimate(
+    "coulomb_friction", "Coulomb friction F_c", "N", 1.0, 3.0, 1.5, key="lab.plant.coulomb_friction"
+)
+UNKNOWN = Estimate(
+    "load_friction", "load friction μ", "", 0.03, 0.001, key="lab.plant.load_friction"
+)
 BY_WEIGHT = Estimate("platform_mass", "by weight", "kg", 2.30, 0.05, 2.35)
 BY_INERTIA = Estimate("moved_mass", "by inertia", "kg", 2.3412, 0.004, 2.35)
-FORTH = Estimate("efficiency_driving", "driving", "", 0.78, 0.002, 0.8)
-BACK = Estimate("efficiency_driven", "driven back", "", 0.76, 0.002, 0.8)
+FORTH = Estimate(
+    "efficiency_driving", "driving", "", 0.78, 0.002, 0.8, key="robot.gearbox.efficiency"
+)
+BACK = Estimate(
+    "efficiency_driven", "driven back", "", 0.76, 0.002, 0.8, key="robot.gearbox.efficiency"
+)
 FIT = Fit(
     np.array([2.0, 100.0, 3000.0]),
     np.ones(3),
@@ -73,6 +83,23 @@ def test_the_yaml_holds_what_is_sure_enough_and_its_uncertainty() -> None:
         }
     }
     assert "# N ± 23, was 3600" in text
+
+
+def test_what_axes_have_as_their_own_is_written_for_each_of_them() -> None:
+    key = "robot.axes.{}.drum.inertia"
+    own = Estimate("drum_inertia", "J", "kg m²", 0.0071, 1e-5, 0.007, key=key, axes=(4, 6))
+    rest = Estimate(
+        "drum_inertia", "J", "kg m²", 0.0043, 1e-5, 0.0042, key="robot.drum.inertia", axes=(0, 1)
+    )
+    text = to_yaml(replace(FOUND, estimates=(rest, own)))
+    assert yaml.safe_load(text) == {
+        "robot": {
+            "drum": {"inertia": 0.0043},
+            "axes": {4: {"drum": {"inertia": 0.0071}}, 6: {"drum": {"inertia": 0.0071}}},
+        }
+    }
+    assert text.count("was 0.007\n") == 2
+    assert text.count("was 0.0042\n") == 1
     assert text.startswith("# Identified from a.mcap\n")
 
 

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.robot import CABLES
 from tonus.runtime.states import State
-from tonus.tools.identify.estimate import NORMAL, Estimate, Fit, each_of, fit, mean_of, numbered
+from tonus.tools.identify.estimate import (
+    NORMAL,
+    Estimate,
+    Fit,
+    each_of,
+    fit,
+    mean_of,
+    numbered,
+    per_kind,
+)
 from tonus.tools.identify.record import BLOCK_S, Record, ways
 
 Array = NDArray[np.float64]
@@ -29,20 +38,32 @@ def identify_cables(records: Sequence[Record], anchor_sigma: float) -> list[Esti
     fits = [_fit(parts) for parts in stretches]
     if not any(fits):
         return []
-    value, half_width = mean_of(fits, 0)
-    askew = sum(
-        _change(found, parts, axis, anchor_sigma) ** 2
-        for found, parts in zip(fits, stretches, strict=True)
-        for axis in range(3)
-        if found is not None
-    )
-    count = sum(found is not None for found in fits)
-    half_width = math.hypot(half_width, NORMAL * math.sqrt(askew) / count)
-    configured = float(records[0].config.robot.axial_stiffness.mean())
-    each = each_of(fits, 0)
-    return [
-        Estimate("axial_stiffness", "cable stiffness EA", "N", value, half_width, configured, each)
-    ]
+    robot, estimates = records[0].config.robot, []
+    for axes, key, configured in per_kind(robot, "cable", "axial_stiffness", fits):
+        some = [fits[cable] for cable in axes]
+        value, half_width = mean_of(some, 0)
+        askew = sum(
+            _change(found, stretches[cable], axis, anchor_sigma) ** 2
+            for found, cable in zip(some, axes, strict=True)
+            for axis in range(3)
+            if found is not None
+        )
+        count = sum(found is not None for found in some)
+        half_width = math.hypot(half_width, NORMAL * math.sqrt(askew) / count)
+        estimates.append(
+            Estimate(
+                "axial_stiffness",
+                f"cable stiffness EA{robot.whose(axes)}",
+                "N",
+                value,
+                half_width,
+                configured,
+                each_of(some, 0),
+                key=key,
+                axes=axes,
+            )
+        )
+    return estimates
 
 
 def _change(found: Fit, parts: list[_Stretch], axis: int, anchor_sigma: float) -> float:

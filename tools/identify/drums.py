@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.robot import CABLES
 from tonus.runtime.states import State
-from tonus.tools.identify.estimate import Estimate, Fit, each_of, fit, mean_of, numbered
+from tonus.tools.identify.estimate import Estimate, Fit, each_of, fit, mean_of, numbered, per_kind
 from tonus.tools.identify.record import UNLIKE_DELAY_TICKS, Record
 
 Array = NDArray[np.float64]
@@ -26,6 +26,17 @@ _SLOWEST = 0.01
 """m/s of cable: below, friction may be anything up to its limit, or Stribeck's"""
 _FEWEST = 500
 """samples in either direction"""
+
+
+_ROWS = (
+    ("drum_inertia", "drum inertia J", "kg m²", "robot.drum.inertia"),
+    ("viscous_friction", "viscous friction b", "N m s/rad", "robot.drum.viscous_friction"),
+    ("coulomb_friction", "Coulomb friction F_c", "N", "lab.plant.coulomb_friction"),
+    ("load_friction", "load friction μ", "", "lab.plant.load_friction"),
+    ("efficiency_driving", "gearbox, driving η", "", "robot.gearbox.efficiency"),
+    ("efficiency_driven", "gearbox, driven back η'", "", "robot.gearbox.efficiency"),
+)
+"""Name, text, unit and default's key of what a drum's fit gives, in the order of its parameters."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +114,14 @@ def fit_drum(drum: Drum) -> Fit | None:
     )
 
 
+def _again(drums: Sequence[Drum], fits: Sequence[Fit | None], **late: float) -> list[Fit | None]:
+    """The fits, had encoder or cell been late."""
+    return [
+        found and (fit_drum(drum.corrected(**late)) or found)
+        for drum, found in zip(drums, fits, strict=True)
+    ]
+
+
 def identify_drums(records: Sequence[Record]) -> tuple[list[Estimate], list[tuple[Drum, Fit]]]:
     """Inertia, friction and efficiencies, and every drum that could be fitted; both empty when
     none could."""
@@ -115,30 +134,30 @@ def identify_drums(records: Sequence[Record]) -> tuple[list[Estimate], list[tupl
     robot, lab = config.robot, config.lab
     coulomb = lab.plant.coulomb_friction if lab else None
     load = lab.plant.load_friction if lab else None
-    efficiency = float(robot.gearbox_efficiency.mean())
-    rows = (
-        ("drum_inertia", "drum inertia J", "kg m²", float(robot.drum_inertia.mean())),
-        (
-            "viscous_friction",
-            "viscous friction b",
-            "N m s/rad",
-            float(robot.viscous_friction.mean()),
-        ),
-        ("coulomb_friction", "Coulomb friction F_c", "N", coulomb),
-        ("load_friction", "load friction μ", "", load),
-        ("efficiency_driving", "gearbox, driving η", "", efficiency),
-        ("efficiency_driven", "gearbox, driven back η'", "", efficiency),
-    )
+    every = tuple(range(CABLES))
+    of_lab = {"coulomb_friction": coulomb, "load_friction": load}
     delay = UNLIKE_DELAY_TICKS * records[0].period
-    skewed = [
-        [fit_drum(drum.corrected(encoder=delay)) or found for drum, found in fitted],
-        [fit_drum(drum.corrected(cell=delay)) or found for drum, found in fitted],
-    ]
+    skewed = [_again(drums, fits, encoder=delay), _again(drums, fits, cell=delay)]
     estimates = []
-    for index, (name, text, unit, configured) in enumerate(rows):
-        value, half_width = mean_of(fits, index)
-        changes = (mean_of(other, index)[0] - value for other in skewed)
-        half_width = math.hypot(half_width, *changes)
-        each = each_of(fits, index)
-        estimates.append(Estimate(name, text, unit, value, half_width, configured, each))
+    for index, (name, text, unit, place) in enumerate(_ROWS):
+        section, field = place.split(".")[-2:]
+        kinds = [(every, place, of_lab[name])] if name in of_lab else None
+        for axes, key, configured in kinds or per_kind(robot, section, field, fits):
+            some = [fits[axis] for axis in axes]
+            value, half_width = mean_of(some, index)
+            moved = (mean_of([other[axis] for axis in axes], index)[0] for other in skewed)
+            half_width = math.hypot(half_width, *(new - value for new in moved))
+            estimates.append(
+                Estimate(
+                    name,
+                    f"{text}{robot.whose(axes)}",
+                    unit,
+                    value,
+                    half_width,
+                    configured,
+                    each_of(some, index),
+                    key=key,
+                    axes=axes,
+                )
+            )
     return estimates, fitted

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
+
+from tonus.config.schema.robot import Robot
 
 Array = NDArray[np.float64]
 _CONFIDENCE = 0.95
@@ -37,6 +39,19 @@ class Estimate:
     each: tuple[float, ...] = ()
     """of the single cables or drums, NaN where one could not be identified"""
     truth: float | None = None
+    key: str = ""
+    """of the configuration: ``{}`` in it stands for each of `axes`; empty: none holds this value"""
+    axes: tuple[int, ...] = ()
+    """whose value it is; empty: of all, or of none"""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Every key of the configuration that holds this value."""
+        if not self.key:
+            return ()
+        if "{}" not in self.key:
+            return (self.key,)
+        return tuple(self.key.format(axis) for axis in self.axes)
 
     @property
     def verdict(self) -> str:
@@ -113,6 +128,18 @@ def fit(
 def numbered(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     """The block numbers of several records in one row, none of them alike."""
     return np.concatenate([number * _FAR + part for number, part in enumerate(parts)])
+
+
+def per_kind(
+    robot: Robot, section: str, field: str, fits: Sequence[Fit | None]
+) -> Iterator[tuple[tuple[int, ...], str, float]]:
+    """Of every group of axes that share a configured value and have a fit: the axes, the key of the
+    configuration, and the value."""
+    for axes, own in robot.groups_of_axes(section, field):
+        if any(fits[axis] is not None for axis in axes):
+            value = float(getattr(getattr(robot.drive_trains[axes[0]], section), field))
+            place = "robot.axes.{}" if own else "robot"
+            yield axes, f"{place}.{section}.{field}", value
 
 
 def mean_of(fits: Sequence[Fit | None], index: int) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from tonus.tools.identify.response import (
     weight,
     yields,
 )
-from tonus.tools.identify.truth import true_values
+from tonus.tools.identify.truth import true_values, truth_of
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def identify(
     _loop(yielding, mass, found, responses, notes)
     if truth:
         known = true_values(records, moving, yielding)
-        found = [replace(estimate, truth=known.get(estimate.name)) for estimate in found]
+        found = [replace(each, truth=truth_of(known, each.name, each.axes)) for each in found]
     return Identification(tuple(paths), tuple(found), tuple(responses), tuple(drums), tuple(notes))
 
 

@@ -16,13 +16,23 @@ from tonus.tools.identify.response import estimates, response_between
 from tonus.tools.run.summary import TRUTH, truth_at_cycles
 
 Array = NDArray[np.float64]
+Known = float | tuple[float, ...]
+"""one value, or one of each axis"""
+
+
+def truth_of(known: dict[str, Known], name: str, axes: Sequence[int]) -> float | None:
+    """The true value of an estimate: of several ``axes`` the mean."""
+    value = known.get(name)
+    if isinstance(value, tuple):
+        return float(np.mean([value[axis] for axis in axes]))
+    return value
 
 
 def true_values(
     records: Sequence[Record], moving: Sequence[Record], yielding: Sequence[Record]
-) -> dict[str, float]:
-    """By the estimates' names. The plant's parameters are those that the log's seed draws, and of
-    eight cables or drums the mean; what holds the platform from outside is the phantom along its
+) -> dict[str, Known]:
+    """By the estimates' names. The plant's parameters are those that the log's seed draws, of
+    cables and drums one each; what holds the platform from outside is the phantom along its
     normal; the closed loop is the response between true load and true position.
 
     Raises ToolError for a log that is not a lab's, or of robots that differ.
@@ -32,7 +42,7 @@ def true_values(
         raise ToolError(
             f"{records[0].path}: the logs' true robots differ, by lab or seed; --truth needs one"
         )
-    values = dict(drawn[0])
+    values: dict[str, Known] = dict(drawn[0])
     outside = [_outside(record) for record in moving]
     if outside and all(held == outside[0] for held in outside):
         values |= outside[0]
@@ -67,23 +77,23 @@ def _true(record: Record, field: str) -> Array:
     return np.vstack([later[:1], later[:-1]])
 
 
-def _drawn(record: Record) -> dict[str, float]:
+def _drawn(record: Record) -> dict[str, Known]:
     """The plant's own parameters."""
     robot, lab, seed = record.config.robot, record.config.lab, record.log.metadata.get("seed", "")
     if lab is None or TRUTH not in record.log or not seed.isdigit():
         raise ToolError(f"{record.path}: not a lab's log, so nobody knows; leave out --truth")
     plant = Plant(robot, lab, seed=int(seed), phantom=None, load=None).parameters[0]
-    efficiency = 1.0 - float(np.mean(plant["driving_loss"]))
+    efficiency = tuple((1.0 - plant["driving_loss"]).tolist())
     # A stiffening cable's EA is that of small changes about the pretension.
     stiffness = plant["axial_stiffness"] + plant["stiffening"] * record.config.control.tension.pre
     return {
         "platform_mass": float(plant["mass"]),
         "moved_mass": float(plant["mass"]),
-        "axial_stiffness": float(np.mean(stiffness)),
-        "drum_inertia": float(np.mean(plant["drum_inertia"])),
-        "viscous_friction": float(np.mean(plant["viscous"])),
-        "coulomb_friction": float(np.mean(plant["coulomb"] / plant["radius"])),
-        "load_friction": float(np.mean(plant["load_friction"])),
+        "axial_stiffness": tuple(stiffness.tolist()),
+        "drum_inertia": tuple(plant["drum_inertia"].tolist()),
+        "viscous_friction": tuple(plant["viscous"].tolist()),
+        "coulomb_friction": tuple((plant["coulomb"] / plant["radius"]).tolist()),
+        "load_friction": tuple(plant["load_friction"].tolist()),
         "efficiency_driving": efficiency,
         "efficiency_driven": efficiency,
     }

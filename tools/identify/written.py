@@ -12,13 +12,13 @@ from tonus.tools.identify.estimate import Estimate
 from tonus.tools.identify.identify import Identification
 from tonus.tools.identify.response import Response
 
-_KEYS = {
-    "axial_stiffness": "robot.cable.axial_stiffness",
-    "drum_inertia": "robot.drum.inertia",
-    "viscous_friction": "robot.drum.viscous_friction",
-    "coulomb_friction": "lab.plant.coulomb_friction",
-    "load_friction": "lab.plant.load_friction",
-}
+_VALUES = (
+    "axial_stiffness",
+    "drum_inertia",
+    "viscous_friction",
+    "coulomb_friction",
+    "load_friction",
+)
 _MASSES = ("platform_mass", "moved_mass")
 _EFFICIENCIES = ("efficiency_driving", "efficiency_driven")
 
@@ -35,17 +35,19 @@ def to_json(found: Identification) -> dict[str, Any]:
 
 def to_yaml(found: Identification) -> str:
     """The configuration's own keys with what was identified well enough; between the two masses the
-    surer one, between the two efficiencies their mean."""
-    known = {
-        e.name: e for e in found.estimates if e.configured is not None and e.verdict != "uncertain"
-    }
-    chosen = {key: known[name] for name, key in _KEYS.items() if name in known}
-    masses = [known[name] for name in _MASSES if name in known]
+    surer one, between the two efficiencies their mean. What axes have as their own is written
+    for each of them."""
+    known = [e for e in found.estimates if e.configured is not None and e.verdict != "uncertain"]
+    chosen = {key: e for name in _VALUES for e in known if e.name == name for key in e.keys}
+    masses = [e for name in _MASSES for e in known if e.name == name]
     if masses:
         chosen["robot.platform.mass"] = min(masses, key=lambda e: e.half_width)
-    pair = [known[name] for name in _EFFICIENCIES if name in known]
-    if len(pair) == 2:
-        chosen["robot.gearbox.efficiency"] = Estimate(
+    driving, driven = (
+        {key: e for e in known if e.name == name for key in e.keys} for name in _EFFICIENCIES
+    )
+    for key in sorted(driving.keys() & driven.keys()):
+        pair = driving[key], driven[key]
+        chosen[key] = Estimate(
             "efficiency",
             "",
             "",
@@ -53,19 +55,22 @@ def to_yaml(found: Identification) -> str:
             max(e.half_width for e in pair),
             pair[0].configured,
         )
-    document: dict[str, Any] = {}
+    document: dict[Any, Any] = {}
     comments: dict[str, str] = {}
     for key, estimate in chosen.items():
         *sections, last = key.split(".")
         at = document
         for section in sections:
-            at = at.setdefault(section, {})
+            at = at.setdefault(int(section) if section.isdecimal() else section, {})
         at[last] = rounded(estimate.value, estimate.half_width)
         was = "" if estimate.configured is None else f", was {estimate.configured:g}"
-        comments[last] = f"{estimate.unit} ± {estimate.half_width:.2g}{was}".strip()
+        comments[key] = f"{estimate.unit} ± {estimate.half_width:.2g}{was}".strip()
     lines = ["# Identified from " + ", ".join(str(path) for path in found.logs)]
+    path: list[str] = []
     for line in yaml.safe_dump(document, sort_keys=False).splitlines():
-        comment = comments.get(line.split(":")[0].strip())
+        name = line.split(":")[0]
+        path[(len(name) - len(name.lstrip())) // 2 :] = [name.strip()]
+        comment = comments.get(".".join(path))
         lines.append(f"{line:<32}# {comment}" if comment else line)
     return "\n".join(lines) + "\n"
 
@@ -86,6 +91,7 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
         "half_width": _known(estimate.half_width),
         "configured": estimate.configured,
         "verdict": estimate.verdict,
+        "axes": list(estimate.axes),
         "each": [_known(value) for value in estimate.each],
         "truth": estimate.truth,
         "error": None if estimate.truth is None else _known(estimate.value - estimate.truth),
