@@ -249,8 +249,8 @@ def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) ->
 
 
 def _real_key(document: Document, loc: tuple[int | str, ...]) -> Key:
-    """pydantic names union branches in its locations, and says where it is about a key and not its
-    value; the document has no such steps."""
+    """pydantic names union branches in its locations, and marks an error of a key; the document has
+    no such steps."""
     key: list[str | int] = []
     place: Any = document.data
     for index, part in enumerate(loc):

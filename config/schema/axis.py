@@ -153,7 +153,7 @@ class AxisOverrides(_Overrides):
     """Any part of any section of a `DriveTrain`, and how the motor is mounted."""
 
     sign: Sign = 1
-    """which way the motor turns, as its encoder counts, to wind the cable in: 1 up, -1 down"""
+    """which way the motor turns, as its encoder counts, to reel the cable in: 1 up, -1 down"""
     cable: CableOverrides = CableOverrides()
     drum: DrumOverrides = DrumOverrides()
     gearbox: GearboxOverrides = GearboxOverrides()

@@ -120,7 +120,7 @@ class Robot(Section):
 
     @property
     def signs(self) -> tuple[int, ...]:
-        """Of each axis: 1 where its motor turns up, as its encoder counts, to wind the cable in; -1
+        """Of each axis: 1 where its motor turns up, as its encoder counts, to reel the cable in; -1
         where it turns down."""
         return tuple(self.axes[axis].sign if axis in self.axes else 1 for axis in range(CABLES))
 
@@ -144,7 +144,7 @@ class Robot(Section):
         return [(axes, own) for (own, _), axes in found.items()]
 
     def whose(self, axes: Sequence[int]) -> str:
-        """What a message says after a value that only these axes have: nothing where all axes are
+        """What a message adds to a value that only these axes have: nothing where all axes are
         of one kind."""
         if len(axes) == CABLES:
             return ""

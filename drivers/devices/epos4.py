@@ -65,7 +65,7 @@ def settings(motor: Motor, drive: Drive | EthercatDrive) -> tuple[Setting, ...]:
 
 @dataclass(frozen=True)
 class Scale:
-    """Device units of one axis against SI at its drum, winding in positive: both factors are
+    """Device units of one axis against SI at its drum, reeling in positive: both factors are
     negative for a motor that turns the other way."""
 
     radian_per_increment: float
@@ -76,7 +76,7 @@ class Scale:
 
     @staticmethod
     def of(train: DriveTrain, sign: int = 1) -> Scale:
-        """``sign``: 1, or -1 for a motor that turns down to wind in."""
+        """``sign``: 1, or -1 for a motor that turns down to reel in."""
         motor, ratio = train.motor, train.gearbox.ratio
         rated = sign * motor.rated_torque * ratio
         limit = math.floor(PER_MILLE * motor.current_limit / motor.nominal_current)

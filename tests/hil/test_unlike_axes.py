@@ -1,4 +1,4 @@
-"""A robot whose axes differ: what they have in common stays as it was, and each keeps its own."""
+"""A robot whose axes differ, in whole runs."""
 
 from __future__ import annotations
 
@@ -54,22 +54,22 @@ def test_a_robot_that_lists_the_defaults_for_every_axis_is_the_same_robot(tmp_pa
 
 @pytest.fixture
 def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
-    """What every emulated drive tells and is told, in device units, in the order of time."""
-    heard: Wire = defaultdict(list)
+    """What every emulated drive sends and receives, in device units, in the order of time."""
+    exchanged: Wire = defaultdict(list)
     sample, target = Samples.at, Output.set_target
 
     def at(samples: Samples, now_ns: int) -> list[int]:
         words = sample(samples, now_ns)
-        heard["told"].append((now_ns, *words[: 2 * CABLES]))
+        exchanged["sent"].append((now_ns, *words[: 2 * CABLES]))
         return words
 
     def set_target(output: Output, value: int) -> None:
-        heard[f"torque {output._axis}"].append(value)
+        exchanged[f"torque {output._axis}"].append(value)
         target(output, value)
 
     monkeypatch.setattr(Samples, "at", at)
     monkeypatch.setattr(Output, "set_target", set_target)
-    return heard
+    return exchanged
 
 
 @pytest.mark.parametrize("path", BUSES)
@@ -90,19 +90,19 @@ def test_motors_that_turn_the_other_way_move_the_platform_alike(
         wires.append(dict(wire))
         logs.append(log)
     _same_motion(*logs)
-    one, other = ({row[0]: row[1:] for row in heard["told"]} for heard in wires)
+    one, other = ({row[0]: row[1:] for row in exchanged["sent"]} for exchanged in wires)
     shared = sorted(one.keys() & other.keys())
     assert len(shared) > 2000
-    told, mirrored = (np.array([each[now] for now in shared]) for each in (one, other))
-    turned = told[:, POSITION : POSITION + CABLES]
+    sent, mirrored = (np.array([each[now] for now in shared]) for each in (one, other))
+    turned = sent[:, POSITION : POSITION + CABLES]
     assert (np.ptp(turned, axis=0) > 2000).all(), "every motor turns"
     apart = SIGNS * mirrored[:, POSITION : POSITION + CABLES] - turned
     assert np.abs(apart).max() < 0.01 * np.ptp(turned)
-    flowing = told[:, TORQUE : TORQUE + CABLES]
-    assert np.median(flowing, axis=0).min() > 20, "per mille, winding in"
+    flowing = sent[:, TORQUE : TORQUE + CABLES]
+    assert np.median(flowing, axis=0).min() > 20, "per mille, reeling in"
     assert (np.median(mirrored[:, TORQUE : TORQUE + CABLES], axis=0) * SIGNS > 20).all()
     for axis, sign in enumerate(SIGNS):
-        ours, theirs = (np.array(heard[f"torque {axis}"]) for heard in wires)
+        ours, theirs = (np.array(exchanged[f"torque {axis}"]) for exchanged in wires)
         assert ours.max() > 20
         assert np.mean(sign * theirs) == pytest.approx(np.mean(ours), rel=0.02)
 

@@ -47,7 +47,7 @@ def test_a_value_of_its_own_takes_the_defaults_place_on_its_axis_only(name: str)
 
 
 def test_what_a_robot_gives_is_not_its_own() -> None:
-    """Nobody changes a robot by changing an array; a changed copy has its own values."""
+    """A changed array changes no robot; a changed copy of a robot has its own values."""
     PAPER.drum_radius[:] = 1.0
     assert (PAPER.drum_radius == PAPER.drum.radius).all()
     larger = PAPER.model_copy(update={"drum": PAPER.drum.model_copy(update={"radius": 0.04})})

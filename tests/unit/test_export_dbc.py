@@ -72,7 +72,7 @@ def test_numbers_are_in_si_units_at_the_drum(can4: Database) -> None:
 
 
 def test_an_axis_of_its_own_has_numbers_of_its_own() -> None:
-    """A motor with other encoder and gear that turns down to wind in."""
+    """A motor with other encoder and gear that turns down to reel in."""
     own = {
         "sign": -1,
         "gearbox": {"numerator": 10, "denominator": 1},
