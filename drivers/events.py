@@ -47,7 +47,7 @@ EVENTS: dict[str, Meaning] = {
     "recovered": Meaning("a reset brought a node back to operational", ""),
     "recovery_failed": Meaning("a reset could not bring a node back", "it stays as it is"),
     "transmit_refused": Meaning(
-        "the controller took no frame", "the frame is dropped; the devices' watchdogs act"
+        "the controller refused a frame", "the frame is dropped; the devices' watchdogs act"
     ),
     "bus_error": Meaning("the controller reports errors on the wire", ""),
     "bus_passive": Meaning(
@@ -65,7 +65,7 @@ EVENTS: dict[str, Meaning] = {
         "no node of a channel answers",
         "its axes and cells are lost; frames not yet sent are dropped",
     ),
-    "frame_lost": Meaning("an EtherCAT frame did not come back in its tick", _AGES),
+    "frame_lost": Meaning("an EtherCAT frame did not come back in time (CAN: missing_pdo)", _AGES),
     "stale_frame": Meaning("an EtherCAT frame of an earlier tick came back", _UNUSED),
     "wrong_working_counter": Meaning(
         "fewer slaves took part in an exchange than should", "its inputs are not used"

@@ -16,12 +16,13 @@ EVENTS: dict[str, Meaning] = {
     "refused": Meaning("a command was refused; with the sender and the reason", "nothing changes"),
     "signal": Meaning("the process received SIGHUP while it serves commands", "nothing changes"),
     "overrun": Meaning(
-        "at least realtime.overrun_ticks ticks were missed in a row",
+        "realtime.overrun_ticks ticks or more were missed in a row, and realtime.overrun asks for "
+        "an answer in this state",
         "the platform holds or stops, as realtime.overrun says",
     ),
     "stop_mode": Meaning(
         "the mode of the controlled stop: on_path, descent or passive",
-        "never back to an earlier mode",
+        "the stop goes on in this mode, and never returns to an earlier one (docs/stop.md)",
     ),
     "envelope": Meaning(
         "the level of the Dynamic Safety Envelope: green, amber (a bound is near), red (a bound is "
@@ -29,12 +30,13 @@ EVENTS: dict[str, Meaning] = {
         "amber: stiffness or speed comes down; red: a fault follows",
     ),
     "wrench_deficit": Meaning(
-        "the cables cannot deliver the commanded wrench within their tension bounds",
+        "the cables miss the commanded wrench by more than distribution.deficit_limit",
         "they deliver the nearest wrench that they can",
     ),
     "drums_unobserved": Meaning(
-        "samples of a drive were late or of uncertain time throughout isolation.unobserved_s",
-        "the run continues; a drum that jams or slips is found by its cable's length alone",
+        "ticks were missed, or samples of a drive late or of uncertain time, throughout "
+        "isolation.unobserved_s",
+        "the run continues; a drum that jams or slips is found by its length and tension alone",
     ),
     "drums_observed": Meaning(
         "the samples of every drive are on time again", "torque and motion are compared again"
@@ -45,13 +47,14 @@ EVENTS: dict[str, Meaning] = {
     ),
     "tracker_back": Meaning("tracker poses are used again", ""),
     "tracker_learnt": Meaning(
-        "the tracker differs from the cables by the same amount for some time",
-        "the cable lengths are referenced to the tracker anew",
+        "estimator.refused_poses poses in a row were refused and agree with each other",
+        "the estimate trusts the cable lengths less, and follows the tracker",
     ),
     "pose_cables": Meaning(
         "the cable lengths contradict each other or the motion: a slack or slipped cable, "
         "or a wrong parameter",
-        "the pose estimate goes on; a fault follows if one cable stands out",
+        "the pose estimate goes on; a fault follows if one cable stands out, and a passive stop if "
+        "none does and the lengths drift on",
     ),
     "pose_tracker": Meaning(
         "consecutive tracker poses are far from the estimate", "these poses are not used"

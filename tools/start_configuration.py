@@ -46,6 +46,8 @@ def write_configuration(folder: Path, like: str) -> list[Path]:
     main = texts.pop(Path(path.name))
     direct = _included(HERE / WITHOUT_FRAMES, f"{_SHOWN}/{WITHOUT_FRAMES}")
     plain = direct.pop(Path(WITHOUT_FRAMES))
+    del direct[_robot_of(plain)]
+    plain = plain.replace(_robot_of(plain).as_posix(), _robot_of(main).as_posix())
     texts |= direct
     played = Path("scenarios", f"{scenario.name}.yaml")
     texts[played] = (HERE / played).read_text(encoding="utf-8")
@@ -67,6 +69,13 @@ def _included(path: Path, shown: str) -> dict[Path, str]:
         place = Path(os.path.relpath(name, _SHOWN))
         found[place] = (HERE / place).read_text(encoding="utf-8")
     return found
+
+
+def _robot_of(text: str) -> Path:
+    """The file that a main file includes as its robot."""
+    found = re.search(r"^robot: !include (\S+)", text, flags=re.MULTILINE)
+    assert found is not None, "a shipped configuration includes its robot"
+    return Path(found[1])
 
 
 def _own(text: str, head: str, name: str, scenario: Path) -> str:

@@ -16,7 +16,7 @@ from tonus.tools.cli.init import init
 from tonus.tools.cli.run import run
 from tonus.tools.errors import ToolError
 
-COMPLETE = ("can", "direct", "ethercat", "mixed", "one_channel", "robot")
+COMPLETE = ("can", "direct", "ethercat", "mixed", "one_channel", "robot", "unlike_axes")
 
 
 @pytest.mark.parametrize("like", COMPLETE)

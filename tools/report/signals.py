@@ -54,10 +54,11 @@ A report reads the run in pieces of half a minute: of the whole it holds 50 byte
 minutes take 0.45 GB and 16 to 20 s of processor time. Its spectra are of the first minute of the
 longest ACTIVE, at most. Of damaged files `make robust` makes 500 and has every command read them.
 
-A replay needs every input of the cycle: `angle`, `torque`, `statusword`, `error_code`, `age` and
-`state` of /tonus/drives, `raw`, `age` and `status` of /tonus/force_cells, all of /tonus/tracker but
-`accepted`, `operator` and `tick`. `inputs` of /tonus/state is a checksum over them, so an input
-that was altered is found in its tick, even one that no output heeds. `/tonus/keyframe` holds the
+A replay needs every input of the cycle: `angle`, `torque`, `sampled_ns`, `doubt_ns`, `statusword`,
+`error_code`, `age` and `state` of /tonus/drives, `raw`, `age` and `status` of /tonus/force_cells,
+`position`, `quaternion`, `delay`, `sequence` and `fresh` of /tonus/tracker, `operator` and `select`
+of /tonus/state, and the tick. `inputs` of /tonus/state is a checksum of them: an input that was
+altered is found in its tick, even one that no output heeds. `/tonus/keyframe` holds the
 cycle's whole state every `recording.keyframe_s`; a replay of later ticks, or of what follows on
 missing records, begins there. `--with CONFIG` tells what another configuration would have commanded
 on the same inputs, with the sequence of the recorded one; the robot did not answer to that.
