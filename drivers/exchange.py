@@ -14,8 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tonus.config.schema.bus import CELLS, Amplifier, ForceCell
-from tonus.config.schema.control import Freshness
 from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.safety import Freshness
 from tonus.drivers.devices.cia402 import STATE_OF, Cia402Axis
 from tonus.drivers.devices.epos4 import Scale
 from tonus.drivers.devices.force_cell import divisor

@@ -10,8 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.config.schema.control import Envelope, Sequence
+from tonus.config.schema.control import Sequence
 from tonus.config.schema.robot import Robot
+from tonus.config.schema.safety import Envelope
 from tonus.config.schema.scenario import Reference
 from tonus.runtime.control.reference import Move, Sample, trajectory
 from tonus.runtime.states import State

@@ -17,9 +17,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.config.schema.control import Envelope as Settings
 from tonus.config.schema.control import StiffnessLaw
 from tonus.config.schema.robot import Robot, Tension
+from tonus.config.schema.safety import Envelope as Settings
 from tonus.runtime.signals import Bound, Grade
 from tonus.runtime.states import Fault
 

@@ -23,8 +23,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.config.schema.control import Stop
 from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.safety import Stop
 
 Array = NDArray[np.float64]
 

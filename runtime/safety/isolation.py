@@ -28,9 +28,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.config.schema.control import Isolation as Settings
-from tonus.config.schema.control import Stop
 from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.safety import Isolation as Settings
+from tonus.config.schema.safety import Stop
 from tonus.runtime.states import Fault
 
 Array = NDArray[np.float64]

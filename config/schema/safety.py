@@ -1,0 +1,154 @@
+"""What guards the robot: the ways to stop, the residuals of each cable, the envelope."""
+
+from __future__ import annotations
+
+from pydantic import model_validator
+
+from tonus.config.schema.base import Count, Fraction, NonNegative, Positive, Section
+
+
+class Stop(Section):
+    """A stop without a path to keep: in descent with the cables that are left, or passive, each
+    drum by itself (`tonus.runtime.safety.guard`)."""
+
+    moment_length: Positive
+    """m by which moments are divided in a descent: long, so that forces come before level"""
+    damping: Positive
+    """N s/m against the platform's motion in a descent"""
+    sink: Fraction
+    """share of its weight by which the platform is let sink, once its path goes down"""
+    landed: Positive
+    """m above the cradle that counts as landed"""
+    landing_s: NonNegative
+    """s that a descent waits for it, before it becomes a passive stop"""
+    settle_s: Positive
+    """s after the beginning of a descent in which the platform may rise"""
+    rise: Positive
+    """m by which it may rise later, before the descent becomes a passive stop"""
+    unrest: Positive
+    """times the estimator's process noise in a descent"""
+    length_sigma: Positive
+    """m, noise of a cable's length in a descent: its damping and the cell's lag are in it"""
+    least_tension: Positive
+    """N: least that a taut cable is asked for in a descent"""
+    most_tension: Positive
+    """N: most, likewise"""
+    proportional: NonNegative
+    """of the tension loop in a descent: faster than where a person is to be met softly"""
+    ease_s: Positive
+    """s in which the tensions ease off from what they were when it began"""
+    tension_rate: Positive
+    """N/s: bound on how fast a tension reference may move in a descent"""
+    release_s: Positive
+    """s, time constant with which a given-up cable on a free drum goes slack"""
+    taut_tension: Positive
+    """N above which a cable counts as taut, and below half of which it counts as slack"""
+    take_up_speed: Positive
+    """m/s by which the drum of a slack cable turns faster than the platform comes nearer"""
+    take_up_damping: Positive
+    """N s/m that keeps it there"""
+    reel_in: Positive
+    """m/s that a drum reels in at most while the robot stops"""
+    reel_out: Positive
+    """m/s that a drum reels out before it brakes while the robot stops"""
+    reel_damping: Positive
+    """N s/m beyond these speeds"""
+    tank: NonNegative
+    """J that a drum may put in beyond the passive tension in a descent"""
+    passive_tension: Positive
+    """N that a drum gives by itself"""
+    passive_damping: Positive
+    """N s/m by which it damps its own motion"""
+    passive_force: Positive
+    """N: bound on the sum of both"""
+    rest_speed: Positive
+    """m/s of cable below which a drum counts as standing"""
+    rest_s: Positive
+    """s that all drums have to stand before a passive stop lets go"""
+    passive_s: Positive
+    """s after which it lets go in any case"""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Stop:
+        if not self.least_tension <= self.passive_tension <= self.most_tension:
+            raise ValueError("least_tension <= passive_tension <= most_tension must hold")
+        return self
+
+
+class Isolation(Section):
+    """When a measurement contradicts the others (`tonus.runtime.safety.isolation`)."""
+
+    length_jump: Positive
+    """m from one tick to the next that no platform makes: cable, drum, cell or encoder"""
+    jump_ticks: Count
+    """ticks in a row until it is a fault; the sample is left out from the first on"""
+    tension_error: Positive
+    """N between a cable's reference and its filtered tension"""
+    tension_error_s: Positive
+    """s that it may last"""
+    torque_error: Positive
+    """N at the cable that a drum's torque may leave unexplained: friction"""
+    torque_share: Fraction
+    """and of the torque itself: the gearbox's efficiency"""
+    torque_s: Positive
+    """s, time constant of the observer"""
+    torque_ticks: Count
+    """in a row"""
+    torque_descent_ticks: Count
+    """in a row, in a descent"""
+    sample_doubt: Positive
+    """s of doubt when a sample was taken, beyond which it is not held against its torque"""
+    unobserved_s: Positive
+    """s in which samples keep a drum from being held against its torque, until it is an event"""
+    acceleration: Positive
+    """times what a drum's motor can give, at its current limit and without a cable"""
+    overwound: Positive
+    """m by which a slack cable's length falls short of its way to the platform"""
+    travel: Positive
+    """m that the platform's motion shortens a cable by while its drum does not turn at all"""
+    innovation: Positive
+    """m, mean innovation of a cable's length that counts as a contradiction"""
+    prominence: Positive
+    """times the second largest: the largest then tells which cable it is"""
+    innovation_s: Positive
+    """s over which it is averaged"""
+    frozen_change: Positive
+    """N that a tension's reference moves while its cell's reading does not"""
+    frozen_ticks: Count
+    """fresh samples in a row to the last bit equal: a load cell has noise"""
+
+
+class Freshness(Section):
+    measurement_ticks: Count
+    """a measurement older than this carries no torque"""
+    stale_stop_ticks: Count
+    """ticks without a fresh measurement until the controlled stop; left out, it is what
+    `tonus.config.schema.place` says"""
+
+
+class Envelope(Section):
+    """The Dynamic Safety Envelope, eq. (4) and (14), graded."""
+
+    enabled: bool
+    contact_limit: Positive
+    """N: F_lim, at the contact port"""
+    contact_warning: Fraction
+    """share of F_lim where the stiffness starts to come down"""
+    speed_limit: Positive
+    speed_warning: Fraction
+    workspace_margin: NonNegative
+    """m inside the box where amber starts"""
+    tension_warning: Fraction
+    """share of the way from T_pre to a bound where amber starts"""
+    horizon: Positive
+    """s: how far the bounds are predicted"""
+    rate_cutoff_hz: Positive
+    """first-order low-pass of the contact force's rate that the prediction uses"""
+    hysteresis: Fraction
+    """share of a limit by which full softness comes before it"""
+    release_band: NonNegative
+    """share of the amber zone by which a bound must recede before the envelope lets go"""
+    release_rate: Positive
+    """1/s: how fast it lets go"""
+    over_tension_ticks: Count
+    """ticks beyond T_max or below slack before red"""
