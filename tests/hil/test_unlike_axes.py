@@ -72,7 +72,7 @@ def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
     return exchanged
 
 
-@pytest.mark.parametrize("path", BUSES)
+@pytest.mark.parametrize("path", [*BUSES[:2], pytest.param(BUSES[2], marks=pytest.mark.long)])
 def test_motors_that_turn_the_other_way_move_the_platform_alike(
     path: str, wire: Wire, tmp_path: Path
 ) -> None:
@@ -122,7 +122,7 @@ def _same_motion(one: Log, other: Log) -> None:
         assert np.abs(ours - theirs).max() < most, (name, field, np.abs(ours - theirs).max())
 
 
-@pytest.mark.parametrize("scenario", ["load_test", "contact"])
+@pytest.mark.parametrize("scenario", [pytest.param("load_test", marks=pytest.mark.long), "contact"])
 def test_other_winches_on_four_axes_play_it_to_its_end_within_bounds(
     scenario: str, tmp_path: Path
 ) -> None:

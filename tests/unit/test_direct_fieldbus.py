@@ -13,6 +13,7 @@ from tonus.config import load
 from tonus.drivers.direct import DirectFieldbus
 from tonus.drivers.errors import BringUpError, SdoError
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.timing.clock import now_ns
 
 CONFIG = load("config/direct.yaml")[0]
 PERIOD_NS = 1_000_000
@@ -61,16 +62,13 @@ def test_the_image_is_bit_for_bit_that_of_can() -> None:
     port = ScriptedPort()
     port.samples = table
     image = ProcessImage()
-    now = 0
-    direct = DirectFieldbus(CONFIG, image, port, lambda: now)
+    direct = DirectFieldbus(CONFIG, image, port, now_ns)
     robot = Robot()
 
     async def work() -> None:
-        nonlocal now
         await direct.start(lambda _: None)
         await robot.start()
         for tick in range(30):
-            now = tick * PERIOD_NS
             direct.collect(tick)
             robot.fieldbus.collect(tick)
             assert image.axes.tobytes() == robot.image.axes.tobytes()

@@ -10,7 +10,8 @@ import pytest
 
 from tonus.config import load
 from tonus.runtime.timing import clock
-from tonus.sim.lab.engine import Lab, server
+from tonus.sim.lab import server
+from tonus.sim.lab.engine import Lab
 
 
 class Port:
