@@ -87,6 +87,7 @@ def test_the_image_is_bit_for_bit_that_of_can() -> None:
                 robot.put_axis(axis, statuswords[axis], positions[axis], mille[axis])
             for cell in range(9):
                 robot.put_cell(cell, cells[cell])
+            await asyncio.sleep(PERIOD_NS * 1e-9)
         await robot.fieldbus.stop()
 
     in_virtual_time(work())
