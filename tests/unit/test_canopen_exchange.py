@@ -66,6 +66,30 @@ def test_every_channel_gets_one_sync_a_tick_before_any_rpdo() -> None:
     run(script)
 
 
+def test_a_sync_behind_frames_that_are_still_on_the_wire_goes_out_at_an_uncertain_time() -> None:
+    """No time passes between these ticks: the second SYNC waits for the first, its answers and the
+    outputs, 130 us a frame of eight bytes at most."""
+
+    def script(robot: Robot) -> None:
+        bus, doubt = robot.fieldbus, robot.image.axes["doubt_ns"]
+        bus.collect(0)
+        robot.put_all()
+        bus.collect(1)
+        assert (doubt == 0).all()
+        bus.publish(1)
+        robot.put_all()
+        bus.collect(2)
+        frames_us = 47 + 5 * 111  # SYNC, and at most five answers
+        assert (doubt > 0).all()
+        assert (doubt <= frames_us * 1000).all()
+        robot.put_all()
+        before = doubt.copy()
+        bus.collect(3)
+        assert (doubt > before).all()
+
+    run(script)
+
+
 def test_ages_count_ticks_and_a_stale_drive_is_lost() -> None:
     def script(robot: Robot) -> None:
         bus, image = robot.fieldbus, robot.image
