@@ -87,7 +87,7 @@ def _compose(text: str, shown: str) -> yaml.Node | None:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 0
         problem = f"not valid YAML: {error.problem or error.context}"
-        raise ConfigError(shown, line, "", problem, "mend the syntax there") from error
+        raise ConfigError(shown, line, "", problem, "correct the syntax there") from error
     except ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         problem = f"holds the character {chr(error.character)!a}"
@@ -97,7 +97,7 @@ def _compose(text: str, shown: str) -> yaml.Node | None:
         OverflowError,
     ) as error:  # e.g. an escape beyond the last character there is
         problem = f"not valid YAML: {error}"
-        raise ConfigError(shown, 0, "", problem, "mend the syntax") from error
+        raise ConfigError(shown, 0, "", problem, "correct the syntax") from error
     except RecursionError as error:
         raise ConfigError(shown, 0, "", "is nested too deeply", "flatten it") from error
 
@@ -176,7 +176,7 @@ def _scalar(node: yaml.Node, shown: str, line: int, key: Key) -> Scalar:
         value: Scalar = yaml.SafeLoader("").construct_object(node)
     except (ValueError, KeyError) as error:
         problem = f"{node.value!r} cannot be read as {kind}"
-        raise ConfigError(shown, line, dotted(key), problem, "mend the value") from error
+        raise ConfigError(shown, line, dotted(key), problem, "correct the value") from error
     return value
 
 

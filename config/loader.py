@@ -30,7 +30,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 _REMEDY = {
     "missing": "add it",
-    "extra_forbidden": "remove it or mend its spelling",
+    "extra_forbidden": "remove it or correct its spelling",
     "greater_than": "choose a larger value",
     "greater_than_equal": "choose a larger value",
     "less_than": "choose a smaller value",
@@ -208,7 +208,7 @@ def _override(document: Document, key: str, value: Any) -> None:
         place[int(last)] = value
     else:
         file, line = document.place(path)
-        raise ConfigError(file, line, key, "is not there and cannot be set", "mend its spelling")
+        raise ConfigError(file, line, key, "is not there and cannot be set", "correct its spelling")
 
 
 def _validate(document: Document, model: type[Model]) -> Model:

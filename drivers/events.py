@@ -32,7 +32,9 @@ EVENTS: dict[str, Meaning] = {
     "short_pdo": Meaning("a PDO shorter than its mapping", _UNUSED),
     "long_pdo": Meaning("a PDO longer than its mapping", _UNUSED),
     "foreign_frame": Meaning("a frame with an unknown COB-ID", "not used"),
-    "silent_pdo": Meaning("a node lives but answers no SYNC", "its axis or cells are lost"),
+    "silent_pdo": Meaning(
+        "a node sends its heartbeat but answers no SYNC", "its axis or cells are lost"
+    ),
     "emcy": Meaning("an emergency message", ""),
     "short_emcy": Meaning("an emergency message cut short", "not used"),
     "heartbeat_lost": Meaning(
@@ -51,7 +53,7 @@ EVENTS: dict[str, Meaning] = {
     ),
     "bus_error": Meaning("the controller reports errors on the wire", ""),
     "bus_passive": Meaning(
-        "the controller is error-passive", "the exchange goes on; the cable needs a look"
+        "the controller is error-passive", "the exchange goes on; check the cable"
     ),
     "bus_off": Meaning(
         "the controller has left the bus", "every axis and cell of the channel goes stale"
@@ -102,7 +104,7 @@ EVENTS: dict[str, Meaning] = {
     ),
     "dropped": Meaning("more events than can be kept between two ticks", "counted"),
 }
-"""Every name a driver tells. The reaction ends the event's text."""
+"""Every name a driver reports. The reaction ends the event's text."""
 
 
 class EventLog:

@@ -171,7 +171,7 @@ class Daemon:
         if self._guard.commander.failing:
             return "stopped because what commands the run failed"
         if self._overruns.stopped:
-            return "stopped because ticks were missed, as realtime.overrun asks for"
+            return "stopped because ticks were missed (realtime.overrun)"
         if self._commander.obstacle:
             return f"not armed: {self._commander.obstacle}"
         if self._halted:
@@ -328,8 +328,8 @@ class Daemon:
         if command is not said:
             misses = scheduler.misses
             text = (
-                f"{scheduler.skipped} ticks missed at once ({misses.own} of our own making so far, "
-                f"{misses.host} by the host); realtime.overrun asks for {command.name.lower()}"
+                f"{scheduler.skipped} ticks missed at once ({misses.own} own so far, "
+                f"{misses.host} by the host); realtime.overrun: {command.name.lower()}"
             )
             self._emit(tick, Level.WARNING, "overrun", "scheduler", text)
         return command

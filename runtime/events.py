@@ -17,7 +17,7 @@ EVENTS: dict[str, Meaning] = {
     "signal": Meaning("the process received SIGHUP while it serves commands", "nothing changes"),
     "overrun": Meaning(
         "realtime.overrun_ticks ticks or more were missed in a row, and realtime.overrun asks for "
-        "an answer in this state",
+        "a reaction in this state",
         "the platform holds or stops, as realtime.overrun says",
     ),
     "stop_mode": Meaning(

@@ -85,11 +85,11 @@ ARMED = frozenset({State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE
 MEANING: dict[State, str] = {
     State.OFF: "the bus is brought up and the unloaded cells are zeroed",
     State.STANDBY: "drives are disabled; the robot may be armed",
-    State.REFERENCING: "cables are drawn straight and their lengths referenced",
+    State.REFERENCING: "cables are tensioned lightly and their lengths referenced",
     State.PRETENSION: "tension grows and the platform rises from its cradle to home",
     State.HOLD: "the platform holds its place",
     State.ACTIVE: "the scenario plays",
-    State.SAFE_STOP: "a controlled stop: to standstill, down to the cradle, tensions let down",
+    State.SAFE_STOP: "a controlled stop: to standstill, down to the cradle, tensions released",
     State.FAULT: "drives are disabled because of a fault",
 }
 
@@ -101,7 +101,7 @@ NEXT: dict[State, str] = {
     State.HOLD: "start it, or stop it",
     State.ACTIVE: "hold it, or stop it",
     State.SAFE_STOP: "wait until it is in STANDBY",
-    State.FAULT: "mend the cause, then reset it",
+    State.FAULT: "correct the cause, then reset it",
 }
 """What an operator may do, in words that follow on a refusal."""
 
@@ -114,25 +114,29 @@ class Move(NamedTuple):
 
 
 _ESTOP = Move(State.FAULT, "an emergency stop disables every drive in the same tick")
-_RESTING = "with drives disabled there is nothing to be stopped"
-_MOVING = "moving or under tension: to standstill and down first, then disabled"
+_RESTING = "the drives are disabled: there is nothing to stop"
+_MOVING = "moving or under tension: to standstill and down, then disabled"
 _MOVES: dict[State, dict[Event, Move]] = {
     State.OFF: {
-        Event.TARED: Move(State.STANDBY, "every cell reads nothing, and its offset is small"),
+        Event.TARED: Move(State.STANDBY, "every cell is zeroed, and its offset is small"),
         Event.FAULT: Move(State.FAULT, _RESTING),
         Event.ESTOP: _ESTOP,
     },
     State.STANDBY: {
-        Event.ARM: Move(State.REFERENCING, "the self-test is good and somebody asked for it"),
+        Event.ARM: Move(State.REFERENCING, "the self-test has passed and arming was requested"),
         Event.FAULT: Move(State.FAULT, _RESTING),
         Event.ESTOP: _ESTOP,
     },
     State.REFERENCING: {
         Event.REFERENCED: Move(
-            State.PRETENSION, "lengths are known: poses agree, tensions are even, it lies at rest"
+            State.PRETENSION, "lengths are referenced: poses agree, tensions are even, at rest"
         ),
-        Event.STOP: Move(State.SAFE_STOP, "cables are let down evenly; nothing has moved yet"),
-        Event.FAULT: Move(State.SAFE_STOP, "cables are let down evenly; nothing has moved yet"),
+        Event.STOP: Move(
+            State.SAFE_STOP, "the tensions are released evenly; nothing has moved yet"
+        ),
+        Event.FAULT: Move(
+            State.SAFE_STOP, "the tensions are released evenly; nothing has moved yet"
+        ),
         Event.ESTOP: _ESTOP,
     },
     State.PRETENSION: {
@@ -142,24 +146,26 @@ _MOVES: dict[State, dict[Event, Move]] = {
         Event.ESTOP: _ESTOP,
     },
     State.HOLD: {
-        Event.START: Move(State.ACTIVE, "somebody asked for the scenario"),
+        Event.START: Move(State.ACTIVE, "the scenario was requested"),
         Event.STOP: Move(State.SAFE_STOP, _MOVING),
         Event.FAULT: Move(State.SAFE_STOP, _MOVING),
         Event.ESTOP: _ESTOP,
     },
     State.ACTIVE: {
-        Event.HOLD: Move(State.HOLD, "the scenario's time slows to nothing, where it is"),
+        Event.HOLD: Move(
+            State.HOLD, "the scenario's time slows to zero; the platform holds its place"
+        ),
         Event.STOP: Move(State.SAFE_STOP, _MOVING),
         Event.FAULT: Move(State.SAFE_STOP, _MOVING),
         Event.ESTOP: _ESTOP,
     },
     State.SAFE_STOP: {
-        Event.STOPPED: Move(State.STANDBY, "every drive is disabled, and nothing was wrong"),
-        Event.STOPPED_BY_FAULT: Move(State.FAULT, "every drive is disabled; the fault is left"),
+        Event.STOPPED: Move(State.STANDBY, "every drive is disabled, and there was no fault"),
+        Event.STOPPED_BY_FAULT: Move(State.FAULT, "every drive is disabled; the fault remains"),
         Event.ESTOP: _ESTOP,
     },
     State.FAULT: {
-        Event.RESET: Move(State.STANDBY, "somebody says that the cause is mended"),
+        Event.RESET: Move(State.STANDBY, "the operator confirms that the cause is corrected"),
     },
 }
 
@@ -168,7 +174,7 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     for state in State
     for event in Event
 }
-"""An event that means nothing in a state leaves it unchanged."""
+"""An event that is not allowed in a state leaves it unchanged."""
 
 MOVES: dict[tuple[State, Event], Move] = {
     (state, event): move for state, moves in _MOVES.items() for event, move in moves.items()

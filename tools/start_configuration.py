@@ -18,7 +18,7 @@ _SHOWN = "config"
 _HEAD = """\
 # {name}: written by tonus init from {source}. Change what is not as on your robot, then:
 #
-#   tonus check {main}                 what is wrong with it, before anything starts
+#   tonus check {main}                 checks it; nothing is started
 #   tonus run {main} --virtual         on the lab in software, faster than real time
 #   tonus run {main} --serve           operated by tonus ctl
 #   tonus tune all --config {direct} --land    gains for your robot

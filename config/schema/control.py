@@ -15,7 +15,7 @@ from tonus.config.schema.safety import Envelope, Freshness, Isolation, Stop
 
 class Filters(Section):
     force_cutoff_hz: Positive
-    """second-order Butterworth on every force cell (paper, section 3.4)"""
+    """second-order Butterworth on every load cell (paper, section 3.4)"""
     plausible_force: Positive
     """N: a cell that reports more is not believed"""
     plausible_speed: Positive

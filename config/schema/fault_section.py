@@ -16,7 +16,7 @@ class FaultSection(Section):
     model_config = ConfigDict(use_attribute_docstrings=True)
 
     at: Annotated[NonNegative, Field(le=LONGEST_S)] = 0.0
-    """s after the lab saw every drive enabled; at the door, s from now"""
+    """s after the lab sees every drive enabled; through the socket, s from now"""
 
     @model_serializer(mode="wrap")
     def _with_kind(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -50,7 +50,7 @@ class _OfNode(_OfChannel):
 
 
 class Unplug(_OfNode):
-    """The node's cable is pulled; the device runs on, alone: nobody acknowledges its frames."""
+    """The node's cable is pulled; the device runs on, and no node acknowledges its frames."""
 
     kind: Literal["unplug"] = "unplug"
 
@@ -62,7 +62,7 @@ class Replug(_OfNode):
 
 
 class PowerCycle(_OfNode):
-    """The node's supply is interrupted: it starts anew from its stored parameters."""
+    """The node's supply is interrupted: it restarts from its stored parameters."""
 
     kind: Literal["power_cycle"] = "power_cycle"
 
@@ -86,11 +86,11 @@ class DriveInput(_OfNode):
 
 
 class CellBreak(_OfNode):
-    """The bridge of a force cell opens, or is mended."""
+    """The bridge of a load cell opens, or is repaired."""
 
     kind: Literal["cell_break"] = "cell_break"
     broken: bool = True
-    """false: mended"""
+    """false: repaired"""
 
 
 class _OfFrames(_Lasting):
@@ -101,11 +101,11 @@ class _OfFrames(_Lasting):
     probability: Fraction = 1.0
     """with which a frame is hit"""
     frames: Count | None = None
-    """so many frames at most"""
+    """largest number of frames"""
 
 
 class Loss(_OfFrames):
-    """Nobody receives the frame, and its sender does not learn of it."""
+    """No node receives the frame, and its sender detects no error."""
 
     kind: Literal["loss"] = "loss"
 
@@ -131,7 +131,7 @@ class Duplicate(_OfFrames):
 
 
 class Babble(_Lasting):
-    """A controller gone mad sends one identifier without pause."""
+    """A defective controller sends one identifier without pause."""
 
     kind: Literal["babble"] = "babble"
     identifier: Identifier = 0
@@ -141,7 +141,7 @@ class Babble(_Lasting):
 
 
 class StuckBus(_Lasting):
-    """The bus is held at a level and nobody can send.
+    """The bus is held at a level and no node can send.
 
     Held dominant (a wire on the supply), all controllers become error-passive, and the one that was
     sending goes bus-off. Recessive (the wires touch), every one that tries to send goes bus-off.
@@ -153,9 +153,9 @@ class StuckBus(_Lasting):
 
 
 class Disconnect(_Lasting):
-    """The channel's cable is cut behind the daemon's controller: it is alone, nobody
-    acknowledges its frames; the devices go on among themselves. Other hosts of the channel are cut
-    off in the same way, each by itself."""
+    """The channel's cable is cut behind the daemon's controller: no node acknowledges its frames;
+    the devices stay connected to each other. Every other host of the channel is isolated in the
+    same way."""
 
     kind: Literal["disconnect"] = "disconnect"
 
@@ -177,11 +177,11 @@ class CableBreak(_Lasting):
 
     kind: Literal["cable_break"] = "cable_break"
     behind: Annotated[int, Field(ge=0)]
-    """so many slaves still answer; in a ring the others do from its far end"""
+    """number of slaves that still answer; in a ring the others answer from its far end"""
 
 
 class WrongIdentity(_LastingOfNode):
-    """Another slave of an EtherCAT segment is there than the one that should be."""
+    """A slave of an EtherCAT segment reports another identity than the configured one."""
 
     kind: Literal["wrong_identity"] = "wrong_identity"
     vendor: Unsigned | None = None
@@ -223,7 +223,7 @@ class MailboxAbort(_OfNode):
     code: Unsigned = 0x08000000
     """SDO abort code"""
     times: Count = 1
-    """so often"""
+    """number of accesses"""
 
 
 class WatchdogExpiry(_OfNode):
@@ -233,7 +233,7 @@ class WatchdogExpiry(_OfNode):
 
 
 class ClockDrift(_LastingOfNode):
-    """The clock of a slave of an EtherCAT segment runs off."""
+    """The clock of a slave of an EtherCAT segment drifts."""
 
     kind: Literal["clock_drift"] = "clock_drift"
     drift_ppm: Annotated[Finite, Field(ge=-1000, le=1000)]

@@ -88,7 +88,7 @@ class CellGain(_Growing):
 
 
 class CellOffset(_Growing):
-    """A load cell shows a force that is not there."""
+    """A load cell shows a force offset."""
 
     kind: Literal["cell_offset"] = "cell_offset"
     cell: Index
@@ -98,7 +98,7 @@ class CellOffset(_Growing):
 
 
 class CellFrozen(_LastingOfRobot):
-    """A load cell shows the force of this moment from now on; its noise goes on."""
+    """A load cell repeats the force of this moment; its noise continues."""
 
     kind: Literal["cell_frozen"] = "cell_frozen"
     cell: Index
@@ -118,7 +118,7 @@ class EncoderSlip(_OfRobot):
 
 
 class EncoderFrozen(_LastingOfRobot):
-    """An encoder counts no more; what it has missed it never counts."""
+    """An encoder stops counting; the missed increments are never added."""
 
     kind: Literal["encoder_frozen"] = "encoder_frozen"
     axis: Index
@@ -150,7 +150,7 @@ class PhantomHit(_LastingOfRobot):
 
 
 class Push(_OfRobot):
-    """Somebody pushes the platform."""
+    """A person pushes the platform."""
 
     kind: Literal["load"] = "load"
     force: tuple[_Newton, _Newton, _Newton]

@@ -150,7 +150,10 @@ class Channel:
         if foreign >= self._flood_frames:
             self._floods += 1
             if self._floods >= self._flood_ticks:
-                text = f"{self._floods} ticks in a row brought frames of nobody, or too many"
+                text = (
+                    f"{self._floods} ticks in a row had too many frames, or too many with "
+                    "unknown COB-IDs"
+                )
                 self._events.begin("bus_flooded", self.name, text)
         elif self._floods:
             self._floods = 0

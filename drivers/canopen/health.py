@@ -21,7 +21,7 @@ _CLASSES = (
     (0x002, "arbitration lost"),
     (0x008, "protocol violated"),
     (0x010, "transceiver fault"),
-    (0x020, "nobody acknowledged a frame"),
+    (0x020, "no node acknowledged a frame"),
     (0x080, "error on the wire"),
 )
 

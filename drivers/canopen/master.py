@@ -248,7 +248,7 @@ class CanopenFieldbus:
             channels = len(cell.cells)
             tpdo = device.mapping(channels)
             mapping = Mapping.of(tpdo)
-            kind = "force cell" if channels == 1 else "force cells"
+            kind = "load cell" if channels == 1 else "load cells"
             title = f"{kind} {', '.join(map(str, cell.cells))}"
             role = Role(title, device, tpdo, force_cell.settings(device, channels))
             node = self._add_node(channel, cell.node_id, role)

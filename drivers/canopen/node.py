@@ -94,7 +94,7 @@ class Node:
             lambda: self.monitor.state is NmtState.OPERATIONAL, self._master.boot_timeout_ms
         ):
             state = "silent" if self.monitor.state is None else self.monitor.state.words
-            raise NodeError(f"told to start but {state} {self._master.boot_timeout_ms} ms later")
+            raise NodeError(f"started but {state} {self._master.boot_timeout_ms} ms later")
         self.started = True
 
     async def release(self) -> None:
@@ -115,7 +115,7 @@ class Node:
             self.command(reset)
             if await self._until(lambda: self.monitor.boots > boots, share):
                 return
-        heard = "its heartbeat is there" if self.monitor.heard else "nothing was heard of it"
+        heard = "its heartbeat is received" if self.monitor.heard else "no heartbeat received"
         raise NodeError(
             f"missing: no boot-up within {self._master.boot_timeout_ms} ms of a reset, {heard}"
         )

@@ -52,7 +52,7 @@ def cell_fields(mapping: Mapping, rows: Sequence[int], exchange: Exchange) -> li
         values_of = [force_cell.of_channel(entry, channel) for entry in force_cell.PROCESS_VALUES]
         found = [entry for entry in values_of if entry in mapping.entries]
         if not found:
-            raise PdoError(f"the force cell's TPDO maps no process value of channel {channel}")
+            raise PdoError(f"the load cell's TPDO maps no process value of channel {channel}")
         fields.append(tick_field(exchange.place(exchange.cell_tick, row)))
         value = exchange.place(exchange.cells, row)
         fields.append(mapped(mapping, found[0], value, floating=True))

@@ -102,7 +102,7 @@ class Supervision:
         if unanswered <= self._late_ticks:
             self._events.end("silent_pdo", node.where)
         elif watched.trusted:
-            text = f"{node.role.title}: no answer to {unanswered} SYNCs, its heartbeat is there"
+            text = f"{node.role.title}: no answer to {unanswered} SYNCs, its heartbeat is received"
             self._events.begin("silent_pdo", node.where, text)
 
     def trust(self, watched: Watched) -> None:
@@ -130,7 +130,7 @@ class Supervision:
         title = node.role.title
         watched.silent = False
         if self._events.end("heartbeat_lost", node.where):
-            self._events.counted("heartbeat_back", node.where, f"{title} is heard again")
+            self._events.counted("heartbeat_back", node.where, f"{title}: heartbeat received again")
         if state is NmtState.BOOT_UP:
             watched.restarted = True
             if watched.axis is not None:

@@ -12,7 +12,7 @@ DISABLE_VOLTAGE = 0x00
 QUICK_STOP = 0x02
 FAULT_RESET = 0x80
 
-# CiA 402, statusword: (mask, value, state). Bit 5 means nothing in the four states of mask 0x4F.
+# CiA 402, statusword: (mask, value, state). Bit 5 is not allowed in the four states of mask 0x4F.
 _TABLE = (
     (0x4F, 0x00, AxisState.NOT_READY),
     (0x4F, 0x40, AxisState.SWITCH_ON_DISABLED),

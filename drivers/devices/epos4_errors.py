@@ -12,9 +12,9 @@ from enum import Enum
 
 class Reaction(Enum):
     POWER_OFF = "power off at once"
-    ABORT = "stops as 0x6007 says"
-    FAULT = "stops as 0x605E says"
-    WARNING = "a warning, it goes on"
+    ABORT = "stops as set in 0x6007"
+    FAULT = "stops as set in 0x605E"
+    WARNING = "a warning, operation continues"
 
 
 class Cure(Enum):
@@ -22,7 +22,7 @@ class Cure(Enum):
     COMMUNICATION_RESET = "a fault reset clears it after NMT reset communication"
     IN_RANGE = "a fault reset clears it once the value is back in range"
     DEVICE_RESET = "only a reset of the device clears it"
-    HISTORY = "it goes with the error history"
+    HISTORY = "cleared with the error history"
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ _TABLE = (
     *((code, "D", "hardware defect") for code in (0x5280, 0x5282)),
     (0x5281, "D", "hardware incompatibility"),
     *((code, "D", "hardware defect") for code in range(0x5480, 0x5484)),
-    (0x6080, "D", "extension 1 gives no sign of life"),
+    (0x6080, "D", "extension 1 does not respond"),
     (0x6081, "A", "watchdog of extension 1"),
     *((code, "D", "internal software error") for code in range(0x6180, 0x61F1)),
     (0x6320, "F", "software parameter error, profile too long"),

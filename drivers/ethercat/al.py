@@ -47,7 +47,7 @@ _CODES = {
     0x002E: "cycle time too small",
     0x0030: "invalid distributed clock configuration",
     0x0031: "invalid latch configuration",
-    0x0032: "the clocks do not hold together",
+    0x0032: "distributed clocks out of sync (PLL error)",
     0x0033: "synchronisation input and output error",
     0x0034: "distributed clock timeout",
     0x0035: "invalid SYNC cycle time",

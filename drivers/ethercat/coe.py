@@ -102,7 +102,7 @@ class Mailbox:
             answer = await self._registers.write(start, data)
             if answer is not None and answer.counter:
                 return
-            await self._wait(end, "its mailbox takes nothing")
+            await self._wait(end, "its mailbox accepts no message")
 
     async def _get(self, end: float) -> tuple[int, bytes]:
         start, size = self._read_at
@@ -129,7 +129,7 @@ class Mailbox:
             now = await self._registers.read(_SM1_ACTIVATE, 2)
             if now is not None and now.counter and not (now.data[1] ^ wanted) & _REPEAT:
                 return
-            await self._wait(end, "it repeats nothing")
+            await self._wait(end, "it does not repeat the answer")
 
     async def _wait(self, end: float, what: str) -> None:
         if asyncio.get_running_loop().time() >= end:

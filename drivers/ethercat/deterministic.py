@@ -174,7 +174,7 @@ class DeterministicMaster(StateAccess):
         answer = await self.transfer(Datagram(Command.BRD, everyone(_TYPE), bytes(1)))
         count = answer.counter if answer is not None else 0
         if not count:
-            raise BringUpError(f"bring-up failed: nobody answers on {self._bus.interface}")
+            raise BringUpError(f"bring-up failed: no slave answers on {self._bus.interface}")
         await self.transfer(Datagram(Command.BWR, everyone(_SYNC_ACTIVE), b"\0"))
         reset = (AlState.INIT | ERROR).to_bytes(2, "little")
         await self.transfer(Datagram(Command.BWR, everyone(AL_CONTROL), reset))

@@ -412,7 +412,7 @@ class EthercatFieldbus:
 
 
 def _loop_clock() -> int:
-    raise AssertionError("the clock is known when a loop runs")
+    raise AssertionError("the clock is available only while a loop runs")
 
 
 def _clock_of_the_loop() -> Clock:

@@ -148,7 +148,7 @@ class SoemMaster(StateAccess):
         slave up wrongly."""
         soem, master = self._soem, self._master
         if master.config_init() <= 0:
-            return f"nobody answers on {self._bus.interface}"
+            return f"no slave answers on {self._bus.interface}"
         self._slaves = list(master.slaves)
         master.state_check(soem.PREOP_STATE, self._bus.master.state_timeout_ms * 1000)
         master.read_state()

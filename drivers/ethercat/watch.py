@@ -122,7 +122,7 @@ class Watch:
         events, here = self._events, self._ends[0]
         events.end("ring_open", here)
         if after is None:
-            events.add("ring_closed", here, "all cables are there again")
+            events.add("ring_closed", here, "all cables are connected again")
             return
         places = [here, *(each.slave.where for each in self.watched), *self._ends[1:]]
         text = f"no cable between {places[after]} and {places[after + 1]}"

@@ -191,7 +191,7 @@ class TensionLoop:
         desired: tuple[Array, Array] | None = None,
     ) -> Array:
         """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N, rates
-        in rad/s, winding in positive, cable ``lengths`` in m; ``desired``: rate and acceleration of
+        in rad/s, reeling in positive, cable ``lengths`` in m; ``desired``: rate and acceleration of
         the desired motion, None for none."""
         _expected(
             reference,

@@ -58,7 +58,7 @@ VERBS: dict[str, Verb] = {
         Verb("hold", "pause the scenario where it is", Operator.HOLD),
         Verb("stop", "controlled stop, back to STANDBY", Operator.STOP),
         Verb("estop", "disable every drive in the same tick", Operator.ESTOP),
-        Verb("reset", "leave FAULT once its cause is mended", Operator.RESET),
+        Verb("reset", "leave FAULT once its cause is corrected", Operator.RESET),
         Verb("scenario", "choose what START plays, by `name`; in HOLD or disarmed"),
     )
 }
@@ -192,11 +192,13 @@ class ControlDoor:
         if daemon.recovering:
             return "a reset is bringing devices back", "wait for it, or estop"
         if TRANSITIONS[state, Event(operator)] is state:
-            return f"{operator.name.lower()} means nothing in {state.name}", NEXT[state]
+            return f"{operator.name.lower()} is not allowed in {state.name}", NEXT[state]
         if operator is Operator.ARM:
             tick = int(daemon.cycle.record.timing.tick)
             found = "; ".join(daemon.self_test.obstacles(tick))
-            return (f"the self-test failed: {found}", "mend that, then arm") if found else ("", "")
+            return (
+                (f"the self-test failed: {found}", "correct that, then arm") if found else ("", "")
+            )
         return "", ""
 
     def _choose(self, state: State, name: object) -> tuple[str, str, int]:
@@ -212,7 +214,11 @@ class ControlDoor:
             error = (
                 "the scenario is still slowing down" if slowing else f"not while in {state.name}"
             )
-            return error, "once more in a moment" if slowing else "hold or stop it first", 0
+            return (
+                error,
+                "repeat the command in a moment" if slowing else "hold or stop it first",
+                0,
+            )
         return "", "", self._names.index(str(name)) + 1
 
     def later(self) -> Reply | None:
@@ -232,7 +238,7 @@ class ControlDoor:
                 return self._done(verb, state, f"{self._names[self._chosen]} is what START plays")
             return self._refusal(verb, state, "the robot began to move", "hold or stop it first")
         if self._console.refusal:
-            return self._refusal(verb, state, self._console.refusal, "mend that, then arm")
+            return self._refusal(verb, state, self._console.refusal, "correct that, then arm")
         event = Event(verb.operator)
         wanted = TRANSITIONS[before, event]
         if state is wanted and (before, event) in MOVES:

@@ -343,7 +343,7 @@ def _looked_up(name: str, kind: str, find: Any) -> int:
         return int(find(name))
     except KeyError as error:
         raise ControlSocketError(
-            f"operation.socket: there is no {kind} {name!r}; mend its name, or give its number"
+            f"operation.socket: there is no {kind} {name!r}; correct its name, or give its number"
         ) from error
 
 

@@ -15,7 +15,7 @@ from tonus.runtime.words import STOP_TEXT, describe, place, reaction
 _CONSISTENCY = {
     Consistency.GOOD: "lengths, tensions and tracker fit together again",
     Consistency.CABLES: "the cable lengths contradict each other or the motion",
-    Consistency.TRACKER: "the tracker's poses are not believed",
+    Consistency.TRACKER: "the tracker's poses are refused",
     Consistency.SINGULAR: "the cables hardly determine the pose",
 }
 
@@ -84,11 +84,11 @@ class Reporter:
         believed = tracker.accepted if self._state in MOVING else tracker.fresh
         if believed:
             if self._tracker_silent:
-                self._tell(Level.INFO, "tracker_back", "tracker", "poses are believed again")
+                self._tell(Level.INFO, "tracker_back", "tracker", "poses are used again")
             self._tracker_tick, self._tracker_silent = self._tick, False
         elif self._tick - self._tracker_tick > self._tracker_patience and not self._tracker_silent:
             self._tracker_silent = True
-            text = "no pose that can be believed; the estimate rests on the cables alone"
+            text = "no usable pose; the estimate uses the cables alone"
             self._tell(Level.WARNING, "tracker_lost", "tracker", text)
 
     def _watch_estimator(self) -> None:
@@ -104,7 +104,7 @@ class Reporter:
                 text += f", {away:.1f} mm away"
             self._tell(level, f"pose_{consistency.name.lower()}", "estimator", text)
         if learnt > self._learnt:
-            text = f"the tracker insists on {away:.1f} mm: the cable lengths are referenced anew"
+            text = f"the tracker stays {away:.1f} mm away: the cable lengths are referenced again"
             self._tell(Level.WARNING, "tracker_learnt", "estimator", text)
         self._learnt = learnt
 

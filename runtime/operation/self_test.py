@@ -96,7 +96,7 @@ class SelfTest:
     def _tared(self, cycle: ControlCycle) -> str:
         offsets = cycle.tare.tolist()
         kind = "offsets" if self._config.control.sequence.tare is None else "stated offsets"
-        return f"{kind} of {min(offsets):.2f} to {max(offsets):.2f} N are taken out"
+        return f"{kind} of {min(offsets):.2f} to {max(offsets):.2f} N are subtracted"
 
     def _tare(self, cycle: ControlCycle) -> Iterator[str]:
         limit = self._config.control.sequence.tare_limit

@@ -39,7 +39,7 @@ uint64 tick  # the tick it belongs to
 uint8 level  # 10 debug, 20 info, 30 warning, 40 error, 50 fatal
 string name  # what happened
 string where  # the axis, cell, bus or part it concerns
-string text  # for a person
+string text  # one line to read
 """
 
 KEYFRAME_TOPIC = "/tonus/keyframe"

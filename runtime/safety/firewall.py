@@ -119,5 +119,5 @@ def in_one_line(error: Exception) -> str:
     try:
         text = " ".join(str(error).split())[:_LINE]
     except Exception:  # noqa: BLE001 - see above
-        text = "its text cannot be had"
+        text = "its text is not available"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -72,7 +72,7 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
             self._timer_cancelled_count -= 1  # type: ignore[attr-defined]
         if not scheduled:
             if not self._stopping:  # type: ignore[attr-defined]
-                raise RuntimeError("virtual time stands still: nothing is left that could happen")
+                raise RuntimeError("virtual time cannot advance: no timer or event is pending")
             return
         due_ns = round(scheduled[0]._when * 1e9)
         self._virtual_ns = max(self._virtual_ns, due_ns)

@@ -132,7 +132,7 @@ def demand(settings: RealTime) -> None:
     if hygiene.refused:
         lines = "".join(f"\n  {grant}" for grant in hygiene.refused)
         raise RefusedError(
-            "realtime.policy is require, and this host refuses (tonus doctor tells more):" + lines
+            "realtime.policy is require, and this host refuses (details: tonus doctor):" + lines
         )
 
 

@@ -99,7 +99,7 @@ def check(segment: Segment, fault: Fault) -> None:
     if isinstance(fault, DriveError) and fault.code not in ERRORS:
         raise LabError(f"{what}: a drive has no error 0x{fault.code:04X}")
     if isinstance(fault, CellBreak) and not isinstance(device, ForceCell):
-        raise LabError(f"{where} is not a force cell")
+        raise LabError(f"{where} is not a load cell")
 
 
 def undone_by(fault: SegmentFault) -> tuple[type[Any], ...]:

@@ -72,7 +72,7 @@ class DoorSocket:
             return
         user = _sender(ancillary)
         if user not in (os.geteuid(), _ROOT):
-            line = f"this lab belongs to user {os.geteuid()}; user {user} may not ask"
+            line = f"this lab belongs to user {os.geteuid()}; user {user} is not permitted"
             reply = json.dumps(refusal(line)).encode()
         else:
             self._before()

@@ -105,8 +105,8 @@ class Faults:
         elif isinstance(fault, ethercat.ONLY_HERE):
             self._channel(fault.channel)
             raise LabError(
-                f"fault {fault.kind}: {fault.channel} is a CAN channel; there is "
-                "nothing like that on CAN"
+                f"fault {fault.kind}: {fault.channel} is a CAN channel; this kind "
+                "does not exist on CAN"
             )
         elif isinstance(fault, _OF_CHANNEL):
             self._channel(fault.channel)
@@ -125,7 +125,7 @@ class Faults:
         if isinstance(fault, PowerCycle) and not hasattr(node.device, "power_cycle"):
             raise LabError(f"{what} has no supply to interrupt")
         if isinstance(fault, CellBreak) and not isinstance(node.device, ForceCell):
-            raise LabError(f"{what} is not a force cell")
+            raise LabError(f"{what} is not a load cell")
 
     def _channel(self, name: str) -> FaultyChannel:
         found = self._channels.get(name)

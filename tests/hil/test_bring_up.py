@@ -44,7 +44,7 @@ def test_a_node_that_is_pulled_is_lost_and_told() -> None:
 def test_a_node_that_is_missing_is_named() -> None:
     async def script(bench: Bench) -> None:
         bench.lab.unplug("can3", 25)
-        with pytest.raises(BringUpError, match=r"^1 of 17 .* can3/25 \(force cell 8\): missing"):
+        with pytest.raises(BringUpError, match=r"^1 of 17 .* can3/25 \(load cell 8\): missing"):
             await bench.fieldbus.start(lambda _: None)
 
     on_lab(script)

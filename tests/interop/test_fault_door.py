@@ -100,7 +100,7 @@ print(door.recv(65536).decode())
     reply = json.loads(said.stdout)
     assert reply == {
         "ok": False,
-        "error": f"this lab belongs to user {os.geteuid()}; user {NOBODY} may not ask",
+        "error": f"this lab belongs to user {os.geteuid()}; user {NOBODY} is not permitted",
     }
     assert all(node["plugged"] for node in ask(lab, b'{"op": "get"}')["nodes"])
 

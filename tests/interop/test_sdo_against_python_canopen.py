@@ -197,5 +197,5 @@ def test_the_one_that_is_missing_is_named() -> None:
     master = config.fieldbus.master.model_copy(update={"boot_timeout_ms": 600})
     fieldbus = config.fieldbus.model_copy(update={"master": master})
     config = config.model_copy(update={"fieldbus": fieldbus})
-    with pytest.raises(BringUpError, match=r"^1 of 17 .*missing3/25 \(force cell 8\): missing"):
+    with pytest.raises(BringUpError, match=r"^1 of 17 .*missing3/25 \(load cell 8\): missing"):
         bring_up(config, leave_out=25)

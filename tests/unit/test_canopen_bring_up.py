@@ -81,7 +81,7 @@ def test_all_failures_are_told_together_in_one_line() -> None:
     assert "firmware too old: revision 0x01100000, at least 0x01700000" in text
     assert "can3/7 (drive of axis 6): abort 0x06090030: value out of range" in text
     assert "0x6060:0" in text
-    assert "can1/20 (force cell 3): 0x6131:1 (physical unit, newton)" in text
+    assert "can1/20 (load cell 3): 0x6131:1 (physical unit, newton)" in text
     assert "can0/1 " not in text
 
 
@@ -104,7 +104,7 @@ def test_a_node_that_does_not_start_is_named() -> None:
     robot.nodes[8].starts = False
     text = failure(robot)
     assert "can3/8" in text
-    assert "told to start but boot-up" in text
+    assert "started but boot-up" in text
 
 
 def test_a_silent_server_times_out_and_is_told_so() -> None:

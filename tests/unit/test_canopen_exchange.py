@@ -264,7 +264,7 @@ def test_an_emergency_is_told_in_words_and_reaches_the_image() -> None:
         bus.collect(1)
         drive, cell, short = bus.take_events()
         assert (drive.name, drive.where) == ("emcy", "can0/2")
-        assert "0x8250, register 0x10: receive PDO timeout; stops as 0x6007 says" in drive.text
+        assert "0x8250, register 0x10: receive PDO timeout; stops as set in 0x6007" in drive.text
         assert "hardware error" in cell.text
         assert short.name == "short_emcy"
         assert list(image.axes["error_code"][:2]) == [0, 0x8250]

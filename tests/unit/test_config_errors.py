@@ -151,15 +151,15 @@ CASES = [
     ),
     Broken(
         "bad syntax", Edit(ROBOT, "rest: [0.0, 0.0, -0.10]", "rest: [0.0, 0.0, -0.10"), ROBOT, 50,
-        "", "not valid YAML: expected ',' or ']'", "mend the syntax there",
+        "", "not valid YAML: expected ',' or ']'", "correct the syntax there",
     ),
     Broken(
         "tab", Edit(ROBOT, "  mass: 2.35", "\tmass: 2.35"), ROBOT, "mass", "", "not valid YAML",
-        "mend the syntax there",
+        "correct the syntax there",
     ),
     Broken(
         "alias", Edit(ROBOT, "home: [0.0, 0.0, 0.0]", "home: &a [*a]"), ROBOT, "home", "",
-        "aliases (*) are not used here", "mend the syntax there",
+        "aliases (*) are not used here", "correct the syntax there",
     ),
     Broken(
         "control character", Edit(ROBOT, "name: paper", "name: pa\x07per"), ROBOT, "name", "",
@@ -171,11 +171,11 @@ CASES = [
     ),
     Broken(
         "impossible escape", Edit(ROBOT, "name: paper", r'name: "\UFFFFFFFF"'), ROBOT, 0, "",
-        "not valid YAML", "mend the syntax",
+        "not valid YAML", "correct the syntax",
     ),
     Broken(
         "second document", Edit(ROBOT, "platform:", "---\nplatform:"), ROBOT, "---", "",
-        "not valid YAML: but found another document", "mend the syntax there",
+        "not valid YAML: but found another document", "correct the syntax there",
     ),
     Broken(
         "unknown tag", Edit(ROBOT, "mass: 2.35", "mass: !kg 2.35"), ROBOT, "mass",
@@ -187,7 +187,7 @@ CASES = [
     ),
     Broken(
         "impossible number", Edit(ROBOT, "mass: 2.35", "mass: 0x_"), ROBOT, "mass",
-        "robot.platform.mass", "'0x_' cannot be read as int", "mend the value",
+        "robot.platform.mass", "'0x_' cannot be read as int", "correct the value",
     ),
     Broken(
         "a number as key", Edit(ROBOT, "gravity: 9.80665", "gravity: 9.80665\n7: 8"), ROBOT, "7: 8",

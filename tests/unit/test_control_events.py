@@ -32,7 +32,7 @@ def test_a_value_that_is_not_a_number_ends_in_a_passive_stop(
     assert (after.state, after.fault, after.enabled) == (State.SAFE_STOP, Fault.NOT_FINITE, True)
     assert told(robot.events, "not_finite") == ["a computed value was not a number; passive stop"]
     assert told(robot.events, "stop_mode") == [
-        "passive: each drum by itself, a little tension and damping"
+        "passive: each drum by itself, with low tension and damping"
     ]
     robot.until(State.FAULT)
 

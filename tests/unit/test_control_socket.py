@@ -68,7 +68,7 @@ def test_every_command_and_refusal_is_an_event_that_names_who_and_why(robot: Ope
     ]
     refused = told(robot.events, "refused")
     assert len(refused) == 2
-    assert "arm means nothing in HOLD" in refused[0]
+    assert "arm is not allowed in HOLD" in refused[0]
     assert all(re.search(me, text) for text in commands + refused)
 
 

@@ -54,7 +54,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
 def test_a_session_in_words_and_exit_codes(daemon: Live) -> None:
     refused = daemon.say("start")
     assert (refused.exit_code, refused.stdout) == (1, "")
-    assert refused.stderr == "refused: start means nothing in STANDBY; arm it\n"
+    assert refused.stderr == "refused: start is not allowed in STANDBY; arm it\n"
     armed = daemon.say("arm")
     assert armed.exit_code == 0, armed.stderr
     assert armed.stdout.splitlines()[0].startswith("STANDBY to REFERENCING: the self-test is good")

@@ -32,7 +32,7 @@ def test_an_error_is_told_with_reaction_cure_and_what_it_costs() -> None:
     assert emcy.words(0x7380, drive=True) == (
         "position sensor breach; power off at once, a fault reset clears it, the position is lost"
     )
-    assert "goes with the error history" in emcy.words(0xFF01, drive=True)
+    assert "cleared with the error history" in emcy.words(0xFF01, drive=True)
     assert emcy.words(0, drive=True) == emcy.words(0, drive=False) == "no error left"
 
 

@@ -263,7 +263,7 @@ def test_states_mailboxes_watchdogs_and_clocks_fail_on_demand() -> None:
         ({"kind": "unplug", "node": 11}, "there are 10"),
         ({"kind": "drive_error", "node": 9, "code": 0x8611}, "not a drive"),
         ({"kind": "drive_error", "node": 1, "code": 3}, "no error 0x0003"),
-        ({"kind": "cell_break", "node": 1}, "not a force cell"),
+        ({"kind": "cell_break", "node": 1}, "not a load cell"),
         ({"kind": "loss", "channel": "can0"}, "there are tonus0"),
     ],
 )

@@ -203,7 +203,7 @@ def test_an_exception_without_a_text_is_told_by_its_type() -> None:
             raise ValueError
 
     assert in_one_line(KeyError()) == "KeyError"
-    assert in_one_line(MuteError()) == "MuteError: its text cannot be had"
+    assert in_one_line(MuteError()) == "MuteError: its text is not available"
 
 
 def test_frames_that_cannot_be_recorded_reach_control_all_the_same() -> None:

@@ -232,7 +232,7 @@ def test_a_fault_with_a_time_waits_for_it() -> None:
         ),
         ({"kind": "drive_error", "channel": "can0", "node": 17, "code": 0x1000}, "not a drive"),
         ({"kind": "drive_error", "channel": "can0", "node": 1, "code": 0x1234}, "no error 0x1234"),
-        ({"kind": "cell_break", "channel": "can0", "node": 1}, "not a force cell"),
+        ({"kind": "cell_break", "channel": "can0", "node": 1}, "not a load cell"),
         ({"kind": "drive_input", "channel": "can0", "node": 17, "input": "sto"}, "not a drive"),
         ({"kind": "clear", "channel": "x"}, "no channel 'x'"),
     ],

@@ -125,8 +125,8 @@ def test_a_pipe_is_no_log(tmp_path: Path) -> None:
     ("options", "words"),
     [
         (["--from", "5", "--to", "1"], "ends before it begins"),
-        (["--from", "nan"], "is no time"),
-        (["--to", "inf"], "is no time"),
+        (["--from", "nan"], "is not a time"),
+        (["--to", "inf"], "is not a time"),
         (["--from", "50"], "holds no message there"),
         (["--to", "-1"], "holds no message there"),
     ],

@@ -110,7 +110,7 @@ def test_a_run_is_recorded_to_its_end_whatever_becomes_of_what_it_prints(
     # In a new checkout the first run compiles, and says so.
     lines = [line for line in done.stderr.splitlines() if not line.startswith("compiling")]
     assert lines == (
-        ["tonus: standard output: no space left on device; print to somewhere else"]
+        ["tonus: standard output: no space left on device; redirect the output elsewhere"]
         if where is full
         else []
     )

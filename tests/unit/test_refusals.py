@@ -96,7 +96,7 @@ CASES: tuple[tuple[str, int, str], ...] = (
     ("log export LOG --format xls", 2, "is not one of"),
     ("log export LOG --format csv --topics /no", 2, "there is no topic"),
     ("log export LOG --format csv --from 5 --to 1", 2, "ends before it begins"),
-    ("log export LOG --format csv --from nan", 2, "is no time"),
+    ("log export LOG --format csv --from nan", 2, "is not a time"),
     ("log export LOG --format csv --from 1000", 2, "holds no message"),
     ("log export LOG --format csv --out /dev/null/x", 2, "--out"),
     ("log identify LOG --anchor-sigma nan", 2, "no finite number"),

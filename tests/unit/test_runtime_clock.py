@@ -85,7 +85,7 @@ def test_waiting_for_what_can_never_come_raises_instead_of_hanging() -> None:
         await asyncio.sleep(1.0)
         await asyncio.Event().wait()
 
-    with pytest.raises(RuntimeError, match="stands still"):
+    with pytest.raises(RuntimeError, match="cannot advance"):
         run(main(), virtual=True)
 
 

@@ -78,12 +78,12 @@ def _commands(run: Observed, _: Bounds) -> Iterator[Violation]:
     low = np.where(np.isin(run.state, _AT_COMMAND), tension.min, 0.0)[:, None]
     wrong = ~((reference >= low / _ROUNDING) & (reference <= tension.max * _ROUNDING))
     yield from _worst(
-        "commanded_tension", run.cycle_ns, wrong, reference, tension.max, "N asked of cable"
+        "commanded_tension", run.cycle_ns, wrong, reference, tension.max, "N commanded of cable"
     )
     torque = np.abs(run.cycle["drives"]["torque_command"])
     wrong = ~(torque <= reach * _ROUNDING)
     yield from _worst(
-        "commanded_torque", run.cycle_ns, wrong, torque, float(reach.max()), "N m asked of axis"
+        "commanded_torque", run.cycle_ns, wrong, torque, float(reach.max()), "N m commanded of axis"
     )
 
 
@@ -230,7 +230,7 @@ def _named(run: Observed, bounds: Bounds) -> Iterator[Violation]:
                 float(run.cycle_ns[index] / NS),
                 float(where[index]),
                 0.0,
-                f"no event tells of {name}",
+                f"no event reports {name}",
             )
     armed = np.isin(state["state"], tuple(ARMED))
     wait = round((bounds.named_within + bounds.settle) * NS)

@@ -43,7 +43,7 @@ def _frames(config: Config, bus: EthercatBus) -> Iterator[Finding]:
         not problem,
         "fieldbus.slaves",
         problem or f"{len(bus.slaves)} slaves exchange {data} bytes",
-        "mend the mappings",
+        "correct the mappings",
     )
     if problem:
         return

@@ -20,7 +20,7 @@ def plausibility(config: Config) -> Iterator[Finding]:
     )
     wrong = [each for each in judged if each is not None]
     if not wrong:
-        text = f"{len(bounds)} values are of the size that their units let expect"
+        text = f"{len(bounds)} values are in the range expected for their units"
         yield Finding("units", True, "robot", text, "give SI units")
     yield from wrong
 

@@ -40,7 +40,7 @@ BUSES: tuple[BusName, ...] = get_args(BusName)
 @click.option("--only", type=click.IntRange(min=0), help="Play one episode, in --out/episode_N.")
 @click.option(
     "--minimise", "reduce", type=click.IntRange(min=0), default=3, show_default=True,
-    help="So many kinds of violations are reduced to scenarios in --out/violations.",
+    help="Number of kinds of violation to reduce to scenarios in --out/violations.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the counts as JSON and nothing else.")
 def campaign(
@@ -57,7 +57,7 @@ def campaign(
     as_json: bool,
 ) -> None:
     """Play the episodes of STUDY: one to three faults each, in every state, in virtual time, and
-    hold each against config/bounds.yaml.
+    check each against config/bounds.yaml.
 
     Every episode is a line in OUT/episodes.jsonl; after Ctrl-C --resume goes on. Exit code 1: a
     bound was broken, or not every episode was played.
@@ -123,7 +123,7 @@ def _show(console: Console, row: Row, again: str) -> None:
     controller = setup["overrides"]["control.controller"]
     console.print(f"{again} {row['index']}")
     console.print(
-        f"    {setup['config']} {controller}: {told or 'nothing struck'}; {row['reason']}"
+        f"    {setup['config']} {controller}: {told or 'no fault struck'}; {row['reason']}"
     )
     for violation in row["violations"]:
         console.print(

@@ -36,7 +36,7 @@ _socket = click.option(
     "path",
     type=click.Path(path_type=Path),
     metavar="PATH",
-    help="The daemon's control socket; by default tonus.sock where this user's sockets lie.",
+    help="The daemon's control socket; by default tonus.sock in this user's runtime directory.",
 )
 _json = click.option("--json", "as_json", is_flag=True, help="Print the daemon's reply as it is.")
 
@@ -53,7 +53,7 @@ def ctl() -> None:
 @_socket
 @_json
 def status(path: Path | None, as_json: bool) -> None:
-    """Tell what the daemon does now, and what may be done next."""
+    """Print what the daemon does, and which commands are allowed next."""
     with ControlClient(path) as daemon:
         reply = daemon.ask("status")
     if as_json or not reply["ok"]:
@@ -64,8 +64,10 @@ def status(path: Path | None, as_json: bool) -> None:
 @ctl.command()
 @_socket
 @_json
-@click.option("--rate", type=FiniteRange(0.1, 10.0), default=4.0, help="Looks a second.")
-@click.option("--count", type=click.IntRange(min=1), help="End after so many looks.")
+@click.option(
+    "--rate", type=FiniteRange(0.1, 10.0), default=4.0, help="Status requests per second."
+)
+@click.option("--count", type=click.IntRange(min=1), help="End after this number of requests.")
 def watch(path: Path | None, as_json: bool, rate: float, count: int | None) -> None:
     """Show the status again and again; Ctrl-C ends it."""
     console = Console(highlight=False, soft_wrap=True)

@@ -37,7 +37,7 @@ def explained(error: Exception) -> tuple[str, int]:
         reason = (error.strerror or "cannot be used").lower()
         return _line(f"{where}: {reason}; check the path, its permissions and the disk"), 2
     if isinstance(error, MemoryError):
-        return _line("this needs more memory than there is; give it less at a time"), 2
+        return _line("not enough memory; process less at a time"), 2
     if isinstance(error, RuntimeError) and _NO_CACHE in str(error):
         return _line(_CACHE_ADVICE), 2
     raise error

@@ -25,7 +25,7 @@ _SOCKET = click.Option(
     ["--socket", "path"],
     type=click.Path(path_type=Path),
     metavar="PATH",
-    help="Door of the lab; by default lab.sock where this user's labs keep their sockets.",
+    help="Control socket of the lab; by default lab.sock in this user's runtime directory.",
 )
 
 
@@ -57,7 +57,7 @@ class _Faults(click.Group):
 def fault() -> None:
     """Inject a fault into a running lab: what, where, and when from now.
 
-    `tonus fault list` tells the kinds, `tonus fault KIND --help` one of them.
+    `tonus fault list` lists the kinds, `tonus fault KIND --help` describes one.
     """
 
 

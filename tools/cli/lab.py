@@ -29,7 +29,7 @@ from tonus.tools.run.lab_process import work
     help="Emulate only these, as in can0/1,can0/17,can2; the others are elsewhere on the bus.",
 )
 def lab(config: Path, scenario: str | None, seed: int | None, nodes: str | None) -> None:
-    """Start the lab of CONFIG: drives, force cells and tracker, with the plant behind them."""
+    """Start the lab of CONFIG: drives, load cells and tracker, with the plant behind them."""
     output.make_optional()
     settings, played = load(config, scenario)
     if settings.lab is None:

@@ -86,7 +86,7 @@ def _heard(code: int) -> int:
     lost = output.lost()
     if lost is None:
         return code
-    click.echo(f"tonus: {lost}; print to somewhere else", err=True)
+    click.echo(f"tonus: {lost}; redirect the output elsewhere", err=True)
     return code or (0 if output.is_optional() else 2)
 
 

@@ -46,7 +46,7 @@ from tonus.tools.run.summary import Summary, missed_in, summarise, truth_at_cycl
 @click.option(
     "--or-virtual",
     is_flag=True,
-    help="If the host takes time and a fault follows, once more with --virtual, in OUT/virtual.",
+    help="If the host causes a fault by delays, repeat the run with --virtual in OUT/virtual.",
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the lab's noise.")
 @click.option("--serve", is_flag=True, help="Wait for `tonus ctl` instead of playing a scenario.")
@@ -122,7 +122,7 @@ def run(
         if out is None:
             discard_empty(folder)
     if or_virtual and disturbed:
-        click.echo("\nonce more in virtual time, which no host disturbs:")
+        click.echo("\nrepeated in virtual time, which does not depend on the host:")
         again = replace(order, virtual=True, out=folder / "virtual", link=False)
         good, _ = _play(again, as_json=as_json)
     raise click.exceptions.Exit(0 if good else 1)
@@ -278,8 +278,10 @@ def _tell(summary: Summary, result: Result, files: list[Path], *, disturbed: boo
         rows.append(("NOT RECORDED", f"a part of the run, at least its end: {result.unrecorded}"))
     if disturbed:
         taken = f"{summary['missed_by_host']} ticks and {result.steal_percent or 0.0:.1f} %"
-        rows.append(("the host", f"took {taken} of all time, and may be why it stopped;"))
-        rows.append(("", "tonus doctor tells what to change, and --virtual needs no such host"))
+        rows.append(("the host", f"took {taken} of the time, which may have caused the stop;"))
+        rows.append(
+            ("", "tonus doctor lists what to change; --virtual does not depend on the host")
+        )
     click.echo()
     for name, value in rows:
         click.echo(f"  {name:<15} {value}")

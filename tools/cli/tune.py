@@ -37,9 +37,9 @@ ALL = "all"
     type=click.Path(path_type=Path, dir_okay=False),
     default=Path("out/tuned.yaml"),
     show_default=True,
-    help="Gains and provenance; beside it a journal from which an interrupted run goes on.",
+    help="Gains and provenance; a journal beside it lets an interrupted run resume.",
 )
-@click.option("--land", "landing", is_flag=True, help="Put the gains into the configuration too.")
+@click.option("--land", "landing", is_flag=True, help="Write the gains into the configuration too.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, nothing else.")
 def tune(
     controller: str,
@@ -89,7 +89,7 @@ def tune(
         click.echo(text, err=as_json)
     if failed:
         remedy = "make the robot run with tonus run, or give other ranges with --tuning"
-        landed = "; nothing has landed" if landing else ""
+        landed = "; the configuration is unchanged" if landing else ""
         click.echo(f"  {remedy}{landed}", err=as_json)
         raise click.exceptions.Exit(1)
     if landing:

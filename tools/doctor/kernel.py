@@ -48,7 +48,7 @@ def _preemption_mode() -> tuple[str, str]:
         key = "CONFIG_PREEMPT=y" if mode == "full" else f"CONFIG_PREEMPT_{mode.upper()}=y"
         if key in build:
             return mode, "the kernel's default"
-    return "unknown", "the kernel does not tell"
+    return "unknown", "not reported by the kernel"
 
 
 def _build() -> set[str]:

@@ -23,7 +23,7 @@ _LIMITS_FOR_NS = 1_000_000
 _TIMESPEC = struct.Struct("qq")
 _BINS_US = 20_000
 """cyclictest's histogram has bins of a microsecond"""
-_REMEDY = "see preemption, isolation and privileges; nothing else heavy beside the daemon"
+_REMEDY = "see preemption, isolation and privileges; no other heavy load beside the daemon"
 
 
 def bare(

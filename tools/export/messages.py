@@ -66,7 +66,7 @@ def nodes(bus: CanopenBus, channels: tuple[Channel, ...]) -> dict[str, str]:
         for drive in channel.drives:
             found[f"Axis{drive.axis}"] = f"drive, node {drive.node_id} on {channel.name}"
         for cell in channel.force_cells:
-            found[_cells_name(cell.cells)] = f"force cell, node {cell.node_id} on {channel.name}"
+            found[_cells_name(cell.cells)] = f"load cell, node {cell.node_id} on {channel.name}"
     return found
 
 

@@ -104,7 +104,7 @@ def _friction(part: SubFigure, drums: tuple[tuple[Drum, Fit], ...]) -> None:
             model = (held / driving if side > 0.0 else held * driven) - tension
             label = f"drum {number + 1}" if side > 0.0 else None
             panel.plot(at, model, color=colour, linewidth=1.0, label=label)
-    panel.set_xlabel("speed of the cable, winding in positive / (m/s)")
+    panel.set_xlabel("speed of the cable, reeling in positive / (m/s)")
     panel.set_ylabel("loss at the cable / N")
     panel.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02), fontsize=8, frameon=False)
     _grid(panel)

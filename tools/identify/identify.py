@@ -48,8 +48,8 @@ def identify(
     for record in records:
         if not record.during(State.ACTIVE).any():
             raise ToolError(
-                f"{record.path}: in no tick of ACTIVE were all devices heard and all cables taut; "
-                "name a log of a run that went well"
+                f"{record.path}: in ACTIVE no tick has fresh samples of all devices and all cables "
+                "taut; give a log of a run without a fault"
             )
     for record in records[1:]:
         if record.config.robot != records[0].config.robot:
@@ -59,7 +59,7 @@ def identify(
     moving, yielding = [r for r in records if moves(r)], [r for r in records if yields(r)]
     if not moving and not yielding:
         raise ToolError(
-            f"{records[0].path}: the platform does not move in ACTIVE, which says nothing; "
+            f"{records[0].path}: the platform does not move in ACTIVE; "
             "record the scenarios identify_motion and identify_load"
         )
     found: list[Estimate] = []
@@ -68,7 +68,7 @@ def identify(
     mass = _platform(moving, anchor_sigma, found, responses, notes)
     cables = identify_cables(records, anchor_sigma)
     if not cables:
-        notes.append("EA: the tensions hardly change; a log with its bring-up says most")
+        notes.append("EA: the tensions hardly change; give a log that includes the bring-up")
     estimated, drums = identify_drums(records)
     if not drums:
         notes.append("drums: no drum turned long enough both ways; record identify_motion")
@@ -89,7 +89,7 @@ def _platform(
 ) -> float | None:
     """Adds what the moving records say of the platform; returns its mass by inertia (kg)."""
     if not moving:
-        notes.append("platform: the reference stands in every log; record identify_motion")
+        notes.append("platform: the reference is constant in every log; record identify_motion")
         return None
     configured = moving[0].config.robot.platform.mass
     carried = weight(moving, anchor_sigma)
@@ -98,7 +98,7 @@ def _platform(
     )
     response = platform_response(moving)
     if response is None:
-        notes.append("M, C and K: too short a log, or of one frequency, cannot tell them apart")
+        notes.append("M, C and K cannot be separated: the log is too short, or has one frequency")
         return carried[0]
     responses.append(response)
     found += estimates(response, (configured, None, None))
@@ -126,7 +126,7 @@ def _loop(
     moved = config.robot.platform.mass if mass is None else mass
     response = loop_response(yielding, moved)
     if response is None:
-        notes.append("closed loop: the load's frequencies do not tell M, C and K apart")
+        notes.append("closed loop: the load's frequencies do not separate M, C and K")
         return
     responses.append(response)
     stiffness = float(

@@ -81,7 +81,7 @@ def _drawn(record: Record) -> dict[str, Known]:
     """The plant's own parameters."""
     robot, lab, seed = record.config.robot, record.config.lab, record.log.metadata.get("seed", "")
     if lab is None or TRUTH not in record.log or not seed.isdigit():
-        raise ToolError(f"{record.path}: not a lab's log, so nobody knows; leave out --truth")
+        raise ToolError(f"{record.path}: not a lab's log, so it has no truth; leave out --truth")
     plant = Plant(robot, lab, seed=int(seed), phantom=None, load=None).parameters[0]
     efficiency = tuple((1.0 - plant["driving_loss"]).tolist())
     # A stiffening cable's EA is that of small changes about the pretension.

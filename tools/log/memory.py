@@ -6,7 +6,7 @@ from pathlib import Path
 
 _SHARE = 0.5
 _UNKNOWN = 1 << 32
-"""bytes, where the kernel does not tell"""
+"""bytes, where the kernel reports none"""
 
 
 def memory_for_logs() -> int:

@@ -59,7 +59,7 @@ PICTURES: tuple[Picture, ...] = (
     Picture(
         "plants",
         "Drawn plants",
-        "EA, anchors, mass, friction and tracker latency differ from what the controller believes.",
+        "EA, anchors, mass, friction and tracker latency differ from the controller's model.",
         charts.drawn_plants,
     ),
     Picture(

@@ -23,7 +23,7 @@ For everyone who reads a log, a report or the daemon's terminal: the meaning of 
 An event is a message on `/tonus/events` with time, tick, level, name, place and text. `tonus log
 info FILE` and `tonus log report FILE` list them. The text of a fault or of a driver's event ends
 with the reaction. Where the same event repeats at the same place, the log has the first, second,
-fourth, eighth … occurrence; an event that lasts is logged once, when it begins.
+fourth, eighth … occurrence; an event that lasts is logged once, at its beginning.
 
 | group | place | |
 |---|---|---|
@@ -40,10 +40,10 @@ fault since the last reset is an error; each one found during the stop is a warn
 [fmea.md](fmea.md) has causes, reaction times and tests.
 """
 _DRIVERS = """\
-Where the bus comes back, the CAN controller sends what it still holds, torques among it that rest
-on old measurements. The master therefore drops waiting frames as soon as no node of the channel
-has answered for longer than a measurement is fresh. python-can cannot do that on SocketCAN: there
-the frames of at most that many ticks go out when the bus is back, followed by torques of 0. A
+When the bus is connected again, the CAN controller sends the frames it still holds, also torques
+from old measurements. The master therefore drops waiting frames as soon as no node of the channel
+has answered for longer than a measurement is fresh. python-can cannot do this on SocketCAN: there,
+frames of at most that many ticks are sent when the bus is connected again, then torques of 0. A
 SocketCAN controller also needs a restart time (`ip link set can0 type can restart-ms 100`), or it
 stays bus-off.
 """
@@ -54,9 +54,9 @@ firewall (`runtime/safety/firewall.py`). Tracebacks are written to the process' 
 Inputs, commands, the emergency stop and the service notification are never switched off.
 """
 _CONTROL = """\
-Where control itself raises, the part is `control`, and the fault `CONTROL_FAILED` follows: no
-further tick of control, the passive fallback in its place until no drum turns any more
-(`operation.fallback`), then drives are disabled and the run ends in FAULT with exit code 1.
+For an exception in control itself the part is `control`, and the fault `CONTROL_FAILED` follows:
+control is not called again, the passive fallback replaces it until no drum turns
+(`operation.fallback`), then the drives are disabled and the run ends in FAULT with exit code 1.
 """
 
 

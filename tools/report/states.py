@@ -26,14 +26,14 @@ _HEAD = """# The state machine
 
 For operators and developers: every state, what each event does in it, and how the robot stops.
 
-One table (`runtime/states.py`) says what every event does in every state; this page is printed
-from it (`python -m tonus.tools.report.states`). At most one event a tick is followed, a fault
+One table (`runtime/states.py`) defines what every event does in every state; this page is printed
+from it (`python -m tonus.tools.report.states`). A tick handles at most one event; a fault comes
 before a command. *Armed* states, in which drives are enabled, have a thick border.
 """
 _ASSUMES = {
-    StopMode.ON_PATH: "all cables, a pose that is known",
-    StopMode.DESCENT: f"at least {FEWEST} cables, a pose that is known",
-    StopMode.PASSIVE: "encoders of single drums; also before the cables are referenced",
+    StopMode.ON_PATH: "all cables, a known pose",
+    StopMode.DESCENT: f"at least {FEWEST} cables, a known pose",
+    StopMode.PASSIVE: "each drum's own encoder; also before the cables are referenced",
 }
 
 
@@ -47,20 +47,20 @@ def _modes() -> str:
 
 _STOP = f"""## The controlled stop
 
-A cable robot must not let go of all its cables at once while anything answers: the platform would
-drop, or be thrown by the load. SAFE_STOP has three modes (`state.stop_mode` in the log, event
-`stop_mode`). A tick uses the first one whose assumptions hold, and a stop never goes back to an
-earlier one.
+A cable robot must not release all cables at once while any drive answers: the platform would
+drop, or the load would throw it. SAFE_STOP has three modes (`state.stop_mode` in the log, event
+`stop_mode`). A tick uses the first one whose assumptions hold. A stop never returns to an earlier
+one.
 
 | mode | assumes | what |
 |---|---|---|
 {_modes()}
 
-Faults of drives and cells are examined in every state but FAULT, in a stop as well, and what each
-drum does with its torque in every armed state. Bounds and contradictions between cables are
-examined while the platform moves, bounds also in a descent. The first fault since the last reset
-is the reason. Each later one is an event, and may give up another cable (`state.failed`) or change
-the mode.
+Faults of drives and cells are detected in every state but FAULT, also in a stop. The motion of each
+drum is compared with its torque in every armed state. Bounds and contradictions between cables are
+checked while the platform moves, bounds also in a descent. The first fault since the last reset is
+the reason of the stop. Each later one is an event; it may exclude another cable (`state.failed`)
+or change the mode.
 
 ### On the path
 
@@ -69,55 +69,56 @@ The times are in `control.sequence`.
 | step | takes | what |
 |---|---|---|
 | slow down | `stop_s` | the reference's velocity goes to zero along the platform's way |
-| wait | at most `hold_s` | while more than `release_load` pushes and no contact limit was met |
+| wait | at most `hold_s` | while the load exceeds `release_load` and no contact limit was met |
 | lower | `lower_s`, from far away longer | down to the cradle, minimum jerk |
-| let down | `stop_s` | stiffness from K0 to K_min, tensions to the referencing level, together |
-| disable | at once | every drive, while its cable still holds that little |
+| release | `stop_s` | stiffness from K0 to K_min, tensions to the referencing level, together |
+| disable | at once | every drive, while its cable still has that tension |
 
-A stop because of contact is at K_min from its first tick on.
+A stop because of contact uses K_min from its first tick.
 
 ### Descent
 
-A cable is given up when its drive or cell is lost or defective, or when its length or tension
-contradicts the others. It is asked for nothing. The active cables carry the weight and damp every
-motion; no place is kept, and the platform comes down. The values are in `control.stop`.
+A cable is excluded when its drive or cell is lost or defective, or when its length or tension
+contradicts the others. Its tension reference is zero. The active cables carry the weight and damp
+every motion; no position is held, and the platform comes down. The values are in `control.stop`.
 
-- What a given-up cable still pulls counts as a load. On a drum that turns freely it goes to zero
-  within a few `release_s`.
+- The remaining tension of an excluded cable counts as a load. On a drum that turns freely it falls
+  to zero within a few `release_s`.
 - The drum of a cable below half of `taut_tension` follows the platform and reels in `take_up_speed`
   faster, until the cable pulls.
-- Each drum brakes what goes beyond `reel_in` and `reel_out`, and puts in no more energy than its
+- Each drum brakes above the speeds `reel_in` and `reel_out`, and adds no more energy than its
   `tank` holds.
-- It takes the times of a stop on the path, without the wait. Then every drive is disabled if the
-  platform is no more than `landed` above the cradle. If not, the stop becomes a passive one: when
-  all drums stand, at the latest after `landing_s` more. It also becomes one when the platform rises
-  by `rise` later than `settle_s`: then a measurement that it relies on is wrong.
+- A descent takes as long as a stop on the path, without the wait. Then every drive is disabled if
+  the platform is no more than `landed` above the cradle. If not, the stop becomes passive when all
+  drums are at rest, at the latest after another `landing_s`. It also becomes passive when the
+  platform rises by `rise` later than `settle_s`: a measurement that it relies on is then wrong.
 
 ### Passive
 
-It relies on no pose, no cell and no plan. Each drum whose encoder is trusted gives
-`passive_tension` less `passive_damping` times its own rate, at most `passive_force`. When all drums
-have stood for `rest_s`, and after `passive_s` in any case, the tension goes to zero within `stop_s`
-and every drive is disabled. A stop comes to it when a computed value is not a number, when the
-cables contradict each other and none stands out, when too few are left, or when a descent does not
-come down. Before the cables are referenced it lets their tension down within `stop_s`. An exception
-in control ends in the same law, with the times in `operation.fallback`; the run ends.
+It uses no pose, no cell and no plan. Each drum with a usable encoder gets the force
+`passive_tension` minus `passive_damping` times its own rate, at most `passive_force`. When all
+drums have been at rest for `rest_s`, and after `passive_s` in any case, the tension goes to zero
+within `stop_s` and every drive is disabled. A stop becomes passive when a computed value is not a
+number, when the cables contradict each other and none stands out, when too few are left, or when a
+descent does not come down. Before the cables are referenced it releases their tension within
+`stop_s`. After an exception in control the same law acts, with the times in `operation.fallback`;
+the run ends.
 
-### What a stop leaves out
+### Emergency stop and brakes
 
-An emergency stop skips all this: every drive is disabled in that tick. Brakes are the drives' own
-affair: an EPOS4 wired to a holding brake applies it itself when it is disabled (0x3158 holds the
-brake's times); the daemon commands none, and the paper's robot has none.
+An emergency stop disables every drive in the same tick, without any of these modes. The daemon
+commands no brakes: an EPOS4 with a holding brake applies it when it is disabled (0x3158 has the
+brake's times). The paper's robot has none.
 
 ## Signals
 
 | signal | what the daemon does |
 |---|---|
-| SIGTERM, SIGINT | controlled stop, then it ends |
-| the same again | emergency stop, then it ends |
+| SIGTERM, SIGINT | controlled stop, then the run ends |
+| the same again | emergency stop, then the run ends |
 | one of them while the bus is brought up | the bring-up and the run end at once |
-| SIGHUP with `--serve` | noted in the log; the configuration is read at the start only |
-| SIGHUP without | as SIGTERM: the terminal is gone |
+| SIGHUP with `--serve` | an event in the log; the configuration is read at the start only |
+| SIGHUP without | as SIGTERM: the terminal was closed |
 | SIGKILL | nothing; the drives' heartbeat consumers stop them ([fmea.md](fmea.md)) |
 """
 
@@ -159,7 +160,7 @@ def _moves() -> str:
         f"| {state.name} | {event.name} | {move.to.name} | {move.reason} |"
         for (state, event), move in MOVES.items()
     ]
-    return "\n".join([*rows, "", "Any other event leaves a state as it is."]) + "\n"
+    return "\n".join([*rows, "", "Any other event leaves the state unchanged."]) + "\n"
 
 
 def _commands() -> str:
@@ -167,7 +168,7 @@ def _commands() -> str:
     rows = [
         "## Commands",
         "",
-        "Where a command leads; an empty place is a refusal.",
+        "The state that a command leads to; an empty cell is a refusal.",
         "",
         f"| | {' | '.join(command.name.lower() for command in commands)} |",
         f"|---|{'---|' * len(commands)}",

@@ -97,8 +97,8 @@ def _first_line(process: subprocess.Popen[bytes], timeout_s: float) -> bytes:
         while b"\n" not in said:
             if not selector.select(max(end - clock.wall_seconds(), 0.0)):
                 raise ToolError(
-                    f"the lab did not answer within {timeout_s:g} s; look what keeps this host "
-                    "busy, or set lab.start_timeout_s higher"
+                    f"the lab did not answer within {timeout_s:g} s; reduce the load on this "
+                    "host, or set lab.start_timeout_s higher"
                 )
             piece = os.read(process.stdout.fileno(), _PIECE)
             if not piece:

@@ -14,7 +14,7 @@ from tonus.sim.lab.truth import TRUTH, TRUTH_FIELDS
 TOPIC = Topic(
     "/tonus/truth",
     "tonus_msgs/msg/Truth",
-    "what the lab's plant really does; no such thing exists on a robot",
+    "true state of the lab's plant; does not exist on a robot",
     tuple(Field(*row) for row in TRUTH_FIELDS),
 )
 

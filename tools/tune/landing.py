@@ -86,7 +86,7 @@ def land(config: str, gains: Gains) -> list[Path]:
             rf"(\b{last}:\s*)[-+.\deE]+", rf"\g<1>{_number(value)}", lines[line - 1], count=1
         )
         if not count:
-            raise ToolError(f"{name}:{line}: control.{key} does not stand there as a number")
+            raise ToolError(f"{name}:{line}: control.{key} is not a number there")
         lines[line - 1] = new
     before = {file: file.read_text(encoding="utf-8") for file in texts}
     for file, lines in texts.items():
@@ -99,7 +99,7 @@ def land(config: str, gains: Gains) -> list[Path]:
         if found != value:
             for file, text in before.items():
                 file.write_text(text, encoding="utf-8")
-            raise ToolError(f"control.{key} did not become {value:g}; put it there by hand")
+            raise ToolError(f"control.{key} could not be set to {value:g}; edit it by hand")
     return [file for file, text in before.items() if file.read_text(encoding="utf-8") != text]
 
 

@@ -62,7 +62,7 @@ def _show(table: Table, judged: list[Judged]) -> None:
 def _write(table: Table, out: Path) -> None:
     made = {".csv": table.csv, ".html": table.html}.get(out.suffix)
     if made is None:
-        raise ToolError(f"{out}: a table is written as .csv or .html; mend the name")
+        raise ToolError(f"{out}: a table is written as .csv or .html; correct the name")
     try:
         write_whole(out, made())
     except OSError as error:

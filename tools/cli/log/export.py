@@ -17,7 +17,7 @@ from tonus.tools.log.export import export as carry_out
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--format", "kind", type=click.Choice(FORMATS), required=True)
-@click.option("--topics", help="Names with commas between; all, if not given.")
+@click.option("--topics", help="Topics, separated by commas. Default: all.")
 @click.option("--from", "start", type=float, help="s since the log's beginning.")
 @click.option("--to", "end", type=float, help="s since the log's beginning.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder. Default: FILE.export.")
@@ -42,7 +42,7 @@ def export(
     names = [name.strip() for name in topics.split(",")] if topics else []
     written = carry_out(log, out, kind, names)
     for topic, path in written.items():
-        click.echo(f"  {topic:<24} {path or '- no table can be made of it'}")
+        click.echo(f"  {topic:<24} {path or '- cannot be written as a table'}")
     tell_damage([log])
 
 
@@ -50,6 +50,8 @@ def _window(start: float | None, end: float | None) -> None:
     """Raises `ToolError` for a stretch of time in which nothing can be."""
     for name, value in (("--from", start), ("--to", end)):
         if value is not None and not math.isfinite(value):
-            raise ToolError(f"{name} {value}: is no time; give seconds since the log's beginning")
+            raise ToolError(
+                f"{name} {value}: is not a time; give seconds since the log's beginning"
+            )
     if start is not None and end is not None and start >= end:
         raise ToolError(f"--from {start:g} --to {end:g}: ends before it begins; exchange them")

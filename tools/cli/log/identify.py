@@ -22,14 +22,14 @@ _M = 1e-3
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print identify.json and nothing else.")
-@click.option("--truth", is_flag=True, help="Put a lab's true values beside, and the errors.")
+@click.option("--truth", is_flag=True, help="Add a lab's true values and the errors.")
 @click.option(
     "--anchor-sigma",
     metavar="MM",
     type=FiniteRange(min=0.0),
     default=1.0,
     show_default=True,
-    help="Standard error of the configured anchors; intervals allow for it.",
+    help="Standard error of the configured anchors; included in the intervals.",
 )
 def identify(
     files: tuple[Path, ...], out: Path, *, as_json: bool, truth: bool, anchor_sigma: float

@@ -35,7 +35,7 @@ _VIRTUAL_BEFORE_NS = 365 * 24 * 3600 * 1_000_000_000
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list instead of tables.")
 def info(files: tuple[Path, ...], as_json: bool) -> None:
-    """Tell what, when, how long, states, faults, topics with rates and gaps, and damage. Exit code
+    """Print time, duration, states, faults, topics with rates and gaps, and damage. Exit code
     1 for a damaged file."""
     described = [describe(open_log(file)) for file in files]
     if as_json:

@@ -16,7 +16,7 @@ from tonus.tools.log.layout import VIEWERS
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="The file; if not given, one of the usual name in this folder. - prints it.",
+    help="The file; by default the usual name in this folder. - prints it.",
 )
 def layout(viewer: str, out: Path | None) -> None:
     """Write a layout that shows a run's log in VIEWER at once: motion, cables, safety, timing.

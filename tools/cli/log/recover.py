@@ -31,7 +31,7 @@ def recover(file: Path, out: Path | None, *, as_json: bool) -> None:
         known = None if salvage is None else asdict(salvage)
         click.echo(json.dumps({"file": str(out) if salvage else None, "salvage": known}, indent=2))
     elif salvage is None:
-        click.echo(f"{file}: is whole; there is nothing to recover")
+        click.echo(f"{file}: is complete; there is nothing to recover")
     else:
         _tell(out, salvage)
 

@@ -37,7 +37,7 @@ def replay(
     as_json: bool,
 ) -> None:
     """Feed the inputs in FILES, the segments of one run, to the control cycle and compare every
-    output bit for bit; or, --with another configuration, tell what that would have commanded."""
+    output bit for bit; or, --with another configuration, print what it would have commanded."""
     log = open_log(files)
     config = load(other)[0] if other else None
     with Console(stderr=True).status("replaying") as status:
@@ -69,7 +69,7 @@ def _tell(log: Log, found: Replay) -> None:
     if log.damage:
         click.echo(f"damaged: {log.damage}; replayed up to there")
     if found.first is None:
-        click.echo("bit-equal: every output came out again")
+        click.echo("bit-equal: every output is the same")
         return
     click.echo(f"not equal, first in {_worded(found.first)}")
     often = sorted(found.differing.items(), key=lambda item: -item[1])

@@ -15,7 +15,7 @@ from tonus.tools.report.page import report as write
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="The page; report.html beside FILE if not given.",
+    help="The page. Default: report.html beside FILE.",
 )
 def report(file: Path, out: Path | None) -> None:
     """Write FILE as one HTML page: verdict, plots, events, settings. It opens offline. Exit
