@@ -41,6 +41,23 @@ class Cost(Section):
     """N m, RMS of the torque commands' change from tick to tick"""
 
 
+class TensionDesign(Section):
+    """`tonus tune tension`: the gains of the tension loop, by its linear model alone."""
+
+    seed: Annotated[int, Field(ge=0)]
+    evaluations: Count
+    reserve: Annotated[float, Field(ge=1)]
+    """every margin is to be at least so many times its floor"""
+    seconds: Positive
+    """of the error that is added up"""
+    proportional: Range
+    integral: Range
+    """1/s"""
+    damping_rate: Range
+    """1/s: rate_damping over the inertia of the robot's default drum"""
+    lead: Range
+
+
 class Tuning(Section):
     seed: Annotated[int, Field(ge=0)]
     evaluations: Count
@@ -53,5 +70,6 @@ class Tuning(Section):
     overrides: dict[str, float]
     """dotted keys of the configuration, for a shorter way to ACTIVE"""
     scenarios: Annotated[tuple[Scenario, ...], Field(min_length=1)]
+    tension_loop: TensionDesign
     controllers: dict[ControllerName, Annotated[dict[str, Range], Field(min_length=1)]]
     """what may be varied: dotted keys below ``control``"""

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import linprog
 
-import tonus.tools.check.mechanics
+import tonus.tools.margins.tension_loop
 from tonus.config import Config, ConfigError, Scenario, load
 from tonus.config.loader import HERE, load_catalogue, load_plausible, load_scenario
 from tonus.config.schema.bus import CanopenBus
@@ -43,7 +43,7 @@ MARGINS = lru_cache(tension_loop_margins)
 @pytest.fixture(autouse=True)
 def _margins_of_one_loop_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are most of a check's time, and few of these tests change the loop."""
-    monkeypatch.setattr(tonus.tools.check.mechanics, "tension_loop_margins", MARGINS)
+    monkeypatch.setattr(tonus.tools.margins.tension_loop, "tension_loop_margins", MARGINS)
 
 
 def failed(overrides: dict[str, Any], scenario: Scenario = SCENARIO) -> dict[str, Finding]:

@@ -44,6 +44,15 @@ overrides:
   control.sequence.lift_s: 0.8
 scenarios:
   - {name: still, description: Nothing, duration: 0.1, reference: {kind: hold}}
+tension_loop:
+  seed: 1
+  evaluations: 40
+  reserve: 1.1
+  seconds: 0.5
+  proportional: {low: 1.0, high: 50.0}
+  integral: {low: 10.0, high: 500.0}
+  damping_rate: {low: 10.0, high: 500.0}
+  lead: {low: 0.1, high: 1.0}
 controllers:
   pd: {pd.stiffness: {low: 2000.0, high: 4000.0}}
 """

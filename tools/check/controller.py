@@ -75,7 +75,8 @@ def _whole_loop(config: Config, name: str, *, foreign: bool) -> Iterator[Finding
     """The configured controller round the tension loop, cut where the torque acts and where the
     force is asked for."""
     floors = config.control.tension_loop
-    where, remedy = f"control.{name}", "lower its gains, or run tonus tune"
+    where = f"control.{name}"
+    remedy = f"run tonus tune tension, then tonus tune {name}, or lower its gains"
     how = name
     if foreign:
         where, remedy = "control.controller", "lower its gains"

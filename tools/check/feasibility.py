@@ -28,6 +28,8 @@ from tonus.config.schema.robot import Geometry, Tension, Workspace
 from tonus.runtime.control.compiled import geometry, rotate
 
 Array = NDArray[np.float64]
+GRID = 7
+"""Points per edge of the box; with the turns a few thousand poses in a fraction of a second."""
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 FREEDOMS = 6
 TOLERANCE = 1e-9
@@ -95,7 +97,12 @@ def poses(robot_geometry: Geometry, positions: Array, rotations: Array) -> Poses
     return Poses(positions, rotations, lengths, matrices, arms)
 
 
-def workspace_poses(robot_geometry: Geometry, box: Workspace, points: int) -> Poses:
+def cable_lengths(at: Poses) -> tuple[float, float, float]:
+    """m: the shortest, the mean and the longest cable of any of the poses."""
+    return float(at.lengths.min()), float(at.lengths.mean()), float(at.lengths.max())
+
+
+def workspace_poses(robot_geometry: Geometry, box: Workspace, points: int = GRID) -> Poses:
     """A grid of ``points`` cubed over the box: upright, then turned both ways about each axis."""
     axes = [np.linspace(low, high, points) for low, high in (box.x, box.y, box.z)]
     grid = np.array(list(product(*axes)))

@@ -12,22 +12,20 @@ from tonus.config import Config, Scenario
 from tonus.config.schema.lab import Load
 from tonus.config.schema.robot import Robot, Workspace
 from tonus.runtime.control.reference import trajectory
-from tonus.runtime.control.tension import of_axis
 from tonus.tools.check.feasibility import (
     Feasibility,
     Poses,
     against,
+    cable_lengths,
     feasibility,
     poses,
     workspace_poses,
 )
 from tonus.tools.check.finding import Finding
-from tonus.tools.margins.tension_loop import tension_loop_margins
+from tonus.tools.margins.tension_loop import robot_margins
 
 Array = NDArray[np.float64]
 
-GRID = 7
-"""Points per edge of the box; with the turns a few thousand poses in a fraction of a second."""
 SAMPLES = 401
 """Of the reference, over the scenario's duration."""
 _AFTER_ACTIVE_S = 0.5
@@ -39,7 +37,7 @@ DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
 
 def mechanics(config: Config, scenario: Scenario) -> Iterator[Finding]:
     """The rules that need the robot's geometry and drives."""
-    at = workspace_poses(config.robot.geometry, config.robot.workspace, GRID)
+    at = workspace_poses(config.robot.geometry, config.robot.workspace)
     yield from _workspace(config, at)
     yield from _places(config.robot)
     yield from scenario_rules(config, scenario)
@@ -229,24 +227,9 @@ def _drum_damping(config: Config) -> Iterator[Finding]:
 def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
     """Shortest, mean and longest cable; a cable's stiffness goes with one over its length. Of
     several kinds of axes the worst counts."""
-    loop, response = config.control.tension_loop, config.response
-    robot = config.robot
-    where = "control.tension_loop"
-    lengths = [float(length) for length in (at.lengths.min(), at.lengths.mean(), at.lengths.max())]
-    kinds = {
-        axes: [
-            tension_loop_margins(
-                train,
-                of_axis(loop, train, robot),
-                config.control.rates.period,
-                cable_length=length,
-                current_loop_hz=response.current_loop_hz,
-                cell_bandwidth_hz=response.force_cell_hz,
-            )
-            for length in lengths
-        ]
-        for train, axes in robot.kinds_of_axes.items()
-    }
+    loop, robot = config.control.tension_loop, config.robot
+    lengths = cable_lengths(at)
+    kinds = robot_margins(config, loop, lengths)
     axes, found = min(kinds.items(), key=lambda kind: min(each.reserve(loop) for each in kind[1]))
     span = f"{lengths[0]:.2f} to {lengths[2]:.2f} m"
     floors = f"floors {loop.gain_margin_db:g} dB and {loop.phase_margin_deg:g} deg"
@@ -257,9 +240,9 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
     yield Finding(
         "tension loop",
         all(margin.meet(loop) for margin in found),
-        where,
+        "control.tension_loop",
         f"{text}{robot.whose(axes)} over cables of {span}, {floors}",
-        "lower proportional, or change rate_damping",
+        "run tonus tune tension, or lower proportional",
     )
 
 

@@ -1,4 +1,5 @@
-"""`tonus tune`: the gains of every controller by the same cost, budget, optimiser and seed."""
+"""`tonus tune`: the gains of every controller by the same cost, budget, optimiser and seed; and the
+design of the tension loop below them."""
 
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ from tonus.config import load
 from tonus.config.loader import load_tuning
 from tonus.config.schema.tuning import Tuning
 from tonus.runtime.timing.clock import wall_seconds
+from tonus.tools.cli.tune_tension import tune_tension
 from tonus.tools.errors import ToolError
 from tonus.tools.folders import make_folder
 from tonus.tools.tune.landing import land, provenance, write
@@ -22,7 +24,7 @@ from tonus.tools.tune.search import Found, Search
 from tonus.tools.tune.tuned import robot_key
 from tonus.tools.tune.work import Evaluator
 
-ALL = "all"
+ALL, TENSION = "all", "tension"
 
 
 @click.command()
@@ -35,9 +37,8 @@ ALL = "all"
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    default=Path("out/tuned.yaml"),
-    show_default=True,
-    help="Gains and provenance; a journal beside it lets an interrupted run resume.",
+    help="Gains and provenance, without it out/tuned.yaml; beside it a journal from which an "
+    "interrupted run continues. For the tension loop out/tension.yaml, and no journal.",
 )
 @click.option("--land", "landing", is_flag=True, help="Write the gains into the configuration too.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, nothing else.")
@@ -49,16 +50,27 @@ def tune(
     evaluations: int | None,
     seed: int | None,
     jobs: int | None,
-    out: Path,
+    out: Path | None,
     landing: bool,
     as_json: bool,
 ) -> None:
-    """Tune CONTROLLER, or all, on the training scenarios.
+    """Tune CONTROLLER, or all, on the training scenarios; or design the loop of CONTROLLER tension.
 
     Every controller gets the same cost, the same number of simulations, the same optimiser and
     seed, and the same floor of stability margins. Nothing is changed but OUT, unless --land. Exit
     code 1, and nothing lands, where the best gains found still fail in a scenario.
+
+    "tension" designs the tension loop, on any bus and without a lab, by its linear model: the least
+    error after friction and after a change of the reference, above the floors of the margins, for
+    the loop by itself and for the configured controller round it. Exit code 1, and nothing lands,
+    where no gains keep the floors.
     """
+    if controller == TENSION:
+        if jobs is not None:
+            raise ToolError("--jobs: the tension loop is designed in one process; leave it out")
+        tune_tension(config, rules, evaluations, seed, out, landing=landing, as_json=as_json)
+        return
+    out = out or Path("out/tuned.yaml")
     tuning = _adjusted(load_tuning(rules), evaluations, seed)
     names = _chosen(tuning, controller)
     loaded, _ = load(config)
@@ -109,7 +121,9 @@ def _chosen(tuning: Tuning, controller: str) -> list[str]:
     if controller == ALL:
         return names
     if controller not in names:
-        raise ToolError(f"there is nothing to tune in {controller!r}; choose all or one of {names}")
+        raise ToolError(
+            f"there is nothing to tune in {controller!r}; choose all, {TENSION} or one of {names}"
+        )
     return [controller]
 
 

@@ -37,6 +37,8 @@ from tonus.tools.margins.tension_loop import (
 
 Array = NDArray[np.float64]
 _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+FREQUENCIES = 3000
+"""points of an open loop's response"""
 _ANGLE, _CELL, _PLACE, _SPEED = 0, 3, 4, 5
 _PLANT = 6
 _INTEGRAL, _LAST, _OUTER, _ASKED, _SLOPE, _PIPE = range(_PLANT, _PLANT + 6)
@@ -155,29 +157,40 @@ class _Loop:
     def stable(self) -> bool:
         return stable(self._columns(None)[0])
 
-    def margins(self, cut: str) -> Margins:
+    def margins(self, cut: str, points: int = FREQUENCIES) -> Margins:
         matrix, entry, out, direct = self._columns(cut)
-        frequency = frequencies(self._period, 3000)
+        frequency = frequencies(self._period, points)
         z = np.exp(2j * np.pi * frequency * self._period)
         shifted = z[:, None, None] * np.eye(self.size) - matrix
         driven = np.linalg.solve(shifted, entry[:, None].astype(complex))[:, :, 0]
         return margins_of(np.asarray(-(driven @ out + direct), complex), frequency)
 
 
-def loops(config: Config, controller: str) -> list[_Loop]:
+def responses_of(config: Config, controller: str) -> tuple[LinearResponse, ...]:
+    """What a controller that is not ours is computed with; the tension loop has no part in it.
+    Raises as `loops` does."""
+    law = make_controller(controller, config.robot, config.control)
+    if is_foreign(type(law)) and not commands_tensions(config, controller):
+        return tuple(linear_responses(config, controller))
+    return ()
+
+
+def loops(
+    config: Config, controller: str, responses: Sequence[LinearResponse] | None = None
+) -> list[_Loop]:
     """The loops whose margins are those of a controller by name, with its configured gains: over
     three axes and the ends of its stiffness. A shipped controller is taken by the laws it states;
     any other by its own output, linearised numerically, and by the laws it states besides, or by
     these alone if it commands tensions. Raises `NoLinearLawError` for a controller that neither
     states its feedback nor can be linearised, and `ControllerError` for one that fails.
 
-    Bandwidths of drives and cells are the lab's, or the robot's where there is none.
+    ``responses``: those of `responses_of`, where they are known. Bandwidths of drives and cells are
+    the lab's, or the robot's where there is none.
     """
     law = make_controller(controller, config.robot, config.control)
     tension, follows = law.tension_loop, law.follows_platform
-    responses: list[LinearResponse] = []
-    if is_foreign(type(law)) and not commands_tensions(config, controller):
-        responses += linear_responses(config, controller)
+    if responses is None:
+        responses = responses_of(config, controller)
     try:
         laws = law.stated_laws()
     except NoLinearLawError:
@@ -200,14 +213,14 @@ def loops(config: Config, controller: str) -> list[_Loop]:
     return found
 
 
-def least_margins(found: Iterable[_Loop], cut: str) -> Margins:
+def least_margins(found: Iterable[_Loop], cut: str, points: int = FREQUENCIES) -> Margins:
     """Cut at the ``torque``, the plant's input, every loop counts; at the ``force``, the outer one
     round all others."""
     least = Margins(np.inf, np.inf, 0.0)
     for loop in found:
         if not loop.stable:
             return UNSTABLE
-        here = loop.margins(cut)
+        here = loop.margins(cut, points)
         least = Margins(
             min(least.gain_db, here.gain_db),
             min(least.phase_deg, here.phase_deg),

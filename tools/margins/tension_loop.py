@@ -8,6 +8,7 @@ sampling to effect; the loop is cut where the torque acts.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +17,14 @@ from scipy import signal
 
 from tonus.config.schema.axis import DriveTrain
 from tonus.config.schema.control import TensionLoop
+from tonus.config.schema.root import Config
+from tonus.runtime.control.tension import of_axis
 
 Array = NDArray[np.float64]
 DELAY_TICKS = 2
 """A value sampled in tick k is read in k+1, and the torque computed from it acts in k+2."""
+FREQUENCIES = 20_000
+"""points of an open loop's response"""
 
 
 @dataclass(frozen=True)
@@ -66,14 +71,81 @@ def tension_loop_margins(
     current_loop_hz: float,
     cell_bandwidth_hz: float,
     delay_ticks: int = DELAY_TICKS,
+    points: int = FREQUENCIES,
 ) -> Margins:
     """Margins of an axis with a cable of ``cable_length`` m; drive and cell have first-order
     bandwidths. The poles of the closed loop decide whether there are any."""
     plant = _plant(train, period, cable_length, current_loop_hz, cell_bandwidth_hz)
     if not stable(_closed_loop(plant, train, loop, period, delay_ticks)):
         return UNSTABLE
-    frequency = frequencies(period)
+    frequency = frequencies(period, points)
     return margins_of(_open_loop(plant, train, loop, period, delay_ticks, frequency), frequency)
+
+
+def robot_margins(
+    config: Config, loop: TensionLoop, lengths: Sequence[float], points: int = FREQUENCIES
+) -> dict[tuple[int, ...], list[Margins]]:
+    """Margins of a ``loop`` on the robot: for the axes of each kind, over cable ``lengths`` (m)."""
+    robot, response = config.robot, config.response
+    return {
+        axes: [
+            tension_loop_margins(
+                train,
+                of_axis(loop, train, robot),
+                config.control.rates.period,
+                cable_length=length,
+                current_loop_hz=response.current_loop_hz,
+                cell_bandwidth_hz=response.force_cell_hz,
+                points=points,
+            )
+            for length in lengths
+        ]
+        for train, axes in robot.kinds_of_axes.items()
+    }
+
+
+def tension_errors(
+    train: DriveTrain,
+    loop: TensionLoop,
+    period: float,
+    *,
+    cable_length: float,
+    current_loop_hz: float,
+    cell_bandwidth_hz: float,
+    ticks: int,
+) -> Array:
+    """Error (ticks, 2) of the tension in N, frictionless but for what is said: after the torque of
+    1 N at the cable has appeared as friction at the drum, and after the reference has risen by 1 N.
+    The bounds on the integral and on the slope of the reference are not reached."""
+    step, effects, (force, angle, tension) = _plant(
+        train, period, cable_length, current_loop_hz, cell_bandwidth_hz
+    )
+    radius = train.drum.radius
+    follow = 1.0 - np.exp(-2.0 * np.pi * loop.lead_cutoff_hz * period)
+    turn = loop.lead * cable_length / (train.cable.axial_stiffness * radius * period)
+
+    def tick(state: Array) -> Array:
+        """Of the plant (4), last angle, integral, last reference, its slope, torques under way,
+        friction in N, reference."""
+        plant, (before, integral, last, slope), queue = state[:4], state[4:8], state[8:-2]
+        friction, reference = state[-2:]
+        error = reference - force @ plant
+        integral = integral + loop.integral * period * error
+        slope = slope + follow * (reference - last - slope)
+        asked = radius * (loop.feed_forward * reference + loop.proportional * error + integral)
+        asked += loop.rate_damping * (turn * slope - (angle @ plant - before) / period)
+        plant = step @ plant + effects @ np.array([queue[-1], -radius * friction])
+        kept = (angle @ state[:4], integral, reference, slope)
+        return np.array([*plant, *kept, asked, *queue[:-1], friction, reference])
+
+    size = 4 + 4 + DELAY_TICKS + 2
+    power = np.array([tick(unit) for unit in np.eye(size)]).T
+    # Row k: the error after k ticks on the state at the start; doubled until there are enough.
+    rows = np.zeros((1, size))
+    rows[0, :4], rows[0, -1] = -tension, 1.0
+    while len(rows) < ticks:
+        rows, power = np.vstack([rows, rows @ power]), power @ power
+    return rows[:ticks, -2:]
 
 
 def stable(matrix: Array) -> bool:
@@ -82,7 +154,7 @@ def stable(matrix: Array) -> bool:
     return finite and bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
 
 
-def frequencies(period: float, count: int = 20_000) -> Array:
+def frequencies(period: float, count: int = FREQUENCIES) -> Array:
     """Hz (count,), up to half the sampling rate and with it."""
     return np.geomspace(0.05, 0.5 / period, count)
 
@@ -111,7 +183,8 @@ def margins_of(response: NDArray[np.complex128], frequency: Array) -> Margins:
 
 
 _Plant = tuple[Array, Array, Array]
-"""Step (4, 4), effect (4,) of a torque, and the rows (2, 4) that see cell force and drum angle."""
+"""Step (4, 4), effects (4, 2) of a torque command and of a torque at the drum, and the rows (3, 4)
+of cell force, drum angle and true tension."""
 
 
 def _plant(
@@ -139,17 +212,24 @@ def _plant(
             [cell * stiffness * radius, cell * cable.damping * radius, 0.0, -cell],
         ]
     )
-    torque = np.array([[0.0], [0.0], [drive], [0.0]])
-    seen = np.array([[0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
-    step, effect, *_ = signal.cont2discrete((system, torque, seen, np.zeros((2, 1))), period)
-    return step, effect[:, 0], seen
+    torques = np.array([[0.0, 0.0], [0.0, 1.0 / inertia], [drive, 0.0], [0.0, 0.0]])
+    seen = np.array(
+        [
+            [0.0, 0.0, 0.0, 1.0],
+            [1.0, 0.0, 0.0, 0.0],
+            [stiffness * radius, cable.damping * radius, 0.0, 0.0],
+        ]
+    )
+    step, effects, *_ = signal.cont2discrete((system, torques, seen, np.zeros((3, 2))), period)
+    return step, effects, seen
 
 
 def _closed_loop(
     plant: _Plant, train: DriveTrain, loop: TensionLoop, period: float, delay_ticks: int
 ) -> Array:
     """State matrix: the plant; the last angle; the integral, if there is one; torques under way."""
-    step, effect, (force, angle) = plant
+    step, effects, (force, angle, _) = plant
+    effect = effects[:, 0]
     integrates = loop.integral > 0.0
     first = 5 + integrates
     size = first + delay_ticks
@@ -179,9 +259,9 @@ def _open_loop(
     delay_ticks: int,
     frequency: Array,
 ) -> NDArray[np.complex128]:
-    step, effect, seen = plant
+    step, effects, seen = plant
     z = np.exp(2j * np.pi * frequency * period)
-    answer = seen @ np.linalg.solve(z[:, None, None] * np.eye(4) - step, effect[:, None])
+    answer = seen @ np.linalg.solve(z[:, None, None] * np.eye(4) - step, effects[:, :1])
     integral = loop.integral * period * z / (z - 1.0)
     on_force = train.drum.radius * (loop.proportional + integral)
     on_angle = loop.rate_damping * (1.0 - 1.0 / z) / period
