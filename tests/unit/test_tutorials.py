@@ -31,6 +31,7 @@ from tonus.tools.cli.main import tonus
 ROOT = Path(__file__).resolve().parents[2]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 SHORT = ["--duration", "0.1"]
+SHORT_DESIGN = ["--evaluations", "160"]
 WITHOUT_FRAMES = {"config/can.yaml": "config/direct.yaml", "mine/robot.yaml": "mine/direct.yaml"}
 """for a run: without a bus it takes half the time"""
 NOT_HERE = ("make ", "source ", "export PYTHONPATH=")
@@ -106,6 +107,8 @@ def printed(command: Command, folder: Path, *, whole: bool) -> tuple[str, int]:
     assert words[0] == "tonus", command.line
     if is_run(command) and not whole:
         words = [WITHOUT_FRAMES.get(word, word) for word in words] + SHORT
+    elif words[1] == "tune" and not whole:
+        words = words + SHORT_DESIGN
     result = CliRunner().invoke(tonus, words[1:], standalone_mode=False)
     if isinstance(result.exception, Exception):
         text, code = explained(result.exception)
