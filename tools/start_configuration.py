@@ -16,15 +16,15 @@ from tonus.tools.folders import make_folder
 MAIN, WITHOUT_FRAMES = "robot.yaml", "direct.yaml"
 _SHOWN = "config"
 _HEAD = """\
-# {name}: written by tonus init from {source}. Change what is not as on your robot, then:
+# {name}: written by tonus init from {source}. Adapt it to your robot, then:
 #
 #   tonus check {main}                 checks it; nothing is started
 #   tonus run {main} --virtual         on the lab in software, faster than real time
 #   tonus run {main} --serve           operated by tonus ctl
 #   tonus tune all --config {direct} --land    gains for your robot
 #
-# A relative name in a file starts from that file. Every number has its unit behind it; P is the
-# paper's, R a choice of ours. Delete the lab: line on the robot itself.
+# A relative file name starts from the file that has it. The comment after a number has its unit; P:
+# from the paper, R: our choice. For the robot itself delete the lab: line.
 """
 _DIRECT_HEAD = """\
 # The same robot without frames, for tonus tune and tonus paper.

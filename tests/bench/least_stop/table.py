@@ -16,9 +16,8 @@ from tonus.config.schema.least_stop import Tear as Row
 from tonus.config.schema.robot import CABLES, Geometry
 
 _HEAD = """\
-# The least that physics allows after a torn cable: per cable (0 to 7), pose and motion at the
-# break the optimum over the motors' torques. Written by make least-stop; docs/least_stop.md says
-# how.
+# The lower bound of physics after a torn cable: per cable (0 to 7), pose and motion at the break,
+# the optimum over the motors' torques. Written by make least-stop; method: docs/least_stop.md.
 """
 MODEL = "tests/bench/least_stop: platform, seven elastic cables and drums; CasADi, IPOPT"
 
