@@ -88,7 +88,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, Path]
         result = _run(environment, "run", *arguments)
         if not taken_by_the_host(out):
             break
-        assert "tonus doctor tells" in result.stdout
+        assert "tonus doctor lists" in result.stdout
     assert result.returncode == 0, result.stdout + result.stderr
     return result.stdout, out, folder / "runtime"
 

@@ -96,7 +96,7 @@ def test_a_log_that_never_became_active_is_refused(
     rows = standing()
     rows["state"]["state"] = State.STANDBY
     path = recorded(tmp_path / "a", rows)
-    assert "in no tick of ACTIVE" in refused(monkeypatch, capsys, str(path))
+    assert "in ACTIVE no tick has fresh samples" in refused(monkeypatch, capsys, str(path))
 
 
 @pytest.mark.parametrize(
