@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from tonus.config.document import Document, Key, dotted, is_file, read
-from tonus.config.errors import ConfigError
+from tonus.config.errors import ConfigError, PlacedError
 from tonus.config.relaxed import unnamed_risks
 from tonus.config.schema.bounds import Bounds
 from tonus.config.schema.budget import Budget
@@ -222,8 +222,10 @@ def _validate(document: Document, model: type[Model]) -> Model:
 
 
 def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) -> ConfigError:
-    key = _real_key(document, error["loc"])
     kind = error["type"]
+    cause = error["ctx"]["error"] if kind == "value_error" else None
+    path = cause.path if isinstance(cause, PlacedError) else ()
+    key = _real_key(document, (*error["loc"], *path))
     remedy = _REMEDY.get(kind, _EXPECTED)
     problem = error["msg"].removeprefix("Value error, ")
     problem = problem[0].lower() + problem[1:]

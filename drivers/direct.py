@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from tonus.config.schema.bus import DirectBus
-from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 from tonus.drivers.cia301.setting import apply
 from tonus.drivers.devices import epos4
@@ -49,6 +48,7 @@ class DirectFieldbus:
             epos4.settings(train.motor, config.fieldbus.drive)
             for train in config.robot.drive_trains
         ]
+        self._cables = config.robot.cables
         self._offset_ns = round(config.fieldbus.sample_offset_us * 1000)
         self._events = EventLog()
         self._exchange = Exchange(
@@ -57,27 +57,28 @@ class DirectFieldbus:
             config.control.freshness,
             image,
             self._events,
-            [f"direct/{axis}" for axis in range(CABLES)],
+            [f"direct/{axis}" for axis in range(self._cables)],
         )
-        self._commands = ([0] * CABLES, [0] * CABLES)
+        self._commands = ([0] * self._cables, [0] * self._cables)
         self._sampled: tuple[int, int, list[int], list[int], list[int], list[int]] | None = None
         """tick and time of the last exchange, and its samples"""
 
     async def start(self, progress: Progress) -> None:
         """Raises `BringUpError`, one line that names every axis that failed and why."""
         self._exchange.forget()
-        self._commands = ([0] * CABLES, [0] * CABLES)
+        self._commands = ([0] * self._cables, [0] * self._cables)
         failed = []
-        for axis in range(CABLES):
+        for axis in range(self._cables):
             try:
                 await apply(_Objects(self._port, axis), self._settings[axis])
             except DriverError as error:
                 failed.append(f"axis {axis}: {error}")
         if failed:
             raise BringUpError(
-                f"{len(failed)} of {CABLES} drives could not be configured: " + "; ".join(failed)
+                f"{len(failed)} of {self._cables} drives could not be configured: "
+                + "; ".join(failed)
             )
-        progress(f"{CABLES} drives are configured")
+        progress(f"{self._cables} drives are configured")
 
     def collect(self, tick: int) -> None:
         exchange = self._exchange
@@ -115,7 +116,8 @@ class DirectFieldbus:
         """Power off with one last exchange."""
         if self._sampled is not None:
             self._sampled = None
-            self._port.exchange(self._clock() + self._offset_ns, [0] * CABLES, [0] * CABLES)
+            off = [0] * self._cables
+            self._port.exchange(self._clock() + self._offset_ns, off, off)
 
 
 class _Objects:

@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import CELLS, Amplifier, ForceCell
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.bus import Amplifier, ForceCell
+from tonus.config.schema.robot import Robot
 from tonus.config.schema.safety import Freshness
 from tonus.drivers.devices.cia402 import STATE_OF, Cia402Axis
 from tonus.drivers.devices.epos4 import Scale
@@ -110,8 +110,8 @@ class Exchange:
         places: list[str],
     ) -> None:
         """``places`` names each axis in events."""
-        split = CABLES * AXIS.itemsize // _WORD
-        self.integers = np.zeros(split + CELLS * CELL.itemsize // _WORD, np.int64)
+        split = robot.cables * AXIS.itemsize // _WORD
+        self.integers = np.zeros(split + robot.cells * CELL.itemsize // _WORD, np.int64)
         """everything raw as one row of words, for who knows the `place` of what he writes"""
         self.reals = self.integers.view(np.float64)
         """the same words"""
@@ -134,7 +134,7 @@ class Exchange:
             np.array([scale.newton_metre_per_mille for scale in scales]),
             float(divisor(cell)),
         )
-        self._axes = [Cia402Axis() for _ in range(CABLES)]
+        self._axes = [Cia402Axis() for _ in scales]
         self._per_newton_metre = [scale.mille_per_newton_metre for scale in scales]
         self._torque_limits = [
             scale.mille_limit * abs(scale.newton_metre_per_mille) for scale in scales

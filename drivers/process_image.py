@@ -7,8 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from tonus.config.schema.bus import CELLS
-from tonus.config.schema.robot import CABLES
+from tonus.config.schema.robot import cells_of
 
 NEVER = np.iinfo(np.uint16).max
 """Age of a measurement that has not arrived yet, in ticks."""
@@ -85,15 +84,15 @@ class ProcessImage:
     The three tables of inputs lie one behind the other in one block of memory.
     """
 
-    def __init__(self) -> None:
-        cells = CABLES * AXIS_INPUT.itemsize
-        tracker = cells + CELLS * CELL_INPUT.itemsize
+    def __init__(self, cables: int) -> None:
+        cells = cables * AXIS_INPUT.itemsize
+        tracker = cells + cells_of(cables) * CELL_INPUT.itemsize
         end = tracker + TRACKER_INPUT.itemsize
         self._inputs = np.zeros(end // 8, np.uint64).view(np.uint8)
         self.axes = self._inputs[:cells].view(AXIS_INPUT)
         self.cells = self._inputs[cells:tracker].view(CELL_INPUT)
         self.tracker = self._inputs[tracker:].view(TRACKER_INPUT).reshape(())
-        self.commands = np.zeros(CABLES, AXIS_OUTPUT)
+        self.commands = np.zeros(cables, AXIS_OUTPUT)
         self.bus_ns = 0
         """from the last exchange to its last answer, where the bus knows; no input of control"""
         self.axes["age"] = NEVER

@@ -43,7 +43,8 @@ class SeveralFieldbuses:
         # A segment's frame goes out after the others: in virtual time it passes later in the tick.
         for bus in sorted(config.fieldbus.buses, key=lambda each: isinstance(each, EthercatBus)):
             axes, cells = devices(bus)
-            part = build(config.model_copy(update={"fieldbus": bus}), ProcessImage())
+            image_of_part = ProcessImage(config.robot.cables)
+            part = build(config.model_copy(update={"fieldbus": bus}), image_of_part)
             part.image.commands["command"] = AxisCommand.DISABLE
             self._parts.append(_Part(part, axes, cells))
         self.channels: tuple[str, ...] = tuple(

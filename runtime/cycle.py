@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.bus import Tracker
 from tonus.config.schema.control import Control
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.config.schema.scenario import Reference
 from tonus.drivers.process_image import AxisCommand, ProcessImage
 from tonus.runtime.control.allocation import Allocation
@@ -37,7 +37,6 @@ from tonus.runtime.signals import CycleRecord
 from tonus.runtime.states import ARMED, Operator, State
 
 Array = NDArray[np.float64]
-_NOBODY = np.zeros(CABLES, dtype=bool)
 _MOST_SKIPPED = 100
 """missed ticks in a row that the estimate is carried over: each takes as long as in a tick"""
 _EVEN_TICKS = 3
@@ -59,7 +58,7 @@ class ControlCycle:
         period = control.rates.period
         self._robot, self._control, self._period = robot, control, period
         self._radius, self._axial_stiffness = robot.drum_radius, robot.axial_stiffness
-        self.record = CycleRecord()
+        self.record = CycleRecord(robot.cables)
         self._kinematics = Kinematics(robot.geometry)
         self._sensing = Sensing(robot, control)
         self._envelope = Envelope(
@@ -73,7 +72,7 @@ class ControlCycle:
             self._referencing,
             self._envelope,
             self._isolation,
-            self._radius,
+            robot,
         )
         self._guide = Guide(robot, control.sequence, control.envelope, reference, period, others)
         self._estimator = PoseEstimator(
@@ -99,17 +98,18 @@ class ControlCycle:
             self._envelope,
             self._allocation,
         )
-        self._pulling = np.zeros(CABLES)
-        self._torque = np.zeros(CABLES)
+        self._nobody = np.zeros(robot.cables, dtype=bool)
+        self._pulling = np.zeros(robot.cables)
+        self._torque = np.zeros(robot.cables)
         """N m, of the last tick"""
         self._doubt_ns = control.isolation.sample_doubt * 1e9
         self._last_tick, self._skipped = -1, 0
-        self._even = np.zeros(CABLES, dtype=np.int64)
+        self._even = np.zeros(robot.cables, dtype=np.int64)
         """(n,) ticks in a row that came on time and with a fresh sample"""
-        self.unobserved = np.zeros(CABLES, dtype=np.int64)
+        self.unobserved = np.zeros(robot.cables, dtype=np.int64)
         """(n,) ticks in a row in which a drum's motion could not be held against its torque"""
-        self._drum_rate, self._none = np.zeros(CABLES), np.zeros(CABLES)
-        self._desired_drums = (np.zeros(CABLES), np.zeros(CABLES))
+        self._drum_rate, self._none = np.zeros(robot.cables), np.zeros(robot.cables)
+        self._desired_drums = (np.zeros(robot.cables), np.zeros(robot.cables))
         self._law = 0.0
         self._accepted = False
         self._finite = True
@@ -223,12 +223,12 @@ class ControlCycle:
 
     @property
     def tare(self) -> Array:
-        """(9,) N subtracted from the cells' readings."""
+        """(n + 1,) N subtracted from the cells' readings."""
         return self._sensing.tare
 
     @property
     def forces(self) -> Array:
-        """(9,) N, tared and filtered."""
+        """(n + 1,) N, tared and filtered."""
         return np.asarray(self._sensing.filter.value)
 
     def _enter(self, state: State) -> None:
@@ -240,7 +240,7 @@ class ControlCycle:
             self._controller.reset()
             self._allocation.reset()
         elif state is State.PRETENSION:
-            reference, tension = self._referencing, self._sensing.filter.value[:CABLES]
+            reference, tension = self._referencing, self._sensing.filter.value[:-1]
             self._estimator.start(
                 reference.position, reference.quaternion, tension, reference.poses
             )
@@ -264,7 +264,7 @@ class ControlCycle:
         believed = sensing.usable & ~sequence.faults.failed
         self._pulling = descent.pulling(sensing.tension, sequence.faults)
         for _ in range(min(self._skipped, _MOST_SKIPPED)):
-            self._estimator.step(lengths, self._pulling, _NOBODY)
+            self._estimator.step(lengths, self._pulling, self._nobody)
         estimate = self._estimator.step(lengths, self._pulling, believed)
         watched = sensing.usable & sequence.carrying
         if sequence.descending:
@@ -273,7 +273,7 @@ class ControlCycle:
         self._isolation.step(
             self._estimator.innovations,
             self._allocation.reference,
-            sensing.filter.value[:CABLES],
+            sensing.filter.value[:-1],
             watched,
         )
         self._isolation.cells(
@@ -287,9 +287,9 @@ class ControlCycle:
     def _regulate(self, estimate: Estimate) -> None:
         """Law, cap, limiter, wrench, distribution."""
         sensing, sequence, envelope = self._sensing, self.sequence, self._envelope
-        bearing = sensing.usable if sequence.state in (State.HOLD, State.ACTIVE) else _NOBODY
+        bearing = sensing.usable if sequence.state in (State.HOLD, State.ACTIVE) else self._nobody
         envelope(
-            sensing.filter.value[:CABLES],
+            sensing.filter.value[:-1],
             sensing.contact,
             estimate.position,
             estimate.velocity,
@@ -330,7 +330,7 @@ class ControlCycle:
         allocation.deliver(sensing.tension)
 
     def _drum_rates(self, estimate: Estimate) -> Array:
-        """Drum rates (8,) to damp against: those that follow the platform, or those desired."""
+        """Drum rates (n,) to damp against: those that follow the platform, or those desired."""
         _, velocity, acceleration = self._guide.desired
         desired_rate, desired_acceleration = self._desired_drums
         self._finite = drum_motion(

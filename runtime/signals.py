@@ -8,13 +8,12 @@ function; a test ties the two.
 from __future__ import annotations
 
 from enum import IntEnum
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 
-from tonus.config.schema.bus import CELLS
-from tonus.config.schema.robot import CABLES
-from tonus.runtime.topics import Field, Topic, record_dtype
+from tonus.runtime.topics import Field, Per, Topic, record_dtype
 
 SCHEMA_VERSION = 6
 """Counts up when a field changes its name, type, unit or meaning."""
@@ -72,7 +71,7 @@ def _f8(name: str, size: int, unit: str, doc: str) -> Field:
     return Field(name, "float64", size, unit, doc)
 
 
-TOPICS: tuple[Topic, ...] = (
+TABLE: tuple[Topic, ...] = (
     _topic(
         "timing",
         "Timing",
@@ -103,7 +102,7 @@ TOPICS: tuple[Topic, ...] = (
         Field("fault_where", "int16", 0, "", "axis, cell or bound of the fault, -1 for none"),
         Field("state", "uint8", 0, "", "State"),
         Field("stop_mode", "uint8", 0, "", "StopMode, 0 but in SAFE_STOP"),
-        Field("failed", "uint8", CABLES, "", "1 for a cable that is given up"),
+        Field("failed", "uint8", Per.CABLE, "", "1 for a cable that is given up"),
         Field("operator", "uint8", 0, "", "operator command of this tick, 0 for none"),
         Field("select", "uint8", 0, "", "scenario chosen in this tick, its number plus 1; or 0"),
         Field("scenario", "uint8", 0, "", "number of the scenario in force"),
@@ -111,28 +110,30 @@ TOPICS: tuple[Topic, ...] = (
     _topic(
         "drives",
         "Drives",
-        "inputs from the eight axes and the commands to them",
-        _f8("angle", CABLES, "rad", "drum angle since switch-on, reeling in positive"),
-        _f8("torque", CABLES, "N m", "the drive's own torque figure, at the drum"),
-        _f8("torque_command", CABLES, "N m", "commanded torque at the drum"),
-        _f8("rate", CABLES, "rad/s", "drum rate"),
-        Field("sampled_ns", "int64", CABLES, "ns", "when its SYNC went out; 0: on a common clock"),
-        Field("doubt_ns", "int64", CABLES, "ns", "by how much later it may have gone out"),
-        Field("age", "uint16", CABLES, "ticks", "age of the measurement"),
-        Field("statusword", "uint16", CABLES, "", "CiA 402 statusword"),
-        Field("error_code", "uint16", CABLES, "", "error code of the last emergency"),
-        Field("state", "uint8", CABLES, "", "AxisState"),
-        Field("command", "uint8", CABLES, "", "AxisCommand"),
+        "inputs from the axes and the commands to them",
+        _f8("angle", Per.CABLE, "rad", "drum angle since switch-on, reeling in positive"),
+        _f8("torque", Per.CABLE, "N m", "the drive's own torque figure, at the drum"),
+        _f8("torque_command", Per.CABLE, "N m", "commanded torque at the drum"),
+        _f8("rate", Per.CABLE, "rad/s", "drum rate"),
+        Field(
+            "sampled_ns", "int64", Per.CABLE, "ns", "when its SYNC went out; 0: on a common clock"
+        ),
+        Field("doubt_ns", "int64", Per.CABLE, "ns", "by how much later it may have gone out"),
+        Field("age", "uint16", Per.CABLE, "ticks", "age of the measurement"),
+        Field("statusword", "uint16", Per.CABLE, "", "CiA 402 statusword"),
+        Field("error_code", "uint16", Per.CABLE, "", "error code of the last emergency"),
+        Field("state", "uint8", Per.CABLE, "", "AxisState"),
+        Field("command", "uint8", Per.CABLE, "", "AxisCommand"),
     ),
     _topic(
         "force_cells",
         "ForceCells",
-        "the eight cable cells and, last, the contact port's",
-        _f8("raw", CELLS, "N", "as reported"),
-        _f8("tare", CELLS, "N", "subtracted"),
-        _f8("filtered", CELLS, "N", "tared and low-passed"),
-        Field("age", "uint16", CELLS, "ticks", "age of the measurement"),
-        Field("status", "uint8", CELLS, "", "CiA 404 status, 0 good"),
+        "the cables' cells and, last, the contact port's",
+        _f8("raw", Per.CELL, "N", "as reported"),
+        _f8("tare", Per.CELL, "N", "subtracted"),
+        _f8("filtered", Per.CELL, "N", "tared and low-passed"),
+        Field("age", "uint16", Per.CELL, "ticks", "age of the measurement"),
+        Field("status", "uint8", Per.CELL, "", "CiA 404 status, 0 good"),
     ),
     _topic(
         "tracker",
@@ -161,8 +162,8 @@ TOPICS: tuple[Topic, ...] = (
         _f8("desired_acceleration", 3, "m/s2", "reference"),
         _f8("cable_position", 3, "m", "pose solved from the cables alone"),
         _f8("bias", 3, "m", "estimated error of the cables' pose"),
-        _f8("residual", 0, "m", "disagreement of the eight cable lengths, RMS"),
-        _f8("length_offset", CABLES, "m", "estimated, to be added to the measured lengths"),
+        _f8("residual", 0, "m", "disagreement of the cable lengths, RMS"),
+        _f8("length_offset", Per.CABLE, "m", "estimated, to be added to the measured lengths"),
         _f8("compliance", 0, "", "of the cables, estimated, over the nominal one"),
         _f8("sigma", 0, "m", "standard deviation of the position along its worst axis"),
         _f8("inconsistency", 0, "", "mean squared innovation of the lengths in sigmas, about 1"),
@@ -195,11 +196,11 @@ TOPICS: tuple[Topic, ...] = (
         "tension",
         "Tension",
         "reference and measurement of every cable",
-        _f8("reference", CABLES, "N", "distributed"),
-        _f8("co_contraction", CABLES, "N", "target of the distribution"),
-        _f8("measured", CABLES, "N", "tared load cell, unfiltered"),
-        _f8("integral", CABLES, "N", "integral part of the tension loop"),
-        _f8("agonism", CABLES, "", "1 pulls with the commanded wrench, -1 against it"),
+        _f8("reference", Per.CABLE, "N", "distributed"),
+        _f8("co_contraction", Per.CABLE, "N", "target of the distribution"),
+        _f8("measured", Per.CABLE, "N", "tared load cell, unfiltered"),
+        _f8("integral", Per.CABLE, "N", "integral part of the tension loop"),
+        _f8("agonism", Per.CABLE, "", "1 pulls with the commanded wrench, -1 against it"),
         Field("iterations", "uint8", 0, "", "of the solver"),
         Field("solver", "uint8", 0, "", "Solver"),
     ),
@@ -231,7 +232,19 @@ TOPICS: tuple[Topic, ...] = (
     ),
 )
 
-CYCLE = record_dtype(TOPICS)
+"""Of any robot. The number of its cables gives fields their sizes: `topics`."""
+
+
+@cache
+def topics(cables: int) -> tuple[Topic, ...]:
+    """The topics of a robot with so many cables."""
+    return tuple(topic.sized(cables) for topic in TABLE)
+
+
+@cache
+def cycle_dtype(cables: int) -> np.dtype[np.void]:
+    """One tick's record of all topics, of a robot with so many cables."""
+    return record_dtype(topics(cables))
 
 
 class CycleRecord(SimpleNamespace):
@@ -241,9 +254,10 @@ class CycleRecord(SimpleNamespace):
     with ``view[:] = values``.
     """
 
-    def __init__(self) -> None:
-        self.data = np.zeros(1, CYCLE)
-        for topic in TOPICS:
+    def __init__(self, cables: int) -> None:
+        self.cables = cables
+        self.data = np.zeros(1, cycle_dtype(cables))
+        for topic in topics(cables):
             short = topic.name.rsplit("/", 1)[1]
             part = self.data[short]
             views = {

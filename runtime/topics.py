@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from enum import IntEnum
 
 import numpy as np
+
+from tonus.config.schema.robot import cells_of
 
 _WIDTH = {
     "float64": 8,
@@ -27,9 +30,20 @@ _WIDTH = {
 }
 
 
+class Per(IntEnum):
+    """In place of a size, until the robot is known: an array with one value for each of them."""
+
+    CABLE = -1
+    CELL = -2
+
+    def count(self, cables: int) -> int:
+        """Of a robot with so many cables."""
+        return cables if self is Per.CABLE else cells_of(cables)
+
+
 @dataclass(frozen=True)
 class Field:
-    """One signal: ``size`` is 0 for a scalar, otherwise the length of a fixed array."""
+    """One signal: ``size`` is 0 for a scalar, otherwise the length of a fixed array, or a `Per`."""
 
     name: str
     type: str
@@ -40,6 +54,10 @@ class Field:
     @property
     def width(self) -> int:
         return _WIDTH[self.type]
+
+    def sized(self, cables: int) -> Field:
+        """As it is for a robot with so many cables."""
+        return replace(self, size=Per(self.size).count(cables)) if self.size < 0 else self
 
 
 @dataclass(frozen=True)
@@ -55,6 +73,10 @@ class Topic:
         widths = [field.width for field in self.fields]
         if widths != sorted(widths, reverse=True):
             raise ValueError(f"{self.name}: fields must stand widest first")
+
+    def sized(self, cables: int) -> Topic:
+        """As it is for a robot with so many cables; what follows needs that."""
+        return replace(self, fields=tuple(field.sized(cables) for field in self.fields))
 
     @property
     def dtype(self) -> np.dtype[np.void]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tonus.config.schema.bus import CONTACT_CELL, CanopenBus, parts
+from tonus.config.schema.bus import CanopenBus, parts
 from tonus.config.schema.root import Config
 from tonus.runtime.safety.faults import PASSIVE
 from tonus.runtime.states import Fault, StopMode
@@ -101,7 +101,7 @@ def axis_name(config: Config, axis: int) -> str:
 
 def cell_name(config: Config, cell: int) -> str:
     """Channel, node and cell of a force sensor."""
-    name = "contact cell" if cell == CONTACT_CELL else f"cell {cell}"
+    name = "contact cell" if cell == config.robot.contact_cell else f"cell {cell}"
     for bus in parts(config.fieldbus):
         if isinstance(bus, CanopenBus):
             for channel in bus.channels:

@@ -15,16 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config import load
-from tonus.config.schema.bus import CELLS, CONTACT_CELL
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Reference, Scenario
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.operation.operator import Script
-from tonus.runtime.signals import TOPICS
+from tonus.runtime.signals import TABLE
 from tonus.runtime.states import Operator, State
 from tonus.sim.devices.tracker import DATAGRAM, VALID, Tracker
-from tonus.sim.lab.truth import TRUTH
+from tonus.sim.lab.truth import truth_dtype
 from tonus.sim.plant import Plant
 
 Array = NDArray[np.float64]
@@ -104,7 +103,7 @@ class ClosedLoop:
         )
         self.tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
         self.cycle = ControlCycle(robot, config.control, config.tracker, scenario.reference, others)
-        self.image = ProcessImage()
+        self.image = ProcessImage(robot.cables)
         self.silent_axes: set[int] = set()
         self.silent_cells: set[int] = set()
         self.axis_state = np.full(len(self.image.axes), -1)
@@ -117,9 +116,9 @@ class ClosedLoop:
         self._truths: list[Array] = []
         self._period_ns = config.control.rates.period_ns
         self._fresh_ticks = config.control.freshness.measurement_ticks
-        self._random = np.random.default_rng([seed, CELLS])
+        self._random = np.random.default_rng([seed, robot.cells])
         noise = lab.noise.force_cell
-        self._offset = self._random.normal(0.0, noise.offset_sigma, CELLS)
+        self._offset = self._random.normal(0.0, noise.offset_sigma, robot.cells)
         self._sigma = noise.sigma
         digits = config.fieldbus.force_cell.decimal_digits
         self._cell_grid = 10.0**-digits
@@ -140,7 +139,7 @@ class ClosedLoop:
 
     @property
     def trace(self) -> Trace:
-        truth = np.array(self._truths).view(TRUTH).reshape(-1)
+        truth = np.array(self._truths).view(truth_dtype(len(self.image.axes))).reshape(-1)
         return Trace(np.concatenate(self._cycles), truth)
 
     def forget(self) -> None:
@@ -222,7 +221,11 @@ class ClosedLoop:
         plant.advance(now + self.late_ns + SAMPLE_OFFSET_NS)
         self._sampled_ns, self._sampled_tick = now + self.late_ns, self.number
         angle = np.floor(plant.motor_angle * self._increments) / self._increments / self._ratio
-        force = plant.cell_force + self._offset + self._random.normal(0.0, self._sigma, CELLS)
+        force = (
+            plant.cell_force
+            + self._offset
+            + self._random.normal(0.0, self._sigma, len(self._offset))
+        )
         self._sample = (angle, np.round(force / self._cell_grid) * self._cell_grid)
         plant.current_reference[:] = self._current
         plant.powered[:] = self._enabled
@@ -246,7 +249,7 @@ def not_finite(records: NDArray[np.void]) -> list[str]:
     """Signals of cycle records that are somewhere not a finite number."""
     return [
         f"{topic.name}.{field.name}"
-        for topic in TOPICS
+        for topic in TABLE
         for field in topic.fields
         if not np.isfinite(records[topic.name.rsplit("/", 1)[1]][field.name]).all()
     ]
@@ -257,7 +260,6 @@ def rms(values: Array) -> float:
 
 
 __all__ = [
-    "CONTACT_CELL",
     "QUICK",
     "ClosedLoop",
     "Inputs",

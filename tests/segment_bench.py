@@ -43,7 +43,7 @@ class SegmentBench:
         self.segment = self.lab.segments[SEGMENT]
         self._ring = Ring(self.segment)
         self.between: Callable[[bytes, bytes | None], bytes | None] | None = None
-        self.image = ProcessImage()
+        self.image = ProcessImage(8)
         self.fieldbus = EthercatFieldbus(
             self.config,
             self.image,

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config import load
-from tonus.config.schema.bus import CELLS
-from tonus.config.schema.robot import CABLES
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.cycle import ControlCycle
@@ -38,6 +36,7 @@ OVERRIDES: dict[str, Any] = {
     "control.isolation.acceleration": 1e9,
 }
 CONFIG, SCENARIO = load("config/can.yaml", scenario="sine_x", overrides=OVERRIDES)
+CABLES, CELLS = CONFIG.robot.cables, CONFIG.robot.cells
 CONTROL = CONFIG.control
 POSE_TICKS = 8
 
@@ -49,7 +48,7 @@ class Statue:
         self.cycle = cycle or ControlCycle(
             CONFIG.robot, CONTROL, CONFIG.tracker, SCENARIO.reference
         )
-        self.image = ProcessImage()
+        self.image = ProcessImage(8)
         self.record: CycleRecord = self.cycle.record
         self.number = 0
         kinematics = Kinematics(CONFIG.robot.geometry)

@@ -11,10 +11,14 @@ from tonus.runtime.recording.recorder import Recorder
 from tonus.runtime.recording.ring import RingWriter
 from tonus.runtime.recording.taps import EventRing, FrameRing, Level
 from tonus.runtime.recording.viewer import Scene
-from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.signals import cycle_dtype, topics
 from tonus.runtime.states import Fault, State
 from tonus.runtime.topics import Field, Topic, to_json
-from tonus.sim.lab.truth import TRUTH, TRUTH_FIELDS
+from tonus.sim.lab.truth import truth_dtype, truth_fields
+
+TRUTH, TRUTH_FIELDS = truth_dtype(8), truth_fields(8)
+
+CYCLE, TOPICS = cycle_dtype(8), topics(8)
 
 MS = 1_000_000
 CHANNELS = ("can0", "can1")

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from tests.forked import forked
 from tests.loop import QUICK, ClosedLoop, Trace, configured
-from tonus.config.schema.robot import CABLES
 from tonus.config.schema.scenario import Path, Reference, Waypoint
 from tonus.runtime.states import Fault, Operator, State, StopMode
 from tonus.sim.plant import Plant
+
+CABLES = 8
 
 Motion = Literal["rest", "towards", "away"]
 Place = tuple[float, float, float]

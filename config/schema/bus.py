@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from tonus.config.errors import PlacedError, no_such
 from tonus.config.schema.base import Count, Fraction, NodeId, NonNegative, Positive, Section
-from tonus.config.schema.robot import CABLES
 
-CONTACT_CELL = CABLES
-"""Row of the contact port's cell: the ninth, behind the eight cable cells."""
-CELLS = CABLES + 1
+KeyPath = tuple[str | int, ...]
 AMPLIFIER_CHANNELS = 4
 EPOS4_PDO_ENTRIES = 12
 EPOS4_PDO_BYTES = 40
 _REAL32 = 0x6130
 """Cells that one node carries at most: as many 16-bit values as a frame holds."""
-CellNumber = Annotated[int, Field(ge=0, lt=CELLS)]
+Number = Annotated[int, Field(ge=0)]
+"""Of an axis or a cell. How many there are the robot says: `check_devices`."""
 
 MappingEntry = Annotated[int, Field(ge=0x10000000, le=0xFFFFFFFF)]
 """A PDO mapping word of CiA 301: index << 16 | subindex << 8 | length in bits."""
@@ -93,14 +93,14 @@ class ForceCell(Device):
 
 
 class DriveNode(Section):
-    axis: Annotated[int, Field(ge=0, lt=CABLES)]
+    axis: Number
     node_id: NodeId
 
 
 class CellNode(Section):
     """An amplifier with one cell (``cell: 0``) or several (``cells: [0, 1, 2, 3]``)."""
 
-    cells: Annotated[tuple[CellNumber, ...], Field(min_length=1, max_length=AMPLIFIER_CHANNELS)]
+    cells: Annotated[tuple[Number, ...], Field(min_length=1, max_length=AMPLIFIER_CHANNELS)]
     """the cell on each channel, in the order of the channels"""
     node_id: NodeId
 
@@ -169,17 +169,7 @@ class CanopenBus(Section):
     @field_validator("channels")
     @classmethod
     def _every_device_once(cls, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
-        axes = [drive.axis for channel in channels for drive in channel.drives]
-        cells = [
-            cell for channel in channels for node in channel.force_cells for cell in node.cells
-        ]
-        for kind, found, wanted in (("axis", axes, CABLES), ("cell", cells, CELLS)):
-            missing = sorted(set(range(wanted)) - set(found))
-            twice = sorted({number for number in found if found.count(number) > 1})
-            if twice:
-                raise ValueError(f"{kind} {twice[0]} has more than one node; give it one")
-            if missing:
-                raise ValueError(f"no node for {kind} {missing[0]}; add one")
+        _once("node", *_on_channels(channels))
         return channels
 
     @model_validator(mode="after")
@@ -250,8 +240,8 @@ class Amplifier(EthercatDevice):
 class Slave(Section):
     """One slave of a segment: a drive (``axis: 3``) or an amplifier (``cells: [0, 1]``)."""
 
-    axis: Annotated[int, Field(ge=0, lt=CABLES)] | None = None
-    cells: Annotated[tuple[CellNumber, ...], Field(max_length=CELLS)] = ()
+    axis: Number | None = None
+    cells: tuple[Number, ...] = ()
     """the cell on each channel, in the order of the channels"""
     identity: Identity | None = None
     """where it differs from its kind's"""
@@ -323,7 +313,7 @@ class EthercatBus(Section):
     @field_validator("slaves")
     @classmethod
     def _every_slave_once(cls, slaves: tuple[Slave, ...]) -> tuple[Slave, ...]:
-        _once("slave", *_rows(slaves), complete=True)
+        _once("slave", *_rows(slaves))
         return slaves
 
     @property
@@ -339,51 +329,27 @@ class EthercatBus(Section):
         return slave.identity or (self.drive if not slave.cells else self.force_cell).identity
 
 
-class CanopenPart(CanopenBus):
-    """A CANopen bus with some of the devices."""
-
-    @field_validator("channels")
-    @classmethod
-    def _every_device_once(cls, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
-        axes = [drive.axis for channel in channels for drive in channel.drives]
-        cells = [
-            cell for channel in channels for node in channel.force_cells for cell in node.cells
-        ]
-        _once("node", axes, cells, complete=False)
-        return channels
-
-
-class EthercatPart(EthercatBus):
-    """A segment with some of the devices."""
-
-    @field_validator("slaves")
-    @classmethod
-    def _every_slave_once(cls, slaves: tuple[Slave, ...]) -> tuple[Slave, ...]:
-        _once("slave", *_rows(slaves), complete=False)
-        return slaves
-
-
 class SeveralBuses(Section):
     """Devices on more than one fieldbus, all exchanged in the same tick."""
 
     kind: Literal["several"]
     buses: Annotated[
-        tuple[Annotated[CanopenPart | EthercatPart, Field(discriminator="kind")], ...],
+        tuple[Annotated[CanopenBus | EthercatBus, Field(discriminator="kind")], ...],
         Field(min_length=1),
     ]
 
     @field_validator("buses")
     @classmethod
     def _every_device_once(
-        cls, buses: tuple[CanopenPart | EthercatPart, ...]
-    ) -> tuple[CanopenPart | EthercatPart, ...]:
+        cls, buses: tuple[CanopenBus | EthercatBus, ...]
+    ) -> tuple[CanopenBus | EthercatBus, ...]:
         axes: list[int] = []
         cells: list[int] = []
         for bus in buses:
             more_axes, more_cells = devices(bus)
             axes += more_axes
             cells += more_cells
-        _once("device", axes, cells, complete=True)
+        _once("device", axes, cells)
         return buses
 
     @property
@@ -404,11 +370,50 @@ def parts(bus: Bus) -> tuple[CanopenBus | EthercatBus, ...]:
 
 def devices(bus: CanopenBus | EthercatBus) -> tuple[list[int], list[int]]:
     """The axes and the cells that hang on a bus."""
-    if isinstance(bus, EthercatBus):
-        return _rows(bus.slaves)
-    axes = [drive.axis for channel in bus.channels for drive in channel.drives]
-    nodes = [node for channel in bus.channels for node in channel.force_cells]
-    return axes, [cell for node in nodes for cell in node.cells]
+    return _rows(bus.slaves) if isinstance(bus, EthercatBus) else _on_channels(bus.channels)
+
+
+def check_devices(bus: Bus, axes: int, cells: int) -> None:
+    """That each of so many axes and cells has its device, and that there are no others. Raises
+    `PlacedError`."""
+    if isinstance(bus, DirectBus):
+        return
+    found: dict[str, set[int]] = {"axis": set(), "cell": set()}
+    for path, kind, number in _numbers(bus):
+        count = axes if kind == "axis" else cells
+        if number >= count:
+            raise no_such(path, kind, number, count)
+        found[kind].add(number)
+    device, where = {
+        "canopen": ("node", "channels"),
+        "ethercat": ("slave", "slaves"),
+        "several": ("device", "buses"),
+    }[bus.kind]
+    for what, count in (("axis", axes), ("cell", cells)):
+        missing = sorted(set(range(count)) - found[what])
+        if missing:
+            raise PlacedError((where,), f"no {device} for {what} {missing[0]}; add one")
+
+
+def _numbers(bus: Bus) -> Iterator[tuple[KeyPath, Literal["axis", "cell"], int]]:
+    """Every number of an axis or a cell on a bus, and where in its section it stands."""
+    if isinstance(bus, SeveralBuses):
+        for index, part in enumerate(bus.buses):
+            for path, kind, number in _numbers(part):
+                yield ("buses", index, *path), kind, number
+    elif isinstance(bus, EthercatBus):
+        for index, slave in enumerate(bus.slaves):
+            if slave.axis is not None:
+                yield ("slaves", index, "axis"), "axis", slave.axis
+            for place, cell in enumerate(slave.cells):
+                yield ("slaves", index, "cells", place), "cell", cell
+    elif isinstance(bus, CanopenBus):
+        for index, channel in enumerate(bus.channels):
+            for place, drive in enumerate(channel.drives):
+                yield ("channels", index, "drives", place, "axis"), "axis", drive.axis
+            for place, node in enumerate(channel.force_cells):
+                for cell in node.cells:
+                    yield ("channels", index, "force_cells", place), "cell", cell
 
 
 def _rows(slaves: tuple[Slave, ...]) -> tuple[list[int], list[int]]:
@@ -416,15 +421,18 @@ def _rows(slaves: tuple[Slave, ...]) -> tuple[list[int], list[int]]:
     return axes, [cell for slave in slaves for cell in slave.cells]
 
 
-def _once(kind: str, axes: list[int], cells: list[int], *, complete: bool) -> None:
-    """Raises `ValueError` for an axis or a cell that is there twice, or missing."""
-    for what, found, wanted in (("axis", axes, CABLES), ("cell", cells, CELLS)):
+def _on_channels(channels: tuple[Channel, ...]) -> tuple[list[int], list[int]]:
+    axes = [drive.axis for channel in channels for drive in channel.drives]
+    nodes = [node for channel in channels for node in channel.force_cells]
+    return axes, [cell for node in nodes for cell in node.cells]
+
+
+def _once(kind: str, axes: list[int], cells: list[int]) -> None:
+    """Raises `ValueError` for an axis or a cell that is there twice."""
+    for what, found in (("axis", axes), ("cell", cells)):
         twice = sorted({number for number in found if found.count(number) > 1})
         if twice:
             raise ValueError(f"{what} {twice[0]} has more than one {kind}; give it one")
-        missing = sorted(set(range(wanted)) - set(found))
-        if missing and complete:
-            raise ValueError(f"no {kind} for {what} {missing[0]}; add one")
 
 
 class Tracker(Section):

@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from tonus.config.schema.base import Count, Fraction, NonNegative, Positive, Section
-from tonus.config.schema.bus import CELLS
 from tonus.config.schema.controller import ControllerChoice
 from tonus.config.schema.robot import Rates, Tension
 from tonus.config.schema.safety import Envelope, Freshness, Isolation, Stop
@@ -46,7 +45,7 @@ class Estimator(Section):
     elongation_time: Positive
     """s over which elongations are averaged before they tell compliance from offset"""
     gate: Positive
-    """largest chi-square (eight lengths) of a tracker pose that is still believed"""
+    """largest chi-square (of all lengths) of a tracker pose that is still believed"""
     refused_poses: Count
     """so many in a row beyond the gate are no outliers"""
     refused_spread: Positive
@@ -289,8 +288,8 @@ class Sequence(Section):
     """fewest tracker poses that make a reference"""
     tare_limit: Positive
     """N: a larger reading of an unloaded cell is a defect and not an offset"""
-    tare: Annotated[tuple[float, ...], Field(min_length=CELLS, max_length=CELLS)] | None = None
-    """N: offsets of the cells, stated; null: what they read at the start, unloaded, is measured"""
+    tare: tuple[float, ...] | None = None
+    """N: an offset for each cell, stated; null: what they read unloaded at the start is measured"""
     reference_slew: Positive
     """1/s: how fast the scenario's time may slow down or pick up"""
 

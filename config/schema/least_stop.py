@@ -7,7 +7,6 @@ from typing import Annotated
 from pydantic import Field
 
 from tonus.config.schema.base import NonNegative, Positive, Section, Vector3
-from tonus.config.schema.robot import CABLES
 
 
 class Stop(Section):
@@ -22,8 +21,8 @@ class Stop(Section):
 class Tear(Section):
     """One torn cable at one pose, level and in HOLD."""
 
-    cable: Annotated[int, Field(ge=0, lt=CABLES)]
-    """0 to 7"""
+    cable: Annotated[int, Field(ge=0)]
+    """counted from 0"""
     position: Vector3
     """m"""
     rest: Stop

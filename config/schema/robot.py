@@ -15,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from tonus.config.errors import no_such
 from tonus.config.schema.axis import AxisOverrides, Cable, DriveTrain, Drum, Gearbox, Motor
 from tonus.config.schema.base import (
     Count,
@@ -26,9 +27,10 @@ from tonus.config.schema.base import (
     Vector3,
 )
 
-CABLES = 8
 Array = NDArray[np.float64]
-EightPoints = Annotated[tuple[Vector3, ...], Field(min_length=CABLES, max_length=CABLES)]
+LEAST_CABLES, MOST_CABLES = 6, 12
+"""Fewer do not hold a platform in six directions, even under gravity; more have not been tried."""
+Anchors = Annotated[tuple[Vector3, ...], Field(min_length=LEAST_CABLES, max_length=MOST_CABLES)]
 Interval = tuple[Finite, Finite]
 
 
@@ -40,21 +42,36 @@ class Platform(Section):
 
 
 class Geometry(Section):
-    """Anchors in cable order: 1 to 4 upper, 5 to 8 lower."""
+    """Anchors in cable order, one pair for each cable: their number is the robot's of cables."""
 
-    frame: EightPoints
+    frame: Anchors
     """m, in the base frame"""
-    platform: EightPoints
+    platform: Anchors
     """m, in the platform frame"""
     moment_length: Positive
     """m, scales moments against forces where the two meet in one norm"""
 
+    @model_validator(mode="after")
+    def _in_pairs(self) -> Geometry:
+        frame, platform = len(self.frame), len(self.platform)
+        if frame != platform:
+            raise ValueError(
+                f"frame has {frame} anchors, platform {platform}; give both one for each cable"
+            )
+        return self
+
+
+def cells_of(cables: int) -> int:
+    """Load cells of a robot: one for each cable and, last, the contact port's."""
+    return cables + 1
+
 
 def _axis_number(value: Any) -> Any:
     """Documents have texts as keys; a second spelling of a number would hide the first."""
-    if str(value) not in map(str, range(CABLES)):
-        raise ValueError(f"there is no axis {value}; axes are numbered 0 to {CABLES - 1}")
-    return int(value)
+    number = str(value)
+    if not (number.isdecimal() and number == str(int(number))):
+        raise ValueError(f"there is no axis {value}; axes are numbered from 0")
+    return int(number)
 
 
 AxisNumber = Annotated[int, BeforeValidator(_axis_number)]
@@ -93,7 +110,7 @@ class Robot(Section):
     gearbox: Gearbox
     motor: Motor
     axes: dict[AxisNumber, AxisOverrides] = Field(default_factory=dict)
-    """by axis, 0 to 7: what it has that differs from ``cable``, ``drum``, ``gearbox``, ``motor``"""
+    """by axis, from 0: what it has that differs from ``cable``, ``drum``, ``gearbox``, ``motor``"""
     response: Response = Response()
     workspace: Workspace
     home: Vector3
@@ -101,6 +118,13 @@ class Robot(Section):
     rest: Vector3
     """m: where the platform lies on its cradle while the drives are off"""
     gravity: Positive
+
+    @model_validator(mode="after")
+    def _axes_are_there(self) -> Robot:
+        for axis in self.axes:
+            if axis >= self.cables:
+                raise no_such(("axes", str(axis)), "axis", axis, self.cables)
+        return self
 
     @model_serializer(mode="wrap")
     def _as_stated(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -111,18 +135,35 @@ class Robot(Section):
         return written
 
     @property
+    def cables(self) -> int:
+        """n: each has an axis (drive, motor, drum) and a load cell."""
+        return len(self.geometry.frame)
+
+    @property
+    def cells(self) -> int:
+        """Load cells, that of the contact port last."""
+        return cells_of(self.cables)
+
+    @property
+    def contact_cell(self) -> int:
+        """The contact port's."""
+        return self.cells - 1
+
+    @property
     def drive_trains(self) -> tuple[DriveTrain, ...]:
         """One for each cable, in their order."""
         train = DriveTrain(cable=self.cable, drum=self.drum, gearbox=self.gearbox, motor=self.motor)
         return tuple(
-            self.axes[axis].of(train) if axis in self.axes else train for axis in range(CABLES)
+            self.axes[axis].of(train) if axis in self.axes else train for axis in range(self.cables)
         )
 
     @property
     def signs(self) -> tuple[int, ...]:
         """Of each axis: 1 where its motor turns up, as its encoder counts, to reel the cable in; -1
         where it turns down."""
-        return tuple(self.axes[axis].sign if axis in self.axes else 1 for axis in range(CABLES))
+        return tuple(
+            self.axes[axis].sign if axis in self.axes else 1 for axis in range(self.cables)
+        )
 
     @property
     def kinds_of_axes(self) -> dict[DriveTrain, tuple[int, ...]]:
@@ -146,7 +187,7 @@ class Robot(Section):
     def whose(self, axes: Sequence[int]) -> str:
         """What a message adds to a value that only these axes have: nothing where all axes are
         of one kind."""
-        if len(axes) == CABLES:
+        if len(axes) == self.cables:
             return ""
         return f" on {'axis' if len(axes) == 1 else 'axes'} {', '.join(map(str, axes))}"
 
@@ -255,7 +296,6 @@ class Rates(Section):
 
 
 __all__ = [
-    "CABLES",
     "Cable",
     "Drum",
     "Fraction",

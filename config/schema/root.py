@@ -6,8 +6,9 @@ from typing import Any
 
 from pydantic import model_validator
 
+from tonus.config.errors import PlacedError
 from tonus.config.schema.base import Section
-from tonus.config.schema.bus import Bus, Tracker
+from tonus.config.schema.bus import Bus, Tracker, check_devices
 from tonus.config.schema.control import Control, Recording
 from tonus.config.schema.lab import Lab
 from tonus.config.schema.operation import Operation
@@ -48,6 +49,20 @@ class Config(Section):
             return self.robot.response
         plant, cell = self.lab.plant, self.lab.noise.force_cell
         return Response(current_loop_hz=plant.current_loop_hz, force_cell_hz=cell.bandwidth_hz)
+
+    @model_validator(mode="after")
+    def _numbers_fit_the_robot(self) -> Config:
+        robot, tare = self.robot, self.control.sequence.tare
+        try:
+            check_devices(self.fieldbus, robot.cables, robot.cells)
+        except PlacedError as error:
+            raise PlacedError(("fieldbus", *error.path), str(error)) from error
+        if tare is not None and len(tare) != robot.cells:
+            raise PlacedError(
+                ("control", "sequence", "tare"),
+                f"states {len(tare)} offsets, the robot has {robot.cells} cells; give one for each",
+            )
+        return self
 
     @model_validator(mode="after")
     def _literal_stays_in_the_lab(self) -> Config:

@@ -10,7 +10,6 @@ from typing import Any
 import can
 
 from tonus.config.schema.bus import CanopenBus
-from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.channel import Channel
@@ -81,7 +80,7 @@ class CanopenFieldbus:
             config.control.freshness,
             image,
             self._events,
-            [places.get(axis, self.channels[0]) for axis in range(CABLES)],
+            [places.get(axis, self.channels[0]) for axis in range(config.robot.cables)],
         )
         self._drive_rpdo = drive_encoder(Mapping.of(bus.drive.rpdo))
         self._period_us = period_us

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tonus.config.schema.bus import DistributedClocks, EthercatBus
-from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 from tonus.config.timeouts import watchdog_ms
 from tonus.drivers.canopen import emcy
@@ -83,7 +82,7 @@ class EthercatFieldbus:
             config.control.freshness,
             image,
             self._events,
-            [places.get(axis, bus.interface) for axis in range(CABLES)],
+            [places.get(axis, bus.interface) for axis in range(config.robot.cables)],
         )
         self._axes = [each for each in self._slaves if each.axis is not None]
         self._cell_rows = [cell for each in self._slaves for cell in each.cells]
@@ -104,7 +103,7 @@ class EthercatFieldbus:
         self._sent_tick: int | None = None
         self._sent_ns = 0
         self._phase = Phase(bus.clocks, self._period_ns)
-        self._codes = [0] * CABLES
+        self._codes = [0] * config.robot.cables
         self._next_look = 0
         self._look_now = False
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.control import Control
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.runtime.control.controllers import Controller, Motion
 from tonus.runtime.control.controllers.base import share
 from tonus.runtime.control.distribution import (
@@ -36,15 +36,16 @@ class Allocation:
     ) -> None:
         settings = self._settings = control.distribution
         self._controller, self._kinematics = controller, kinematics
-        self._usual = TensionDistribution(settings, robot.geometry.moment_length)
+        cables = robot.cables
+        self._usual = TensionDistribution(settings, robot.geometry.moment_length, cables)
         self.distribution = self._usual
         """that of this tick"""
         self.wrench = np.zeros(6)
         """N and N m that are asked for"""
-        self.reference = np.zeros(CABLES)
-        self.centre = np.zeros(CABLES)
+        self.reference = np.zeros(cables)
+        self.centre = np.zeros(cables)
         """N (n,), what the references are drawn towards"""
-        self.agonism = np.zeros(CABLES)
+        self.agonism = np.zeros(cables)
         """(n,), how much a cable works with the wrench and against its antagonists"""
         self.delivered = np.zeros(6)
         """of ``wrench``, by the references"""
@@ -52,9 +53,9 @@ class Allocation:
         """N of force that measured tensions leave undelivered"""
         self.geometric = 0.0
         """N/m, stiffness that the tensions add by themselves"""
-        self._gradient = np.zeros(CABLES)
-        self._bearing = np.zeros((6, CABLES))
-        self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
+        self._gradient = np.zeros(cables)
+        self._bearing = np.zeros((6, cables))
+        self._low, self._high = np.zeros(cables), np.zeros(cables)
         self._contraction = 0.0
         """share by which all tensions are raised, on its way to what the stiffness asks for"""
         period = control.rates.period

@@ -23,15 +23,21 @@ _CONVERGED = 1e-10
 _RIDGE = 1e-12
 _UNKNOWN = 1.0
 """m2, variance of a length that nobody measured"""
-TWIST, EXTERNAL, OFFSETS, EXCESS, ERRORS = 6, 12, 18, 26, 27
-"""Where the parts of the error state begin after the pose, and its size."""
+TWIST, EXTERNAL, OFFSETS = 6, 12, 18
+"""Where the parts of the error state begin after the pose: twist, external wrench, an offset of
+each length and, last, the excess of compliance."""
+
+
+def error_size(cables: int) -> int:
+    """Of the error state of a robot with so many cables."""
+    return OFFSETS + cables + 1
 
 
 @njit(cache=True)
 def geometry(
     position: Array, quaternion: Array, frame: Array, platform: Array, lengths: Array, matrix: Array
 ) -> None:
-    """Fill ``lengths`` (8,) and the structure matrix (6, 8) for a pose (quaternion w x y z)."""
+    """Fill ``lengths`` (n,) and the structure matrix (6, n) for a pose (quaternion w x y z)."""
     w, x, y, z = quaternion
     rotation = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -136,7 +142,7 @@ def forward(
     iterations: int,
 ) -> float:
     """Levenberg-Marquardt from ``position`` and ``quaternion``, which it moves to the pose whose
-    lengths fit the ``usable`` ones of ``measured`` (8,) best; geometry is left standing there.
+    lengths fit the ``usable`` ones of ``measured`` (n,) best; geometry is left standing there.
 
     Returns the RMS of what remains (m); not a number for lengths that are none.
     """
@@ -277,13 +283,14 @@ def _judge(
     """Innovations of the lengths, and which to believe: a slack cable has no length to measure but
     for being no shorter, and one that is far off while most are not is wrong."""
     slack, gate = limits
+    excess = OFFSETS + lengths.shape[0]
     far, near = 0, 0
     for i in range(lengths.shape[0]):
         innovations[i], believed[i] = math.nan, False
         if not usable[i]:
             continue
         stretch = elongation(wanted[i], tensions[i], axial_stiffness[i])
-        found = wanted[i] + rest[OFFSETS - TWIST + i] + rest[EXCESS - TWIST] * stretch - lengths[i]
+        found = wanted[i] + rest[OFFSETS - TWIST + i] + rest[excess - TWIST] * stretch - lengths[i]
         if tensions[i] <= slack:
             innovations[i] = min(found, 0.0)
             continue
@@ -313,13 +320,14 @@ def filter_tick(
 ) -> float:
     """Predict over a period with the cables' wrench, then correct with each believed length.
 
-    ``state``: position (3,), quaternion (4,), rest (21,), covariance (27, 27) and mean elongations
-    (8,), all changed. ``measured``: lengths with the nominal elongation, tensions, and which cables
-    are fresh. ``noise``: variances (27,) a tick adds, a length's, and the share of a tick in the
-    mean elongations. ``limits``: tension (N) below which a cable is slack, and innovation (m)
-    beyond which a length is left out. ``matrix`` comes in as of the last estimate. Writes the
-    lengths' ``innovations`` (8,) m before any correction, not a number where there is none, and
-    which cables were ``believed`` (8,). Returns the mean squared innovation in sigmas: about 1.
+    ``state``: position (3,), quaternion (4,), rest (13 + n,), covariance (19 + n, 19 + n) and mean
+    elongations (n,), all changed. ``measured``: lengths with the nominal elongation, tensions, and
+    which cables are fresh. ``noise``: variances (19 + n,) a tick adds, a length's, and the share of
+    a tick in the mean elongations. ``limits``: tension (N) below which a cable is slack, and
+    innovation (m) beyond which a length is left out. ``matrix`` comes in as of the last estimate.
+    Writes the lengths' ``innovations`` (n,) m before any correction, not a number where there is
+    none, and which cables were ``believed`` (n,). Returns the mean squared innovation in sigmas:
+    about 1.
     """
     position, quaternion, rest, covariance, mean = state
     wanted, tensions, usable = measured
@@ -331,6 +339,7 @@ def filter_tick(
     _predict(covariance, mobility, noise[0], period)
     geometry(position, quaternion, anchors[0], anchors[1], lengths, matrix)
     size = covariance.shape[0]
+    excess = size - 1
     error, seen = np.zeros(size), np.empty(size)
     total, count = 0.0, 0
     _judge(wanted, tensions, usable, rest, body[3], limits, lengths, innovations, believed)
@@ -342,19 +351,19 @@ def filter_tick(
         # in H a mean, for the cells' noise would pass for a motion that tells excess from offset.
         # Where it lags behind, the difference is one more uncertainty of the length.
         mean[i] += noise[2] * (stretch - mean[i])
-        innovation = wanted[i] + rest[OFFSETS - TWIST + i] + rest[EXCESS - TWIST] * stretch
+        innovation = wanted[i] + rest[OFFSETS - TWIST + i] + rest[excess - TWIST] * stretch
         innovation -= lengths[i]
-        variance = noise[1] + covariance[EXCESS, EXCESS] * (stretch - mean[i]) ** 2
+        variance = noise[1] + covariance[excess, excess] * (stretch - mean[i]) ** 2
         for j in range(size):
-            value = -covariance[OFFSETS + i, j] - mean[i] * covariance[EXCESS, j]
+            value = -covariance[OFFSETS + i, j] - mean[i] * covariance[excess, j]
             for row in range(6):
                 value -= matrix[row, i] * covariance[row, j]
             seen[j] = value
         for row in range(6):
             innovation += matrix[row, i] * error[row]
             variance -= matrix[row, i] * seen[row]
-        innovation += error[OFFSETS + i] + mean[i] * error[EXCESS]
-        variance -= seen[OFFSETS + i] + mean[i] * seen[EXCESS]
+        innovation += error[OFFSETS + i] + mean[i] * error[excess]
+        variance -= seen[OFFSETS + i] + mean[i] * seen[excess]
         seen /= math.sqrt(variance)
         innovation /= math.sqrt(variance)
         for j in range(size):
@@ -386,27 +395,28 @@ def track(
         l(seen) - measured = offset + excess * stretch + noise.
 
     ``variances``: of the tracker's position and rotation, and of a length. Writes the
-    ``innovation`` (8,) m and the structure matrix at the pose seen; returns its chi-square, and
+    ``innovation`` (n,) m and the structure matrix at the pose seen; returns its chi-square, and
     corrects nothing when that is beyond ``gate`` or not a number.
     """
     position, quaternion, rest, covariance, mean = state
     cables, size = innovation.shape[0], covariance.shape[0]
+    excess = size - 1
     geometry(seen[0], seen[1], anchors[0], anchors[1], innovation, matrix)
     cross = np.zeros((size, cables))
     spread = np.zeros((cables, cables))
     for i in range(cables):
         stretch = elongation(then[0][i], then[1][i], axial_stiffness[i])
-        innovation[i] -= then[0][i] + rest[OFFSETS - TWIST + i] + rest[EXCESS - TWIST] * stretch
+        innovation[i] -= then[0][i] + rest[OFFSETS - TWIST + i] + rest[excess - TWIST] * stretch
         for j in range(size):
-            cross[j, i] = covariance[j, OFFSETS + i] + mean[i] * covariance[j, EXCESS]
+            cross[j, i] = covariance[j, OFFSETS + i] + mean[i] * covariance[j, excess]
     for i in range(cables):
         for j in range(cables):
-            value = cross[OFFSETS + i, j] + mean[i] * cross[EXCESS, j]
+            value = cross[OFFSETS + i, j] + mean[i] * cross[excess, j]
             for row in range(6):
                 value += matrix[row, i] * matrix[row, j] * variances[0 if row < 3 else 1]
             spread[i, j] = value
         stretch = elongation(then[0][i], then[1][i], axial_stiffness[i])
-        spread[i, i] += variances[2] + covariance[EXCESS, EXCESS] * (stretch - mean[i]) ** 2
+        spread[i, i] += variances[2] + covariance[excess, excess] * (stretch - mean[i]) ** 2
         if not then[2][i]:
             spread[i, i] += _UNKNOWN
     if not (np.isfinite(spread).all() and np.isfinite(innovation).all()):

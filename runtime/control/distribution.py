@@ -1,4 +1,4 @@
-"""Tension distribution: eight cables, six wrench components, one quadratic programme.
+"""Tension distribution: n cables, six wrench components, one quadratic programme.
 
 minimise    |T - T_c|^2 + rho (g . (T - T_c))^2 + weight |S (W T - w)|^2
 subject to  low <= T <= high
@@ -11,8 +11,8 @@ deliver a wrench, those that keep the geometric stiffness g . T along it at T_c'
 The minimiser without bounds is one linear solve. Where it lies within the bounds it is the answer;
 where it does not, the programme finds the correction that the bounds demand. Posed for that
 correction its objective is zero at the free minimiser, so the solver's relative gap means
-millinewtons and not the size of the wrench. Its eight unknowns and sixteen bounds never change
-their sparsity: it is built once, from configuration alone (results then depend on no history),
+millinewtons and not the size of the wrench. Its n unknowns and 2 n bounds never change their
+sparsity: it is built once, from configuration alone (results then depend on no history),
 updated in each tick that needs it, and bounded by iterations, never by time.
 """
 
@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from tonus.config.schema.control import Distribution as Settings
-from tonus.config.schema.robot import CABLES
 from tonus.runtime.signals import Solver
 
 Array = NDArray[np.float64]
@@ -186,23 +185,23 @@ def _deliver(
 
 
 class TensionDistribution:
-    """Gives tensions (8,) in N that lie in their bounds, always."""
+    """Gives tensions (n,) in N that lie in their bounds, always."""
 
-    def __init__(self, settings: Settings, moment_length: float) -> None:
+    def __init__(self, settings: Settings, moment_length: float, cables: int) -> None:
         self.iterations = 0
         self.solver = Solver.NONE
         self.deficit = 0.0
         """N, norm of the scaled wrench that the tensions miss"""
         self._scale = np.array([1.0] * 3 + [1.0 / moment_length] * 3)
         self._weights = (settings.wrench_weight, math.sqrt(settings.stiffness_weight))
-        self._scaled = (np.zeros((6, CABLES)), np.zeros(6))
+        self._scaled = (np.zeros((6, cables)), np.zeros(6))
         # Clarabel stores the upper triangle column by column.
-        self._quadratic = np.zeros(CABLES * (CABLES + 1) // 2)
-        self._none = np.zeros(CABLES)
-        self._room = np.zeros(2 * CABLES)
-        self._programme = self._build(settings)
+        self._quadratic = np.zeros(cables * (cables + 1) // 2)
+        self._none = np.zeros(cables)
+        self._room = np.zeros(2 * cables)
+        self._programme = self._build(settings, cables)
 
-    def _build(self, settings: Settings) -> clarabel.DefaultSolver:
+    def _build(self, settings: Settings, cables: int) -> clarabel.DefaultSolver:
         options = clarabel.DefaultSettings()
         options.verbose = False
         options.presolve_enable = False
@@ -210,15 +209,15 @@ class TensionDistribution:
         options.time_limit = float("inf")
         options.tol_gap_abs = options.tol_gap_rel = options.tol_feas = settings.tolerance
         options.max_threads = 1
-        # Eight well-scaled unknowns need neither, and they are a quarter of the time.
+        # A dozen well-scaled unknowns need neither, and they are a quarter of the time.
         options.equilibrate_enable = options.iterative_refinement_enable = False
-        cost = sparse.triu(np.ones((CABLES, CABLES)) + CABLES * np.eye(CABLES)).tocsc()
-        eye = sparse.eye_array(CABLES, format="csc")
+        cost = sparse.triu(np.ones((cables, cables)) + cables * np.eye(cables)).tocsc()
+        eye = sparse.eye_array(cables, format="csc")
         constraints = sparse.csc_array(sparse.vstack([eye, -eye]))
-        cones = [clarabel.NonnegativeConeT(2 * CABLES)]
-        start = np.concatenate([np.ones(CABLES), np.zeros(CABLES)])
+        cones = [clarabel.NonnegativeConeT(2 * cables)]
+        start = np.concatenate([np.ones(cables), np.zeros(cables)])
         return clarabel.DefaultSolver(
-            cost, np.zeros(CABLES), sparse.csc_matrix(constraints), start, cones, options
+            cost, np.zeros(cables), sparse.csc_matrix(constraints), start, cones, options
         )
 
     def __call__(
@@ -230,14 +229,14 @@ class TensionDistribution:
         high: Array,
         gradient: Array | None = None,
     ) -> Array:
-        """``matrix`` (6, 8), ``wrench`` (6,), ``centre``, ``low``, ``high`` (8,) in N, ``gradient``
-        (8,) in 1/m: g, None for no preference.
+        """``matrix`` (6, n), ``wrench`` (6,), ``centre``, ``low``, ``high`` (n,) in N, ``gradient``
+        (n,) in 1/m: g, None for no preference.
 
         If no solution comes back within the iteration limit, the closed form round ``centre``
         (Pott, Bruckmann and Mikelsons 2009), clipped to the bounds, takes its place, and `solver`
         says so.
         """
-        tensions = np.empty(CABLES)
+        tensions = np.empty(len(centre))
         scaled, target = self._scaled
         self.solver, self.iterations = Solver.INTERIOR, 0
         if not _free_minimiser(
@@ -263,8 +262,8 @@ class TensionDistribution:
         # A lost cable has no room at all, and no column in W: its correction is zero by itself, and
         # room to be zero in keeps the programme's interior from vanishing.
         lost = high <= low
-        self._room[:CABLES] = np.where(lost, 1.0, high - free)
-        self._room[CABLES:] = np.where(lost, 1.0, free - low)
+        self._room[: len(low)] = np.where(lost, 1.0, high - free)
+        self._room[len(low) :] = np.where(lost, 1.0, free - low)
         self._programme.update(P=self._quadratic, q=self._none, b=self._room)
         solution = self._programme.solve()
         self.iterations = solution.iterations

@@ -2,7 +2,7 @@
 
 Two sources that fail differently: the cables (each tick, precise, but wrong by what calibration
 missed) and the optical tracker (its own rate and latency, coarse, but right). One error-state
-extended Kalman filter holds both, 27 states: pose, twist, external wrench, and the constants of
+extended Kalman filter holds both, 19 + n states: pose, twist, external wrench, and the constants of
 calibration, an offset of each cable's length and the excess of the cables' compliance over the
 nominal one. The orientation is a quaternion; only its error, a rotation vector in the base frame,
 has a covariance. Predict and correct are filterpy's algebra, compiled
@@ -29,15 +29,14 @@ from numpy.typing import NDArray
 from tonus.config.schema.bus import Tracker
 from tonus.config.schema.control import Control
 from tonus.config.schema.control import Estimator as Settings
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.runtime.control.compiled import (
-    ERRORS,
-    EXCESS,
     EXTERNAL,
     OFFSETS,
     TWIST,
     carry_forward,
     elongation,
+    error_size,
     estimate_tick,
     rotate,
     rotation_between,
@@ -86,16 +85,16 @@ class Doubts:
         return cls(stop.taut_tension, jump, stop.unrest, stop.length_sigma)
 
 
-def _noise(settings: Settings, period: float, unrest: float = 1.0) -> Array:
-    """Variances (27,) that a tick adds to the error state; ``unrest``: times what the accelerations
-    usually miss."""
-    density = np.zeros(ERRORS)
+def _noise(settings: Settings, period: float, errors: int, unrest: float = 1.0) -> Array:
+    """Variances (``errors``,) that a tick adds to the error state; ``unrest``: times what the
+    accelerations usually miss."""
+    density = np.zeros(errors)
     density[TWIST : TWIST + 3] = settings.acceleration_sigma * unrest
     density[TWIST + 3 : EXTERNAL] = settings.angular_acceleration_sigma * unrest
     density[EXTERNAL : EXTERNAL + 3] = settings.force_drift
     density[EXTERNAL + 3 : OFFSETS] = settings.moment_drift
-    density[OFFSETS:EXCESS] = settings.offset_drift
-    density[EXCESS] = settings.compliance_drift
+    density[OFFSETS:-1] = settings.offset_drift
+    density[-1] = settings.compliance_drift
     return np.asarray(density**2 * period)
 
 
@@ -122,10 +121,11 @@ class PoseEstimator:
         self._body = (body.mass, inertia, robot.gravity, robot.axial_stiffness)
         self._anchors = (kinematics.frame, kinematics.platform)
         self._moment_length = robot.geometry.moment_length
+        cables, errors = robot.cables, error_size(robot.cables)
         length, share = settings.length_sigma**2, period / settings.elongation_time
-        self._usual_noise = (_noise(settings, period), length, share)
+        self._usual_noise = (_noise(settings, period, errors), length, share)
         self._restless_noise = (
-            _noise(settings, period, doubts.unrest),
+            _noise(settings, period, errors, doubts.unrest),
             doubts.length_sigma**2,
             share,
         )
@@ -136,11 +136,11 @@ class PoseEstimator:
             settings.length_sigma**2,
         )
         self._position, self._quaternion = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-        self._rest = np.zeros(ERRORS - TWIST)
+        self._rest = np.zeros(errors - TWIST)
         """twist, external wrench, offsets, excess: the error state without the pose"""
-        self.covariance = np.zeros((ERRORS, ERRORS))
-        """(27, 27) of the error state, at the sampling instant"""
-        self._stretch = np.zeros(CABLES)
+        self.covariance = np.zeros((errors, errors))
+        """(errors, errors) of the error state, at the sampling instant"""
+        self._stretch = np.zeros(cables)
         """m, mean elongations"""
         self._state = (
             self._position,
@@ -150,17 +150,17 @@ class PoseEstimator:
             self._stretch,
         )
         depth = math.ceil(tracker.maximum_age_ms * 1e-3 / period) + 2
-        self._past_lengths = np.zeros((depth, CABLES))
-        self._past_tensions = np.zeros((depth, CABLES))
-        self._past_usable = np.zeros((depth, CABLES), dtype=bool)
+        self._past_lengths = np.zeros((depth, cables))
+        self._past_tensions = np.zeros((depth, cables))
+        self._past_usable = np.zeros((depth, cables), dtype=bool)
         self._past_positions = np.zeros((depth, 3))
         self._past_quaternions = np.zeros((depth, 4))
         self._count = 0
-        self._tensions = np.zeros(CABLES)
-        self._innovation = np.zeros(CABLES)
-        self.innovations = np.zeros(CABLES)
+        self._tensions = np.zeros(cables)
+        self._innovation = np.zeros(cables)
+        self.innovations = np.zeros(cables)
         """m, of this tick's lengths before they corrected anything; not a number where none was"""
-        self.believed = np.zeros(CABLES, dtype=bool)
+        self.believed = np.zeros(cables, dtype=bool)
         """whose lengths corrected the estimate in this tick"""
         self.cable_position, self._cable_quaternion = np.zeros(3), self._quaternion.copy()
         """as solved from the lengths alone, with nothing calibrated"""
@@ -171,7 +171,7 @@ class PoseEstimator:
             self._cables.matrix,
         )
         self.residual = 0.0
-        """m, RMS disagreement of the eight lengths with that pose"""
+        """m, RMS disagreement of the lengths with that pose"""
         self.inconsistency = 1.0
         """mean squared innovation of the lengths in their own sigmas, smoothed; about 1"""
         self._odd = False
@@ -195,13 +195,13 @@ class PoseEstimator:
 
     @property
     def offsets(self) -> Array:
-        """(8,) m, to be added to the cables' lengths."""
-        return self._rest[OFFSETS - TWIST : EXCESS - TWIST]
+        """(n,) m, to be added to the cables' lengths."""
+        return self._rest[OFFSETS - TWIST : -1]
 
     @property
     def compliance(self) -> float:
         """of the cables, over the nominal one."""
-        return 1.0 + float(self._rest[EXCESS - TWIST])
+        return 1.0 + float(self._rest[-1])
 
     @property
     def sigma(self) -> float:
@@ -221,7 +221,7 @@ class PoseEstimator:
 
     def start(self, position: Array, quaternion: Array, tensions: Array, samples: int) -> None:
         """Begin at rest at a referenced pose, the mean of ``samples`` tracker poses, under
-        ``tensions`` (8,): whatever else holds the platform is the first external load."""
+        ``tensions`` (n,): whatever else holds the platform is the first external load."""
         mass, _, gravity, stiffness = self._body
         kinematics = self._kinematics
         kinematics.evaluate(position, quaternion)
@@ -254,13 +254,13 @@ class PoseEstimator:
         speed = settings.start_speed_sigma
         turning = speed / self._moment_length
         covariance[TWIST:EXTERNAL, TWIST:EXTERNAL] = np.diag([speed**2] * 3 + [turning**2] * 3)
-        covariance[OFFSETS:EXCESS, :TWIST] = shift @ pose
-        covariance[:TWIST, OFFSETS:EXCESS] = pose @ shift.T
-        covariance[OFFSETS:EXCESS, OFFSETS:EXCESS] = shift @ pose @ shift.T + loose
-        covariance[OFFSETS:EXCESS, OFFSETS:EXCESS] += length * np.eye(CABLES)
-        covariance[EXCESS, OFFSETS:EXCESS] = -(settings.compliance_sigma**2) * stretch
-        covariance[OFFSETS:EXCESS, EXCESS] = covariance[EXCESS, OFFSETS:EXCESS]
-        covariance[EXCESS, EXCESS] = settings.compliance_sigma**2
+        covariance[OFFSETS:-1, :TWIST] = shift @ pose
+        covariance[:TWIST, OFFSETS:-1] = pose @ shift.T
+        covariance[OFFSETS:-1, OFFSETS:-1] = shift @ pose @ shift.T + loose
+        covariance[OFFSETS:-1, OFFSETS:-1] += length * np.eye(len(stretch))
+        covariance[-1, OFFSETS:-1] = -(settings.compliance_sigma**2) * stretch
+        covariance[OFFSETS:-1, -1] = covariance[-1, OFFSETS:-1]
+        covariance[-1, -1] = settings.compliance_sigma**2
 
     def loosen(self) -> None:
         """From now on cables are gone and others go slack: the platform may move as it could not
@@ -273,8 +273,8 @@ class PoseEstimator:
         return self._noise is self._restless_noise
 
     def step(self, lengths: Array, tensions: Array, usable: NDArray[np.bool_]) -> Estimate:
-        """One tick with measured cable lengths (8,), nominal elongation included, and tensions
-        (8,). A cable that is not ``usable``, slack or far off says nothing about the pose."""
+        """One tick with measured cable lengths (n,), nominal elongation included, and tensions
+        (n,). A cable that is not ``usable``, slack or far off says nothing about the pose."""
         kinematics, cables, settings = self._kinematics, self._cables, self._settings
         self._tensions[:] = tensions
         squared, self.residual = estimate_tick(
@@ -388,9 +388,9 @@ class PoseEstimator:
         shift = np.linalg.solve(matrix @ matrix.T, -matrix @ self._innovation)
         disagreement.add(np.asarray(shift, dtype=np.float64))
         if disagreement.learnable:
-            direction = np.zeros(ERRORS)
+            direction = np.zeros(len(self.covariance))
             direction[:TWIST] = disagreement.shift
-            direction[OFFSETS:EXCESS] = -matrix.T @ disagreement.shift
+            direction[OFFSETS:-1] = -matrix.T @ disagreement.shift
             self.covariance += np.outer(direction, direction)
             disagreement.learn()
 

@@ -48,7 +48,7 @@ class Kinematics:
         iterations: int = 2,
     ) -> float:
         """Forward kinematics from a warm start: moves ``position`` and ``quaternion`` to the pose
-        whose lengths fit the ``usable`` ones of ``measured`` (8,) best. Two iterations are enough
+        whose lengths fit the ``usable`` ones of ``measured`` (n,) best. Two iterations are enough
         for what a platform does in a tick.
 
         ``measured`` includes elongation (`Referencing.lengths`). Returns the RMS of the remaining

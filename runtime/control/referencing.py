@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tonus.config.schema.control import Sequence
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.control.compiled import rotate, rotation_between
 from tonus.runtime.control.kinematics import Kinematics
@@ -32,25 +32,25 @@ def _lengths(
 
 
 class Referencing:
-    """Averages while the platform lies still, then fixes the unstretched lengths (8,) at drum angle
+    """Averages while the platform lies still, then fixes the unstretched lengths (n,) at drum angle
     zero, or says why it cannot."""
 
     def __init__(self, robot: Robot, sequence: Sequence, kinematics: Kinematics) -> None:
         self._robot, self._sequence, self._kinematics = robot, sequence, kinematics
         self._radius, self._axial_stiffness = robot.drum_radius, robot.axial_stiffness
-        self.unstretched = np.zeros(CABLES)
+        self.unstretched = np.zeros(robot.cables)
         """m, at drum angle zero"""
-        self.wound = np.zeros(CABLES)
+        self.wound = np.zeros(robot.cables)
         """m, the same at the present angles"""
-        self._lengths = np.zeros(CABLES)
+        self._lengths = np.zeros(robot.cables)
         self.position = np.zeros(3)
         self.quaternion = np.array([1.0, 0.0, 0.0, 0.0])
         self.poses = 0
         self.reset()
 
     def reset(self) -> None:
-        self._angle = np.zeros(CABLES)
-        self._tension = np.zeros(CABLES)
+        self._angle = np.zeros(self._robot.cables)
+        self._tension = np.zeros(self._robot.cables)
         self._ticks = 0
         self._positions: list[Array] = []
         self._turns: list[Array] = []
@@ -92,7 +92,7 @@ class Referencing:
         return ""
 
     def lengths(self, angle: Array, tension: Array) -> Array:
-        """Anchor-to-anchor lengths (8,) in m from drum angles (rad) and tensions (N); they stay
+        """Anchor-to-anchor lengths (n,) in m from drum angles (rad) and tensions (N); they stay
         until the next call, and so do the unstretched ones in `wound`."""
         _lengths(
             self.unstretched,

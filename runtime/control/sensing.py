@@ -10,9 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import CELLS, CONTACT_CELL
 from tonus.config.schema.control import Control
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.drivers.process_image import NEVER, ProcessImage
 from tonus.runtime.control.filters import ButterworthBank
 
@@ -36,7 +35,7 @@ def _drum_rates(
     implausible: NDArray[np.bool_],
 ) -> None:
     """Difference of consecutive samples over the time between them; held while there is none. A
-    step that no motor can make in that time is no sample. ``limits``: period, largest rates (8,);
+    step that no motor can make in that time is no sample. ``limits``: period, largest rates (n,);
     ``sampled``: tick and time (ns) of the last samples. Where a SYNC takes the samples, it is as
     late as its tick, so the time between two counts and not the number of ticks."""
     period, fastest = limits
@@ -69,7 +68,7 @@ def _drum_rates(
 def _tared(
     reported: Array, tare: Array, largest: float, force: Array, implausible: NDArray[np.bool_]
 ) -> None:
-    """Forces (9,) without their offsets; one that no cable can bear is no sample."""
+    """Forces (n + 1,) without their offsets; one that no cable can bear is no sample."""
     for i in range(reported.shape[0]):
         value = reported[i] - tare[i]
         implausible[i] = not abs(value) <= largest
@@ -124,7 +123,7 @@ def _sense(
     usable: NDArray[np.bool_],
     present: NDArray[np.bool_],
 ) -> None:
-    """All of a tick. Pairs are of axes and cells; ``limits``: period, largest rates (8,), largest
+    """All of a tick. Pairs are of axes and cells; ``limits``: period, largest rates (n,), largest
     force, fresh ticks, stale ticks; ``drums``: last angles, when sampled, rates, intervals;
     ``cells``: tare, force."""
     period, fastest, largest, fresh, stale = limits
@@ -149,6 +148,7 @@ class Sensing:
 
     def __init__(self, robot: Robot, control: Control) -> None:
         rates, freshness = control.rates, control.freshness
+        cables, cells = robot.cables, robot.cells
         self._period = rates.period
         self._fresh_ticks = freshness.measurement_ticks
         self._stale_ticks = freshness.stale_stop_ticks
@@ -159,38 +159,38 @@ class Sensing:
             freshness.measurement_ticks,
             freshness.stale_stop_ticks,
         )
-        self.filter = ButterworthBank(CELLS, control.filters.force_cutoff_hz, 1.0 / rates.period)
-        self.tare = np.zeros(CELLS)
-        self.force = np.zeros(CELLS)
-        """N, tared, unfiltered: eight cables, then the contact port"""
-        self.angle = np.zeros(CABLES)
-        self.rate = np.zeros(CABLES)
+        self.filter = ButterworthBank(cells, control.filters.force_cutoff_hz, 1.0 / rates.period)
+        self.tare = np.zeros(cells)
+        self.force = np.zeros(cells)
+        """N, tared, unfiltered: the cables, then the contact port"""
+        self.angle = np.zeros(cables)
+        self.rate = np.zeros(cables)
         """rad/s, difference of consecutive samples: no filter, so half a tick of delay"""
-        self.usable = np.zeros(CABLES, dtype=bool)
+        self.usable = np.zeros(cables, dtype=bool)
         """drive and cell of a cable are both fresh: it may have a torque"""
-        self.present = np.zeros(CABLES, dtype=bool)
+        self.present = np.zeros(cables, dtype=bool)
         """neither is lost: it keeps its place in the distribution through a short silence"""
-        self.interval = np.full(CABLES, self._period)
+        self.interval = np.full(cables, self._period)
         """s between the two samples that a rate is made of"""
-        self._sampled = (np.full(CABLES, _MISSING, dtype=np.int64), np.zeros(CABLES, np.int64))
-        self.implausible_axes = np.zeros(CABLES, dtype=bool)
-        self.implausible_cells = np.zeros(CELLS, dtype=bool)
-        self._silent_axes = np.zeros(CABLES, dtype=np.int64)
-        self._silent_cells = np.zeros(CELLS, dtype=np.int64)
-        self._last_ages = (np.zeros(CABLES, dtype=np.uint16), np.zeros(CELLS, dtype=np.uint16))
+        self._sampled = (np.full(cables, _MISSING, dtype=np.int64), np.zeros(cables, np.int64))
+        self.implausible_axes = np.zeros(cables, dtype=bool)
+        self.implausible_cells = np.zeros(cells, dtype=bool)
+        self._silent_axes = np.zeros(cables, dtype=np.int64)
+        self._silent_cells = np.zeros(cells, dtype=np.int64)
+        self._last_ages = (np.zeros(cables, dtype=np.uint16), np.zeros(cells, dtype=np.uint16))
         self._drums = (self.angle, self._sampled, self.rate, self.interval)
-        self._sum = np.zeros(CELLS)
+        self._sum = np.zeros(cells)
         self._samples = 0
 
     @property
     def tension(self) -> Array:
-        """N, (8,), unfiltered."""
-        return self.force[:CABLES]
+        """N, (n,), unfiltered."""
+        return self.force[:-1]
 
     @property
     def contact(self) -> float:
         """N, filtered."""
-        return float(self.filter.value[CONTACT_CELL])
+        return float(self.filter.value[-1])
 
     def step(self, image: ProcessImage, tick: int) -> None:
         axes, cells = image.axes, image.cells
@@ -232,11 +232,11 @@ class Sensing:
         return self._samples * self._period
 
     def apply_tare(self, stated: Sequence[float] | None) -> int:
-        """Zero the cells, by offsets (9,) N that were ``stated`` or else by their mean reading;
+        """Zero the cells, by offsets (n + 1,) N that were ``stated`` or else by their mean reading;
         returns the number of readings there were."""
         samples = self._samples
         self.tare = self._sum / max(samples, 1) if stated is None else np.array(stated)
-        self._sum = np.zeros(CELLS)
+        self._sum = np.zeros_like(self._sum)
         self._samples = 0
         self.force[:] = 0.0
         self.filter.reset(self.force)

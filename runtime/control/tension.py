@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.axis import DriveTrain
 from tonus.config.schema.control import TensionLoop as Settings
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -44,9 +44,9 @@ def drum_motion(
     desired_rate: Array,
     desired_acceleration: Array,
 ) -> bool:
-    """Drum rates (8,) that follow the platform's ``twist`` at constant tension (eq. 1), and rates
-    and accelerations on the ``desired`` motion (velocity, acceleration), level. ``radius`` (8,) of
-    the drums, ``axial_stiffness`` (8,) of the cables. Whether the rates and the ``wrench`` are
+    """Drum rates (n,) that follow the platform's ``twist`` at constant tension (eq. 1), and rates
+    and accelerations on the ``desired`` motion (velocity, acceleration), level. ``radius`` (n,) of
+    the drums, ``axial_stiffness`` (n,) of the cables. Whether the rates and the ``wrench`` are
     numbers.
     """
     finite = True
@@ -74,7 +74,7 @@ def _expected(
     friction: tuple[float, float, float],
     torque: Array,
 ) -> None:
-    """``drums`` (8,): radius, inertia, viscous friction, efficiency of the gearbox; ``friction``:
+    """``drums`` (n,): radius, inertia, viscous friction, efficiency of the gearbox; ``friction``:
     Coulomb (N), share of the tension, cable speed (m/s) from which it acts in full."""
     radius, inertia, viscous, efficiency = drums
     coulomb, load, slip = friction
@@ -102,7 +102,7 @@ def _torques(
     integral: Array,
     torque: Array,
 ) -> None:
-    """``drums`` (8,): radius, damping, largest torque; ``leading``: rate (8,) of a drum for each
+    """``drums`` (n,): radius, damping, largest torque; ``leading``: rate (n,) of a drum for each
     newton a tick of a cable of 1 m, share of a tick in the slope, largest slope (N)."""
     radius, damping, limit = drums
     forward, proportional, integral_step, integral_limit = gains
@@ -136,7 +136,7 @@ def of_axis(settings: Settings, train: DriveTrain, robot: Robot) -> Settings:
 
 
 class TensionLoop:
-    """One tick of eight independent loops."""
+    """One tick of n independent loops."""
 
     def __init__(self, robot: Robot, settings: Settings, period: float) -> None:
         radius = robot.drum_radius
@@ -154,7 +154,7 @@ class TensionLoop:
             1.0 - math.exp(-2.0 * math.pi * settings.lead_cutoff_hz * period),
             settings.lead_rate * period,
         )
-        self._past = (np.full(CABLES, np.nan), np.zeros(CABLES))
+        self._past = (np.full(robot.cables, np.nan), np.zeros(robot.cables))
         friction = settings.friction
         self._model = (
             radius,
@@ -163,10 +163,10 @@ class TensionLoop:
             robot.gearbox_efficiency,
         )
         self._friction = (friction.coulomb, friction.load, friction.slip)
-        self._still = (np.zeros(CABLES), np.zeros(CABLES))
-        self._expected = np.zeros(CABLES)
-        self._torque = np.zeros(CABLES)
-        self.integral = np.zeros(CABLES)
+        self._still = (np.zeros(robot.cables), np.zeros(robot.cables))
+        self._expected = np.zeros(robot.cables)
+        self._torque = np.zeros(robot.cables)
+        self.integral = np.zeros(robot.cables)
         """N"""
 
     def reset(self) -> None:
@@ -190,7 +190,7 @@ class TensionLoop:
         lengths: Array,
         desired: tuple[Array, Array] | None = None,
     ) -> Array:
-        """Torque (8,) in N m at the drum, zero where ``usable`` (8,) is false. Tensions in N, rates
+        """Torque (n,) in N m at the drum, zero where ``usable`` (n,) is false. Tensions in N, rates
         in rad/s, reeling in positive, cable ``lengths`` in m; ``desired``: rate and acceleration of
         the desired motion, None for none."""
         _expected(

@@ -81,7 +81,7 @@ STATUS: dict[str, tuple[str, str]] = {
     "scenarios": ("array of string", "what may be chosen"),
     "self_test": ("array of object", "item, ok, text; empty while the robot is armed"),
     "k_eq_n_per_m": ("number", "equivalent stiffness"),
-    "tension_n": ("array of number", "of the eight cables"),
+    "tension_n": ("array of number", "of the cables"),
     "contact_n": ("number", "at the contact port"),
     "position_m": ("array of number", "of the platform, estimated"),
     "grade": ("string", "of the safety envelope"),

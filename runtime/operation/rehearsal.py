@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
@@ -55,7 +54,7 @@ def _rehearse(config: Config, scenario: Scenario) -> bool:
     }
     control = config.control.model_copy(update=changes)
     cycle = ControlCycle(config.robot, control, config.tracker, scenario.reference)
-    image = ProcessImage()
+    image = ProcessImage(config.robot.cables)
     image.axes["age"] = image.cells["age"] = 0
     image.tracker["position"] = config.robot.rest
     image.tracker["delay"] = _DELAY_TICKS * config.control.rates.period
@@ -100,8 +99,9 @@ def _watch(config: Config) -> None:
         control.rates.period,
     )
     descent = Descent(config.robot, control, control.rates.period)
-    every, still = np.ones(CABLES, dtype=bool), np.zeros(CABLES)
-    descent.bound(ProcessImage().commands["torque"], still, still, every)
+    cables = config.robot.cables
+    every, still = np.ones(cables, dtype=bool), np.zeros(cables)
+    descent.bound(ProcessImage(cables).commands["torque"], still, still, every)
     descent.guard.passive(still, every)
-    tension, bearing = np.full(CABLES, control.tension.pre), np.ones(CABLES, dtype=bool)
-    envelope(tension, 0.0, np.array(config.robot.home), np.zeros(3), bearing)
+    tension = np.full(cables, control.tension.pre)
+    envelope(tension, 0.0, np.array(config.robot.home), np.zeros(3), every)

@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from tonus.config.schema.bus import CONTACT_CELL
 from tonus.config.schema.root import Config
 from tonus.drivers.process_image import AxisState, ProcessImage
 from tonus.runtime.cycle import ControlCycle
@@ -109,7 +108,8 @@ class SelfTest:
         for cell, force in enumerate(cycle.forces.tolist()):
             if not abs(force) <= limit:
                 name = cell_name(self._config, cell)
-                rest = "with nothing against it" if cell == CONTACT_CELL else "with its drive off"
+                contact = cell == self._config.robot.contact_cell
+                rest = "with nothing against it" if contact else "with its drive off"
                 yield f"{name} reads {force:.1f} N {rest}"
 
     def _tracker(self, image: ProcessImage) -> Iterator[str]:

@@ -295,7 +295,9 @@ class _Builder:
             dtype, shape = value
             made = np.frombuffer(entry.data, np.dtype(dtype)).reshape(shape).copy()
         elif kind == "record":
-            made = CycleRecord()
+            if not isinstance(model, CycleRecord):
+                raise KeyframeError(f"a keyframe with a record at {path}")
+            made = CycleRecord(model.cables)
             made.data[...] = np.frombuffer(entry.data, made.data.dtype)
         elif kind in ("tuple", "list", "dict"):
             if not 0 <= value <= len(self._flat):

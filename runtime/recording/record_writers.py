@@ -26,8 +26,8 @@ def write_measured(
     tare: Table,
     filtered: Table,
 ) -> None:
-    """What the bus and the tracker brought: the image's tables, and the drum rates (8,), tare (9,)
-    and low-passed forces (9,) made of them."""
+    """What the bus and the tracker brought: the image's tables, and the drum rates (n,), tare
+    (n + 1,) and low-passed forces (n + 1,) made of them."""
     drives, forces, pose = record[0].drives, record[0].force_cells, record[0].tracker
     for i in range(axes.shape[0]):
         row = axes[i]
@@ -82,5 +82,5 @@ def write_motion(
         pose.quaternion[k] = estimate[1][k]
     for k in range(6):
         wrench.external[k] = estimate[4][k]
-    for k in range(8):
+    for k in range(length_offset.shape[0]):
         pose.length_offset[k] = length_offset[k]

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 from tonus.runtime.recording.cdr import Body, rows, set_stamp
 from tonus.runtime.recording.mcap_file import Block, McapFile
@@ -19,7 +18,6 @@ from tonus.runtime.recording.viewer_messages import DEFINITIONS, JOINTS, MARKERS
 Array = NDArray[np.float64]
 
 BASE, PLATFORM = "base", "platform"
-WINCHES = tuple(f"winch{number}" for number in range(1, CABLES + 1))
 _CUBE, _LINES = 1, 5
 """visualization_msgs/Marker: type"""
 _SLACK = np.array([0.0, 0.0, 0.0])
@@ -36,9 +34,9 @@ class Scene:
     ticks: int
     """from one picture to the next"""
     frame: tuple[tuple[float, float, float], ...]
-    """m, anchors (8, 3) in the base frame"""
+    """m, anchors (n, 3) in the base frame"""
     platform: tuple[tuple[float, float, float], ...]
-    """m, anchors (8, 3) in the platform frame"""
+    """m, anchors (n, 3) in the platform frame"""
     levels: tuple[float, float, float, float]
     """N: slack, low, pretension and high, where the colours stand"""
 
@@ -78,7 +76,7 @@ class ViewerEncoder:
             "/tf": _transform(),
             "/viewer/pose": _pose(),
             "/viewer/desired": _pose(),
-            "/viewer/winches": _winches(),
+            "/viewer/winches": _winches(len(self._frame)),
             "/viewer/markers": _markers(self._frame, self._anchors),
         }
 
@@ -117,11 +115,11 @@ class ViewerEncoder:
 
     def _draw(self, markers: NDArray[np.void], some: NDArray[np.void]) -> None:
         """Each cable from its frame anchor to the platform's."""
-        ends = markers["cables.points"].reshape(len(some), CABLES, 2, 3)
+        ends = markers["cables.points"].reshape(len(some), -1, 2, 3)
         ends[:, :, 0] = self._frame
         rotation = _matrices(some["pose"]["quaternion"])
         ends[:, :, 1] = some["pose"]["position"][:, None] + self._anchors @ rotation.swapaxes(1, 2)
-        colours = markers["cables.colors"].reshape(len(some), CABLES, 2, 4)
+        colours = markers["cables.colors"].reshape(len(some), -1, 2, 4)
         colours[..., :3] = self._colour(some["tension"]["measured"])[:, :, None]
         colours[..., 3] = 1.0
 
@@ -142,7 +140,7 @@ _HEADERS = {
 }
 _EDGES = [(0, 1), (1, 2), (2, 3), (3, 0)]
 _BOX = _EDGES + [(a + 4, b + 4) for a, b in _EDGES] + [(i, i + 4) for i in range(4)]
-"""pairs of frame anchors, in cable order, that the frame's beams join"""
+"""pairs of the box's corners, upper ones first, that the frame's beams join"""
 
 
 def _transform() -> NDArray[np.void]:
@@ -155,25 +153,33 @@ def _pose() -> NDArray[np.void]:
     return body.put("position", "<f8", 3).put("rotation", "<f8", 4).template()
 
 
-def _winches() -> NDArray[np.void]:
-    body = Body().header("header", "").length("name", CABLES)
-    for number, name in enumerate(WINCHES):
-        body.text(f"name{number}", name)
+def _winches(cables: int) -> NDArray[np.void]:
+    body = Body().header("header", "").length("name", cables)
+    for number in range(cables):
+        body.text(f"name{number}", f"winch{number + 1}")
     for field in ("angle", "rate", "torque"):
-        body.length(field, CABLES).put(field, "<f8", CABLES)
+        body.length(field, cables).put(field, "<f8", cables)
     return body.template()
 
 
 def _markers(frame: Array, anchors: Array) -> NDArray[np.void]:
-    body = Body().length("markers", len(_MARKED))
+    body, points = Body().length("markers", len(_MARKED)), 2 * len(anchors)
     _marker(body, "frame", 0, BASE, _LINES, (_FRAME_WIDTH, 0.0, 0.0), 2 * len(_BOX), 0)
     # Flat markers cannot be seen from the side, so no extent is less than a beam's.
     extent = np.maximum(anchors.max(axis=0) - anchors.min(axis=0), _FRAME_WIDTH)
     _marker(body, "platform", 1, PLATFORM, _CUBE, tuple(extent), 0, 0)
-    _marker(body, "cables", 2, BASE, _LINES, (_CABLE_WIDTH, 0.0, 0.0), 2 * CABLES, 2 * CABLES)
+    _marker(body, "cables", 2, BASE, _LINES, (_CABLE_WIDTH, 0.0, 0.0), points, points)
     template = body.template()
-    template["frame.points"] = np.array([frame[end] for pair in _BOX for end in pair])
+    corners = _corners(frame)
+    template["frame.points"] = np.array([corners[end] for pair in _BOX for end in pair])
     return template
+
+
+def _corners(frame: Array) -> Array:
+    """(8, 3) m, of the box round the frame's anchors."""
+    (x0, y0, z0), (x1, y1, z1) = frame.min(axis=0), frame.max(axis=0)
+    ring = [(x1, y1), (x0, y1), (x0, y0), (x1, y0)]
+    return np.array([(x, y, z) for z in (z1, z0) for x, y in ring])
 
 
 def _marker(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.control import Control
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.runtime.control.distribution import TensionDistribution
 from tonus.runtime.control.tension import TensionLoop
 from tonus.runtime.safety.faults import Faults
@@ -28,17 +28,19 @@ class Descent:
 
     def __init__(self, robot: Robot, control: Control, period: float) -> None:
         self._stop, self._period = control.stop, period
-        self.distribution = TensionDistribution(control.distribution, control.stop.moment_length)
+        self.distribution = TensionDistribution(
+            control.distribution, control.stop.moment_length, robot.cables
+        )
         stiff = {"proportional": control.stop.proportional, "integral": 0.0}
         self.loop = TensionLoop(robot, control.tension_loop.model_copy(update=stiff), period)
         self.guard = Guard(robot, control.stop, period)
-        self.taut = np.ones(CABLES, dtype=bool)
+        self.taut = np.ones(robot.cables, dtype=bool)
         """(n,) cables that pull; a slack one has to come back above `taut_tension`"""
-        self.centre = np.zeros(CABLES)
+        self.centre = np.zeros(robot.cables)
         """N (n,), what tensions are drawn towards: from what they were to the passive tension"""
-        self._most = np.zeros(CABLES)
+        self._most = np.zeros(robot.cables)
         self._release = math.exp(-period / control.stop.release_s)
-        self._low, self._high = np.zeros(CABLES), np.zeros(CABLES)
+        self._low, self._high = np.zeros(robot.cables), np.zeros(robot.cables)
 
     def begin(self, tension: Array) -> None:
         """From tensions (n,) of this tick."""

@@ -137,8 +137,8 @@ class Envelope:
         velocity: Array,
         bearing: NDArray[np.bool_],
     ) -> None:
-        """Grade a tick from filtered tensions (8,), filtered contact force, pose estimate and the
-        mask ``bearing`` (8,) of cables that ought to carry tension."""
+        """Grade a tick from filtered tensions (n,), filtered contact force, pose estimate and the
+        mask ``bearing`` (n,) of cables that ought to carry tension."""
         s, t = self._settings, self._tension
         horizon = s.horizon
         if self._first:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import CELLS
-from tonus.config.schema.robot import CABLES
+from tonus.config.schema.robot import Robot
 from tonus.runtime.states import Fault
 
 CABLE_GONE = frozenset(
@@ -40,10 +39,10 @@ _HELD = frozenset({Fault.DRIVE_LOST, Fault.DRIVE_FAULT, Fault.IMPLAUSIBLE_DRIVE,
 class Faults:
     """What was found, where, and which cables are given up for it."""
 
-    def __init__(self) -> None:
-        self.found = np.zeros((len(Fault), max(CABLES, CELLS) + 1), dtype=bool)
+    def __init__(self, robot: Robot) -> None:
+        self.found = np.zeros((len(Fault), robot.cells + 1), dtype=bool)
         """(fault, place + 1): whether it has been found there"""
-        self.failed = np.zeros(CABLES, dtype=bool)
+        self.failed = np.zeros(robot.cables, dtype=bool)
         """(n,) cables that are not used any more"""
         self.reset()
 

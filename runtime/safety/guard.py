@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.config.schema.safety import Stop
 
 Array = NDArray[np.float64]
@@ -112,9 +112,9 @@ class Guard:
         self._slack = (s.take_up_speed, s.take_up_damping, s.reel_in)
         self._period, self._capacity = period, s.tank
         self._largest = robot.torque_limit
-        self.tank = np.full(CABLES, s.tank)
+        self.tank = np.full(robot.cables, s.tank)
         """J (n,)"""
-        self._torque, self._share = np.zeros(CABLES), np.zeros(CABLES)
+        self._torque, self._share = np.zeros(robot.cables), np.zeros(robot.cables)
 
     def reset(self) -> None:
         self.tank[:] = self._capacity

@@ -28,7 +28,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.config.schema.safety import Isolation as Settings
 from tonus.config.schema.safety import Stop
 from tonus.runtime.states import Fault
@@ -84,7 +84,7 @@ def _turn(
 ) -> None:
     """``drums``: angles (rad), rates (rad/s) and the torques (N m) that made them; ``following``:
     m/s that the cables shorten by the platform's motion; ``interval``: s that a rate is the mean
-    of; ``drives`` (8,): drum radius, its mass at the cable, and the largest acceleration (m/s2);
+    of; ``drives`` (n,): drum radius, its mass at the cable, and the largest acceleration (m/s2);
     ``limits``: observer time, force (N) and share of the torque's that may be unexplained;
     ``observed``: explained momentum, unexplained force, mean force of the torque; ``past``: last
     angles, speeds, intervals.
@@ -144,25 +144,25 @@ class Isolation:
         strongest = robot.torque_limit / radius
         self._drives = (radius, mass, settings.acceleration * strongest / mass)
         self._turning = (settings.torque_s, settings.torque_error, settings.torque_share)
-        self._observed = (np.zeros(CABLES), np.zeros(CABLES), np.zeros(CABLES))
-        self._torques = np.zeros((_UNDER_WAY, CABLES))
-        self._misled = np.zeros(CABLES, dtype=np.int64)
-        self._past = (np.zeros(CABLES), np.zeros(CABLES), np.zeros(CABLES))
-        self._travel = np.zeros(CABLES)
+        self._observed = (np.zeros(robot.cables), np.zeros(robot.cables), np.zeros(robot.cables))
+        self._torques = np.zeros((_UNDER_WAY, robot.cables))
+        self._misled = np.zeros(robot.cables, dtype=np.int64)
+        self._past = (np.zeros(robot.cables), np.zeros(robot.cables), np.zeros(robot.cables))
+        self._travel = np.zeros(robot.cables)
         self._limits = (
             settings.length_jump,
             settings.tension_error,
             1.0 - math.exp(-period / settings.innovation_s),
         )
         self._astray_ticks = round(settings.tension_error_s / period)
-        self._jumped = np.zeros(CABLES, dtype=np.int64)
-        self._astray = np.zeros(CABLES, dtype=np.int64)
-        self.drift = np.zeros(CABLES)
+        self._jumped = np.zeros(robot.cables, dtype=np.int64)
+        self._astray = np.zeros(robot.cables, dtype=np.int64)
+        self.drift = np.zeros(robot.cables)
         """m (n,), mean innovation of each length"""
-        self._last, self._then = np.full(CABLES, np.nan), np.zeros(CABLES)
-        self._same = np.zeros(CABLES, dtype=np.int64)
-        self._loaded = np.zeros(CABLES, dtype=bool)
-        self._overwound = np.zeros(CABLES, dtype=bool)
+        self._last, self._then = np.full(robot.cables, np.nan), np.zeros(robot.cables)
+        self._same = np.zeros(robot.cables, dtype=np.int64)
+        self._loaded = np.zeros(robot.cables, dtype=bool)
+        self._overwound = np.zeros(robot.cables, dtype=bool)
 
     def reset(self) -> None:
         self._jumped[:] = self._astray[:] = self._same[:] = self._misled[:] = 0

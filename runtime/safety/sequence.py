@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tonus.config.schema.control import Control
+from tonus.config.schema.robot import Robot
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.control.referencing import Referencing
 from tonus.runtime.control.sensing import Sensing
@@ -71,12 +72,11 @@ class Sequence:
         referencing: Referencing,
         envelope: Envelope,
         isolation: Isolation,
-        radius: NDArray[np.float64],
+        robot: Robot,
     ) -> None:
-        """``radius`` (n,) m: of the drums."""
         self._control, self._settings = control, control.sequence
         self._sensing, self._referencing, self._envelope = sensing, referencing, envelope
-        self._isolation, self._radius = isolation, radius
+        self._isolation, self._radius = isolation, robot.drum_radius
         self._period = control.rates.period
         self._entered = 0
         self._ready_at = 0.0
@@ -84,7 +84,7 @@ class Sequence:
         self.state = State.OFF
         self.elapsed = 0.0
         """s in this state"""
-        self.faults = Faults()
+        self.faults = Faults(robot)
         """since the last reset"""
         self.stop_mode = StopMode.NONE
         self._mode_at, self._released_at = 0.0, -1.0
@@ -237,7 +237,7 @@ class Sequence:
 
     @property
     def carrying(self) -> NDArray[np.bool_]:
-        """(8,) cables that may be asked for tension."""
+        """(n,) cables that may be asked for tension."""
         return self._sensing.present & ~self.faults.failed
 
     @property

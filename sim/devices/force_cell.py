@@ -22,7 +22,7 @@ from tonus.sim.devices.objects import (
     ObjectDictionary,
     Value,
 )
-from tonus.sim.devices.samples import CELL, Samples
+from tonus.sim.devices.samples import Samples
 from tonus.sim.devices.store import connect_store
 from tonus.sim.devices.timers import Timers
 
@@ -85,7 +85,7 @@ class Channel:
         return float(self._samples.force[self.cell])
 
     def int32(self) -> int:
-        return self._samples.words[CELL + self.cell]
+        return self._samples.words[self._samples.cell + self.cell]
 
     def int16(self) -> int:
         return min(max(self.int32(), -_INT16 - 1), _INT16)
@@ -149,7 +149,7 @@ class Channel:
 
 
 class ForceCell:
-    """The amplifier of one or more of the nine cells; subindex n is that of ``cells[n-1]``."""
+    """The amplifier of one or more of the cells; subindex n is that of ``cells[n-1]``."""
 
     receive_pdos: tuple[PdoDefault, ...] = ()
     longest_mapping = 4
@@ -275,7 +275,8 @@ class ForceCell:
     def reader(self, index: int, subindex: int) -> Reader:
         channel = self.channels[subindex - 1]
         if index == 0x9130:
-            samples, place = self._samples, CELL + channel.cell
+            samples = self._samples
+            place = samples.cell + channel.cell
             return lambda: samples.words[place]
         readers: dict[int, Reader] = {
             0x6130: channel.newton,

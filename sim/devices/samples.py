@@ -14,9 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import CELLS
 from tonus.config.schema.lab import CellNoise
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.sim.plant.streams import Stream, generator
 
 Floats = NDArray[np.float64]
@@ -25,20 +24,9 @@ _INTERVAL_NS = 1_000_000
 """A cell converts once a millisecond (its maker's figure), so its noise is new that often."""
 _BLOCK = 1024
 """Noise is drawn for so many conversions at once."""
-# Places in the parameter vector of `_sample`.
-_RANGE = 0
-_PER_RADIAN = 1
-_PER_AMPERE = _PER_RADIAN + CABLES
-_OFFSET = _PER_AMPERE + CABLES
-_DIGITS = _OFFSET + CELLS
-_GAIN = _DIGITS + CELLS
-_TARE = _GAIN + CELLS
-_ZERO = _TARE + CELLS
-_LENGTH = _ZERO + CABLES
-POSITION = 0
-TORQUE = CABLES
-CELL = 2 * CABLES
-"""Where each quantity begins in `Samples.words`."""
+_PER_RADIAN, _PER_AMPERE, _ZERO = range(3)
+_DIGITS, _GAIN, _TARE, _OFFSET = range(4)
+"""Rows of the parameters of axes, and of those of cells."""
 _INT16 = 0x7FFF
 _INT32 = 1 << 31
 _EPSILON = 1e-9
@@ -67,65 +55,72 @@ class Measured(Protocol):
 
 
 @njit(
-    "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], int64,"
-    " int64[::1], float64[::1])",
+    "void(float64[::1], float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64,"
+    " float64[:, ::1], int64, int64[::1], float64[::1])",
     cache=True,
 )
 def _sample(
     angle: Floats,
     current: Floats,
     cell: Floats,
-    p: Floats,
+    axes: Floats,
+    cells: Floats,
+    reach: float,
     noise: Floats,
     row: int,
     words: NDArray[np.int64],
     force: Floats,
 ) -> None:
-    for i in range(CABLES):
-        count = int(np.floor(angle[i] * p[_PER_RADIAN + i])) - int(p[_ZERO + i])
-        words[POSITION + i] = (count + _INT32) % (2 * _INT32) - _INT32
-        mille = np.rint(current[i] * p[_PER_AMPERE + i])
-        words[TORQUE + i] = int(min(max(mille, -_INT16 - 1), _INT16))
-    for i in range(CELLS):
-        value = cell[i] + p[_OFFSET + i] + noise[row, i]
-        clipped = min(max(value, -p[_RANGE]), p[_RANGE])
-        force[i] = clipped * p[_GAIN + i] + p[_TARE + i]
-        scaled = np.rint(force[i] * p[_DIGITS + i])
-        words[CELL + i] = int(min(max(scaled, -_INT32), _INT32 - 1))
+    """``axes`` and ``cells``: a row for each of the places below; ``reach``: N, end of a cell's
+    range either way."""
+    count = angle.shape[0]
+    for i in range(count):
+        turned = int(np.floor(angle[i] * axes[_PER_RADIAN, i])) - int(axes[_ZERO, i])
+        words[i] = (turned + _INT32) % (2 * _INT32) - _INT32
+        mille = np.rint(current[i] * axes[_PER_AMPERE, i])
+        words[count + i] = int(min(max(mille, -_INT16 - 1), _INT16))
+    for i in range(cell.shape[0]):
+        value = cell[i] + cells[_OFFSET, i] + noise[row, i]
+        clipped = min(max(value, -reach), reach)
+        force[i] = clipped * cells[_GAIN, i] + cells[_TARE, i]
+        scaled = np.rint(force[i] * cells[_DIGITS, i])
+        words[2 * count + i] = int(min(max(scaled, -_INT32), _INT32 - 1))
 
 
 class Samples:
     """Measured values of all axes and cells.
 
-    ``words``: positions (8), torques (8) and integer process values (9) of the last instant asked
-    for with `at`; see `POSITION`, `TORQUE`, `CELL`. Cell noise depends on seed and time alone, so
-    who asks and how often changes nothing.
+    ``words``: positions (n), torques (n) and integer process values (n + 1) of the last instant
+    asked for with `at`; the latter two begin at `torque` and `cell`. Cell noise depends on seed and
+    time alone, so who asks and how often changes nothing.
     """
 
     def __init__(self, plant: Measured, robot: Robot, noise: CellNoise, seed: int) -> None:
         self.plant = plant
-        self.force = np.zeros(CELLS)
+        cables, cells = robot.cables, robot.cells
+        self.torque, self.cell = cables, 2 * cables
+        """where torques and process values begin in `words`"""
+        self.force = np.zeros(cells)
         """N, of the same instant"""
         self._seed = seed
         self._sigma = noise.sigma
         self._begin_ns = plant.now_ns
-        self._words = np.zeros(2 * CABLES + CELLS, np.int64)
+        self._words = np.zeros(2 * cables + cells, np.int64)
         self.words: list[int] = self._words.tolist()
         self._at_ns = plant.now_ns - 1
-        self._noise = np.zeros((_BLOCK, CELLS))
+        self._noise = np.zeros((_BLOCK, cells))
         self._block = -1
-        self._p = np.zeros(_LENGTH)
+        self._axes, self._cells = np.zeros((3, cables)), np.zeros((4, cells))
+        self._range = noise.range
         motors = [train.motor for train in robot.drive_trains]
         self.per_revolution = [motor.increments_per_revolution for motor in motors]
         """increments of each motor's encoder"""
         self.per_radian = [count / (2.0 * pi) for count in self.per_revolution]
-        self._p[_PER_RADIAN : _PER_RADIAN + CABLES] = self.per_radian
-        self._p[_RANGE] = noise.range
-        self._p[_DIGITS : _DIGITS + CELLS] = 1.0
-        self._p[_GAIN : _GAIN + CELLS] = 1.0
-        offsets = generator(seed, Stream.CELLS).standard_normal(CELLS)
-        self._p[_OFFSET : _OFFSET + CELLS] = noise.offset_sigma * offsets
-        self._offsets = self._p[_OFFSET : _OFFSET + CELLS].copy()
+        self._axes[_PER_RADIAN] = self.per_radian
+        self._cells[_DIGITS] = self._cells[_GAIN] = 1.0
+        offsets = generator(seed, Stream.CELLS).standard_normal(cells)
+        self._cells[_OFFSET] = noise.offset_sigma * offsets
+        self._offsets = self._cells[_OFFSET].copy()
 
     def at(self, now_ns: int) -> list[int]:
         """Bring the plant to this time and sample."""
@@ -139,7 +134,9 @@ class Samples:
                 plant.motor_angle,
                 plant.motor_current,
                 plant.cell_force,
-                self._p,
+                self._axes,
+                self._cells,
+                self._range,
                 self._noise,
                 conversion % _BLOCK,
                 self._words,
@@ -152,7 +149,7 @@ class Samples:
     def _draw(self, block: int) -> None:
         sequence = np.random.SeedSequence(self._seed, spawn_key=(int(Stream.CELLS), 1 + block))
         random = np.random.Generator(np.random.PCG64(sequence))
-        self._noise = self._sigma * random.standard_normal((_BLOCK, CELLS))
+        self._noise = self._sigma * random.standard_normal(self._noise.shape)
         self._block = block
 
     def _changed(self) -> None:
@@ -160,24 +157,24 @@ class Samples:
 
     def set_nominal_current(self, axis: int, ampere: float) -> None:
         """Base of an axis' torque actual value; with 0 it reads 0."""
-        self._p[_PER_AMPERE + axis] = 1000.0 / ampere if ampere > 0.0 else 0.0
+        self._axes[_PER_AMPERE, axis] = 1000.0 / ampere if ampere > 0.0 else 0.0
         self._changed()
 
     def set_decimal_digits(self, cell: int, digits: int) -> None:
-        self._p[_DIGITS + cell] = 10.0**digits
+        self._cells[_DIGITS, cell] = 10.0**digits
         self._changed()
 
     def set_scaling(self, cell: int, gain: float, tare: float) -> None:
         """Process value for a force: ``gain`` times the force plus ``tare``."""
-        self._p[_GAIN + cell] = gain
-        self._p[_TARE + cell] = tare
+        self._cells[_GAIN, cell] = gain
+        self._cells[_TARE, cell] = tare
         self._changed()
 
     def at_the_end(self, cell: int) -> int:
         """1 or -1 where a cell of the last sample is at the end of its range, else 0."""
-        gain, tare = float(self._p[_GAIN + cell]), float(self._p[_TARE + cell])
+        gain, tare = float(self._cells[_GAIN, cell]), float(self._cells[_TARE, cell])
         force = (float(self.force[cell]) - tare) / gain
-        reach = float(self._p[_RANGE]) * (1.0 - _EPSILON)
+        reach = self._range * (1.0 - _EPSILON)
         return int(force >= reach) - int(force <= -reach)
 
     def count(self, axis: int) -> int:
@@ -187,14 +184,14 @@ class Samples:
 
     def position(self, axis: int) -> int:
         """Increments as an axis' drive counts them; the plant stands at the present."""
-        return (self.count(axis) - int(self._p[_ZERO + axis]) + _INT32) % (2 * _INT32) - _INT32
+        return (self.count(axis) - int(self._axes[_ZERO, axis]) + _INT32) % (2 * _INT32) - _INT32
 
     def set_position(self, axis: int, position: int = 0) -> None:
         """Count increments from this position on: 0 is an encoder counter at switch-on."""
-        self._p[_ZERO + axis] = self.count(axis) - position
+        self._axes[_ZERO, axis] = self.count(axis) - position
         self._changed()
 
     def break_cell(self, cell: int, *, broken: bool = True) -> None:
         """An open bridge drives the amplifier to the end of its range."""
-        self._p[_OFFSET + cell] = np.inf if broken else self._offsets[cell]
+        self._cells[_OFFSET, cell] = np.inf if broken else self._offsets[cell]
         self._changed()

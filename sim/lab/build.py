@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from tonus.config.schema.bus import CELLS, CanopenBus, DirectBus, EthercatBus, SeveralBuses
+from tonus.config.schema.bus import CanopenBus, DirectBus, EthercatBus, SeveralBuses
 from tonus.config.schema.lab import Lab as LabConfig
-from tonus.config.schema.robot import CABLES
+from tonus.config.schema.robot import Robot
 from tonus.config.schema.root import Config
 from tonus.sim.can.canopen.node import Node
 from tonus.sim.can.wire.faulty import FaultyChannel
@@ -64,7 +64,7 @@ def build(
     assert config.lab is not None
     lab, bus = config.lab, config.fieldbus
     buses = bus.buses if isinstance(bus, SeveralBuses) else (bus,)
-    node_ids, amplifiers = _numbers(buses)
+    node_ids, amplifiers = _numbers(config.robot, buses)
     drives = [
         Epos4(
             axis,
@@ -101,10 +101,11 @@ def build(
 
 
 def _numbers(
+    robot: Robot,
     buses: tuple[CanopenBus | EthercatBus | DirectBus, ...],
 ) -> tuple[list[int], list[tuple[tuple[int, ...], int]]]:
     """Node id or position of each axis's drive, and of each amplifier with its cells."""
-    drives = list(range(1, CABLES + 1))
+    drives = list(range(1, robot.cables + 1))
     amplifiers: list[tuple[tuple[int, ...], int]] = []
     for each in buses:
         if isinstance(each, CanopenBus):
@@ -119,7 +120,7 @@ def _numbers(
                 else:
                     amplifiers.append((slave.cells, number))
         else:
-            amplifiers = [((cell,), _FIRST_CELL + cell) for cell in range(CELLS)]
+            amplifiers = [((cell,), _FIRST_CELL + cell) for cell in range(robot.cells)]
     return drives, amplifiers
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from tonus.config.schema.robot import CABLES
 from tonus.sim.devices.epos4.drive import Epos4
 from tonus.sim.devices.force_cell import ForceCell
-from tonus.sim.devices.samples import CELL, POSITION, TORQUE, Samples
+from tonus.sim.devices.samples import Samples
 
 
 class Devices(Protocol):
@@ -43,8 +42,8 @@ class DirectPort:
     ) -> tuple[list[int], list[int], list[int], list[int]]:
         """At ``at_ns`` every device samples, then applies its controlword and torque (per mille).
 
-        What a SYNC does on CAN. Returns 8 statuswords, 8 positions (increments), 8 torques (per
-        mille) and 9 process values.
+        What a SYNC does on CAN. Returns statuswords, positions (increments) and torques (per
+        mille) of all axes, and the process values of all cells.
         """
         lab = self._lab
         if not self._ready:
@@ -53,16 +52,17 @@ class DirectPort:
                 for number in range(1, len(cell.cells) + 1):
                     cell.objects.write(0x6132, number, self._digits)
         lab.advance(at_ns)
-        words = lab.samples.at(at_ns)
+        samples = lab.samples
+        words = samples.at(at_ns)
         statuswords = [drive.statusword() for drive in lab.drives]
         for drive, word, torque in zip(lab.drives, controlwords, torques, strict=True):
             drive.target_torque(torque)
             drive.controlword(word)
         return (
             statuswords,
-            words[POSITION : POSITION + CABLES],
-            words[TORQUE : TORQUE + CABLES],
-            words[CELL:],
+            words[: samples.torque],
+            words[samples.torque : samples.cell],
+            words[samples.cell :],
         )
 
     def read(self, axis: int, index: int, subindex: int) -> bytes:

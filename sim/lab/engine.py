@@ -33,7 +33,7 @@ from tonus.sim.lab.direct import DirectPort
 from tonus.sim.lab.faults import ActiveFault, Faults
 from tonus.sim.lab.robot_faults import RobotFaults
 from tonus.sim.lab.statistics import PERIOD_NS, LoadWindow, Statistics, channel_statistics
-from tonus.sim.lab.truth import TRUTH, fill
+from tonus.sim.lab.truth import fill, truth_dtype
 from tonus.sim.plant import Plant
 
 TRUTH_PERIOD_NS = 1_000_000
@@ -109,7 +109,7 @@ class Lab:
         self._timers: list[tuple[int, int, Callback]] = []
         self._timer_count = 0
         self._truth = truth
-        self._record = np.zeros(1, TRUTH)
+        self._record = np.zeros(1, truth_dtype(config.robot.cables))
         self._grid_ns = start_ns
         self._script = script
         self.script_start_ns: int | None = None
@@ -126,7 +126,7 @@ class Lab:
         self.cells: list[ForceCell] = built.cells
         self._bitrate = built.bitrate
         self._awaited = built.awaited
-        self._robot_faults = RobotFaults(self.plant, self._tracker)
+        self._robot_faults = RobotFaults(config.robot, self.plant, self._tracker)
         self._faults = Faults(
             self.channels, self.nodes, self.segments, self._robot_faults, self, seed
         )

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tonus.config.schema.bus import CELLS
-from tonus.config.schema.robot import CABLES
+from tonus.config.schema.robot import Robot
 from tonus.config.schema.robot_faults import (
     CableCut,
     CellFrozen,
@@ -37,21 +36,23 @@ def place(fault: OfRobot) -> tuple[object, ...]:
 class RobotFaults:
     """What is wrong with one robot and its tracker on purpose, whatever bus they are on."""
 
-    def __init__(self, plant: Plant, tracker: Tracker) -> None:
+    def __init__(self, robot: Robot, plant: Plant, tracker: Tracker) -> None:
+        self._robot = robot
         self._plant = plant
         self._tracker = tracker
 
     def places(self, kind: str, *, axis: bool, cell: bool) -> list[str]:
         """Where a kind of fault can happen here; ``axis`` and ``cell`` say what it names."""
         if axis or cell:
-            return [str(number) for number in range(CABLES if axis else CELLS)]
+            count = self._robot.cables if axis else self._robot.cells
+            return [str(number) for number in range(count)]
         if kind == "phantom_hit":
             return ["phantom"] if self._plant.has_phantom else []
         return ["tracker"] if kind.startswith("tracker") else ["platform"]
 
     def check(self, fault: OfRobot) -> None:
         """Raises `LabError` if this robot cannot have the fault."""
-        for name, count in (("axis", CABLES), ("cell", CELLS)):
+        for name, count in (("axis", self._robot.cables), ("cell", self._robot.cells)):
             number = getattr(fault, name, None)
             if number is not None and number >= count:
                 raise LabError(

@@ -6,22 +6,25 @@ with them. The plant's state begins with exactly these fields, so that filling a
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-TRUTH_FIELDS: tuple[tuple[str, str, int, str, str], ...] = (
+PER_CABLE = -1
+"""In place of a size: one value for each cable."""
+TRUTH_TABLE: tuple[tuple[str, str, int, str, str], ...] = (
     ("position", "float64", 3, "m", "platform origin in the base frame"),
     ("quaternion", "float64", 4, "", "w x y z, platform to base"),
     ("velocity", "float64", 3, "m/s", "of the platform origin"),
     ("angular_velocity", "float64", 3, "rad/s", "base frame"),
-    ("tension", "float64", 8, "N", "true tension of every cable"),
-    ("drum_angle", "float64", 8, "rad", "since the start, reeling in positive"),
-    ("drum_rate", "float64", 8, "rad/s", "reeling in positive"),
-    ("current", "float64", 8, "A", "motor current, reeling in positive"),
+    ("tension", "float64", PER_CABLE, "N", "true tension of every cable"),
+    ("drum_angle", "float64", PER_CABLE, "rad", "since the start, reeling in positive"),
+    ("drum_rate", "float64", PER_CABLE, "rad/s", "reeling in positive"),
+    ("current", "float64", PER_CABLE, "A", "motor current, reeling in positive"),
     ("load", "float64", 6, "N, N m", "force and moment of load port and push, base frame"),
-    ("cut", "float64", 8, "", "1 for a cable that is cut, else 0"),
+    ("cut", "float64", PER_CABLE, "", "1 for a cable that is cut, else 0"),
     ("contact_force", "float64", 0, "N", "of the phantom on the contact port, along its normal"),
     ("contact_penetration", "float64", 0, "m", "depth of the contact port in the phantom"),
     ("kinetic", "float64", 0, "J", "of platform and drums"),
@@ -41,13 +44,26 @@ TRUTH_FIELDS: tuple[tuple[str, str, int, str, str], ...] = (
 )
 """Name, type, size (0: scalar), unit, meaning; widest first, as a CDR body wants it."""
 
-TRUTH = np.dtype(
-    [
-        (name, "<" + np.dtype(kind).str[1:], (size,) if size else ())
-        for name, kind, size, _, _ in TRUTH_FIELDS
-    ]
-)
-"""One record, packed little-endian in the table's order, without padding."""
+
+@cache
+def truth_fields(cables: int) -> tuple[tuple[str, str, int, str, str], ...]:
+    """The table for a robot with so many cables."""
+    return tuple(
+        (name, kind, cables if size == PER_CABLE else size, unit, meaning)
+        for name, kind, size, unit, meaning in TRUTH_TABLE
+    )
+
+
+@cache
+def truth_dtype(cables: int) -> np.dtype[np.void]:
+    """One record, packed little-endian in the table's order, without padding."""
+    return np.dtype(
+        [
+            (name, "<" + np.dtype(kind).str[1:], (size,) if size else ())
+            for name, kind, size, _, _ in truth_fields(cables)
+        ]
+    )
+
 
 _WORD = np.dtype("<f8")
 
@@ -60,5 +76,5 @@ class Truthful(Protocol):
 
 
 def fill(record: NDArray[Any], plant: Truthful) -> None:
-    """Write the plant's present state into a preallocated ``np.zeros(1, TRUTH)``."""
+    """Write the plant's present state into a preallocated ``np.zeros(1, truth_dtype(n))``."""
     record.view(_WORD)[:] = plant.truth

@@ -80,7 +80,7 @@ def pull_cables(s: Any, p: Any, prescribed: bool) -> None:
 
     T = max(0, elastic + c rate) while the cable is stretched, L0 = L0(0) - r theta + slipped.
     """
-    for i in range(8):
+    for i in range(len(s.tension)):
         _course(s, p, i)
         free = p.start_length[i] - p.radius[i] * s.drum_angle[i] + s.slipped[i]
         stretch = s.length[i] - free

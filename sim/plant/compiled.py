@@ -1,8 +1,8 @@
 """How the plant's equations are compiled, and when they are compiled anew.
 
 The compiler's cache watches the file of the outermost function only. What it calls lies in other
-files, so a digest of them all stands in the type of the parameters (`layout.PARAMETERS`), and with
-it in the key under which a compiled function is found again.
+files, so a digest of them all stands in the type of the parameters (`layout.parameters_dtype`), and
+with it in the key under which a compiled function is found again.
 """
 
 from __future__ import annotations

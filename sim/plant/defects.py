@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import CELLS
-
 _SECOND_NS = 1_000_000_000
 _Place = tuple[str, int]
 Ender = Callable[[], None]
@@ -56,9 +54,9 @@ class Defects:
         """what changes with time"""
         self._coulomb = parameters["coulomb"][0].copy()
         self._torque_per_amp = parameters["torque_per_amp"][0].copy()
-        self._gain = np.ones(CELLS)
-        self._offset = np.zeros(CELLS)
-        self._held = np.full(CELLS, np.nan)
+        self._gain = np.ones_like(parameters["cell_gain"][0])
+        self._offset = np.zeros_like(self._gain)
+        self._held = np.full_like(self._gain, np.nan)
         """N, what a frozen cell shows"""
 
     # -- time ------------------------------------------------------------------------------------

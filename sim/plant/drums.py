@@ -18,7 +18,7 @@ from tonus.sim.plant.compiled import inner
 def follow_currents(s: Any, p: Any, keep: float) -> None:
     """Bring every current nearer to its reference, which is bounded; ``keep`` is the share of the
     difference that remains."""
-    for i in range(8):
+    for i in range(len(s.tension)):
         goal = p.sign[i] * s.current_reference[i] if s.powered[i] else 0.0
         goal = min(p.current_limit[i], max(-p.current_limit[i], goal))
         s.current[i] = goal + (s.current[i] - goal) * keep
@@ -64,7 +64,7 @@ def teeth(s: Any, p: Any) -> None:
     """Torque from rotor to drum through the play: nothing inside it, elastic teeth on either side,
     which push and do not stick."""
     s.teeth_dissipation = 0.0
-    for i in range(8):
+    for i in range(len(s.tension)):
         twist = s.rotor_angle[i] - s.drum_angle[i]
         bent = max(0.0, abs(twist) - p.half_play)
         side = 1.0 if twist > 0.0 else -1.0
@@ -97,7 +97,7 @@ def _kick_rotor(s: Any, p: Any, i: int, motor: float, dt: float) -> tuple[float,
 def _slide(s: Any, p: Any, dt: float) -> float:
     """The power (W) that cables lose which slip on their drums."""
     losses = 0.0
-    for i in range(8):
+    for i in range(len(s.tension)):
         if s.elastic[i] > 0.0:
             s.wound += stored(p, i, s.elastic[i], dt * p.slip_rate[i])[1]
             losses += _lost(s, dt * s.tension[i] * p.slip_rate[i], dt)
@@ -114,7 +114,7 @@ def kick_drums(s: Any, p: Any, dt: float, losses: float) -> float:
     before = losses
     losses += s.teeth_dissipation
     copper = 0.0
-    for i in range(8):
+    for i in range(len(s.tension)):
         torque = p.torque_per_amp[i] * s.current[i]
         copper += p.resistance * s.current[i] * s.current[i]
         drag = p.viscous[i] * s.drum_rate[i]
@@ -150,19 +150,19 @@ def kick_drums(s: Any, p: Any, dt: float, losses: float) -> float:
 @inner
 def drift_drums(s: Any, p: Any, dt: float) -> None:
     """Turn with the rates of mid-step."""
-    for i in range(8):
+    for i in range(len(s.tension)):
         s.drum_angle[i] += dt * s.half_rate[i]
         if p.backlash > 0.0:
             s.rotor_angle[i] += dt * s.half_rotor_rate[i]
     if p.slipping > 0.0:
-        for i in range(8):
+        for i in range(len(s.tension)):
             s.slipped[i] += dt * p.slip_rate[i]
 
 
 @inner
 def predict_drums(s: Any, p: Any, dt: float) -> None:
     """Rates ``dt`` after mid-step by the last torques. What friction holds is taken as held."""
-    for i in range(8):
+    for i in range(len(s.tension)):
         rate = s.half_rate[i]
         s.drum_rate[i] = rate + dt * s.drum_acceleration[i] if rate != 0.0 else 0.0
         if p.backlash > 0.0:

@@ -124,7 +124,7 @@ def _account(s: Any, p: Any) -> None:
     strain = 0.0
     platform = 0.0
     electrical = 0.0
-    for i in range(8):
+    for i in range(len(s.tension)):
         kinetic += 0.5 * p.drum_inertia[i] * s.drum_rate[i] ** 2
         s.stored[i] = 0.0
         if s.elastic[i] > 0.0:
@@ -141,7 +141,7 @@ def _account(s: Any, p: Any) -> None:
         s.motor_rate[i] = turns * p.encoder_gain[i] * rate
         s.motor_current[i] = p.sign[i] * s.current[i]
         electrical += p.torque_per_amp[i] * s.current[i] * rate + p.resistance * s.current[i] ** 2
-    for i in range(9):
+    for i in range(len(s.cell_force)):
         s.cell_force[i] = p.cell_gain[i] * s.cell_filtered[i] + p.cell_offset[i]
     s.kinetic = kinetic
     s.strain = strain
@@ -169,7 +169,7 @@ def advance(
     for k in range(3):
         s.half_momentum[k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
         s.half_velocity[k] = s.velocity[k]
-    for i in range(8):
+    for i in range(len(s.tension)):
         s.half_rate[i] = s.drum_rate[i]
         s.half_rotor_rate[i] = s.rotor_rate[i]
     _forces(s, p, _load(knots, loads, time), False)
@@ -178,6 +178,7 @@ def advance(
         _kick(s, p, p.opening * dt)
     keep_current = exp(-dt * p.current_pole)
     keep_cell = exp(-dt * p.cell_pole)
+    contact = len(s.tension)
     for step in range(1, steps + 1):
         drift_body(s, p, dt)
         drift_drums(s, p, dt)
@@ -187,9 +188,11 @@ def advance(
             s.contact_shift += dt * p.contact_rate
             relax(s, p, dt)
         _forces(s, p, _load(knots, loads, time + step * dt), False)
-        for i in range(8):
+        for i in range(len(s.tension)):
             s.cell_filtered[i] = s.tension[i] + (s.cell_filtered[i] - s.tension[i]) * keep_cell
-        s.cell_filtered[8] = s.contact_force + (s.cell_filtered[8] - s.contact_force) * keep_cell
+        s.cell_filtered[contact] = (
+            s.contact_force + (s.cell_filtered[contact] - s.contact_force) * keep_cell
+        )
         if step < steps:
             _kick(s, p, dt)
         elif closing > 0.0:
@@ -197,7 +200,7 @@ def advance(
     if steps > 0:
         for k in range(3):
             s.velocity[k] = s.half_velocity[k]
-        for i in range(8):
+        for i in range(len(s.tension)):
             s.drum_rate[i] = s.half_rate[i]
             s.rotor_rate[i] = s.half_rotor_rate[i]
         spin(s, p, s.half_momentum[0], s.half_momentum[1], s.half_momentum[2])
@@ -212,6 +215,6 @@ def static_wrench(state: Any, parameters: Any, prescribed: bool) -> None:
     for k in range(3):
         s.velocity[k] = 0.0
         s.angular_velocity[k] = 0.0
-    for i in range(8):
+    for i in range(len(s.tension)):
         s.drum_rate[i] = 0.0
     _forces(s, p, (0.0, 0.0), prescribed)

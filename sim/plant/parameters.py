@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.lab import Backlash, Displacement, Lab, Load, Phantom, Stiffening
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.sim.errors import LabError
-from tonus.sim.plant.layout import PARAMETERS
+from tonus.sim.plant.layout import parameters_dtype
 
 Floats = NDArray[np.float64]
 _COARSEST = 0.5
@@ -32,9 +32,9 @@ def _unit(vector: Sequence[float], what: str) -> Floats:
 def parameters(
     robot: Robot, lab: Lab, anchors: Floats, random: np.random.Generator
 ) -> NDArray[Any]:
-    """One record of `PARAMETERS` without phantom and load. ``anchors`` (8, 3) are the frame's true
-    ones. Draws the same numbers whatever is configured. Raises `LabError`."""
-    record = np.zeros(1, PARAMETERS)
+    """One record of `parameters_dtype` without phantom and load. ``anchors`` (n, 3) are the frame's
+    true ones. Draws the same numbers whatever is configured. Raises `LabError`."""
+    record = np.zeros(1, parameters_dtype(robot.cables))
     plant, cradle = lab.plant, lab.cradle
     ways = anchors - np.array(robot.rest) - np.array(robot.geometry.platform)
     shortest = float(np.min(np.linalg.norm(ways, axis=1)))
@@ -43,14 +43,14 @@ def parameters(
             f"lab.plant.pulley_radius: pulleys of {plant.pulley_radius:g} m reach the platform at "
             f"rest; choose less than {0.5 * shortest:.2f}"
         )
-    stiffness = 1.0 + plant.stiffness_spread * random.uniform(-1.0, 1.0, CABLES)
-    friction = 1.0 + plant.friction_spread * random.uniform(-1.0, 1.0, CABLES)
+    stiffness = 1.0 + plant.stiffness_spread * random.uniform(-1.0, 1.0, robot.cables)
+    friction = 1.0 + plant.friction_spread * random.uniform(-1.0, 1.0, robot.cables)
     scale = plant.mass_scale * (1.0 + plant.mass_spread * random.uniform(-1.0, 1.0))
     weight = robot.platform.mass * scale * robot.gravity
     tips = np.array(robot.geometry.platform, dtype=np.float64)
     low = tips[:, 2].min()
     # Driven backwards, a gearbox of efficiency eta holds the cable with motor torque / eta.
-    efficiency = robot.gearbox_efficiency if plant.gearbox_losses else np.ones(CABLES)
+    efficiency = robot.gearbox_efficiency if plant.gearbox_losses else np.ones(robot.cables)
     values = {
         "mass": robot.platform.mass * scale,
         "inertia": np.array(robot.platform.inertia) * scale,
@@ -170,7 +170,7 @@ def let_go(record: NDArray[Any]) -> None:
 
 
 def strain(record: NDArray[Any], tension: Floats) -> Floats:
-    """Of every cable (8,) under these tensions: the inverse of the elastic law."""
+    """Of every cable (n,) under these tensions: the inverse of the elastic law."""
     stiffness, growth = record["axial_stiffness"][0], record["stiffening"][0]
     if not growth.any():
         return np.asarray(tension / stiffness)

@@ -1,4 +1,4 @@
-"""The robot's mechanics behind the emulated devices: eight motors in, motion and forces out."""
+"""The robot's mechanics behind the emulated devices: motors' currents in, motion and forces out."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.lab import Displacement, Lab, Load, Phantom
-from tonus.config.schema.robot import CABLES, Robot
-from tonus.sim.lab.truth import TRUTH
+from tonus.config.schema.robot import Robot
+from tonus.sim.lab.truth import truth_dtype
 from tonus.sim.plant import kernel
 from tonus.sim.plant.defects import Defects
 from tonus.sim.plant.energy import Energy
-from tonus.sim.plant.layout import STATE
+from tonus.sim.plant.layout import state_dtype
 from tonus.sim.plant.parameters import add_load, add_phantom, let_go, parameters, strain, take_hold
 from tonus.sim.plant.streams import Stream, generator
 
@@ -49,7 +49,7 @@ class Plant:
         anchors = np.array(robot.geometry.frame, dtype=np.float64)
         anchors += lab.plant.anchor_sigma * random.standard_normal(anchors.shape)
         self.parameters = parameters(robot, lab, anchors, generator(seed, Stream.MISMATCH))
-        """one record of `layout.PARAMETERS`: the true robot, mismatch included"""
+        """one record of `layout.parameters_dtype`: the true robot, mismatch included"""
         if phantom is not None:
             add_phantom(self.parameters, phantom)
         self._knots = np.zeros(0)
@@ -61,10 +61,11 @@ class Plant:
             if np.any(np.diff(self._knots) < 0.0):
                 raise ValueError("the load's profile must run forward in time")
             add_load(self.parameters, load)
-        self.state = np.zeros(1, STATE)
+        self.state = np.zeros(1, state_dtype(robot.cables))
         state = self.state
-        self.truth: Floats = state.view(np.float64).reshape(-1)[: TRUTH.itemsize // 8]
-        """the state's first part, in the order of `tonus.sim.lab.truth.TRUTH_FIELDS`"""
+        true = truth_dtype(robot.cables).itemsize
+        self.truth: Floats = state.view(np.uint8)[:true].view(np.float64)
+        """the state's first part, in the order of `tonus.sim.lab.truth.TRUTH_TABLE`"""
         self.position: Floats = state["position"][0]
         self.quaternion: Floats = state["quaternion"][0]
         self.velocity: Floats = state["velocity"][0]
@@ -94,7 +95,7 @@ class Plant:
         self._substep_ns = lab.plant.substep_us * 1000
         self.position[:] = robot.rest
         self.quaternion[0] = 1.0
-        slack = random.uniform(*lab.plant.slack_at_start, size=CABLES)
+        slack = random.uniform(*lab.plant.slack_at_start, size=robot.cables)
         self.parameters["start_length"] = self.cable_lengths() + slack
         self._run(0, 0.0, -inf)
 
@@ -146,11 +147,11 @@ class Plant:
         return trial[0]
 
     def cable_lengths(self) -> Floats:
-        """m (8,): from each frame anchor, round the pulley if there is one, to the platform's."""
+        """m (n,): from each frame anchor, round the pulley if there is one, to the platform's."""
         return np.array(self._at_rest()["length"])
 
     def structure_matrix(self) -> Floats:
-        """W (6, 8) of the present pose: the cables' wrench about the platform origin is W T."""
+        """W (6, n) of the present pose: the cables' wrench about the platform origin is W T."""
         still = self._at_rest()
         return np.vstack([still["direction"].T, np.cross(still["lever"], still["direction"]).T])
 
@@ -163,7 +164,7 @@ class Plant:
         """Total wrench (6,) on the platform at rest at a pose, about its origin: cables, weight,
         phantom and cradle, without the load port. Nothing moves and no state changes.
 
-        With ``tensions`` (8,) the cables pull with just these; without, each pulls as its
+        With ``tensions`` (n,) the cables pull with just these; without, each pulls as its
         elasticity has it with the drums where they are.
         """
         trial = self.state.copy()
@@ -200,7 +201,7 @@ class Plant:
         self.state["rotor_rate"] = 0.0
         self.current[:] = pull * p["radius"] / p["torque_per_amp"]
         self.current_reference[:] = p["sign"] * self.current
-        self.state["cell_filtered"][0, :CABLES] = pull
+        self.state["cell_filtered"][0, :-1] = pull
         self.powered[:] = True
         self._run(0, 0.0, -inf)
 

@@ -129,7 +129,7 @@ def _estimator(config: Config) -> list[Figure]:
 
 def _distribution(settings: Distribution, matrix: Array) -> list[Figure]:
     """Without an active bound, and with some."""
-    distribution = TensionDistribution(settings, 0.1)
+    distribution = TensionDistribution(settings, 0.1, 8)
     low, high = np.full(8, 20.25), np.full(8, 200.0)
     scale = np.array([1.0] * 3 + [10.0] * 3)
     root = np.sqrt(settings.wrench_weight)

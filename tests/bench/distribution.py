@@ -86,7 +86,7 @@ def distribution() -> list[Figure]:
     weights = (settings.wrench_weight, settings.stiffness_weight, length)
     posed = [pose(p.matrix, p.wrench, p.centre, p.gradient, weights) for p in problems]
     best = np.array([_least(*q, p) for q, p in zip(posed, problems, strict=True)])
-    ours = TensionDistribution(settings, length)
+    ours = TensionDistribution(settings, length, 8)
 
     def by_ours(p: Problem) -> Array:
         return ours(p.matrix, p.wrench, p.centre, p.low, p.high, p.gradient)

@@ -68,7 +68,7 @@ def ethercat() -> list[Figure]:
 
 async def _measure(config: Config) -> tuple[np.ndarray, int]:
     """us of every round trip that came back, and how many did not."""
-    fieldbus = EthercatFieldbus(config, ProcessImage(), SoemMaster)
+    fieldbus = EthercatFieldbus(config, ProcessImage(8), SoemMaster)
     prepare(priority=config.realtime.daemon_priority, processors=None, lock_memory=False)
     await fieldbus.start(lambda _: None)
     fieldbus.collect(0)

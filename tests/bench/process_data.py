@@ -47,7 +47,7 @@ def process_data() -> list[Figure]:
     config, _ = load("config/can.yaml")
     bus = config.fieldbus
     assert isinstance(bus, CanopenBus)
-    image = ProcessImage()
+    image = ProcessImage(8)
     exchange = Exchange(
         config.robot,
         bus.force_cell,

@@ -25,7 +25,7 @@ class Bench:
         loop = asyncio.get_running_loop()
         assert isinstance(loop, VirtualTimeLoop)
         self.lab = Lab(CONFIG, SCENARIO.lab, seed=1, clock=loop.now_ns)
-        self.image = ProcessImage()
+        self.image = ProcessImage(8)
         tap = Tap()
         self.frames = tap.seen
         self.fieldbus = CanopenFieldbus(CONFIG, self.image, tap, open_bus=open_bus)

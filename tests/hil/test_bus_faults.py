@@ -310,7 +310,7 @@ def stalled(operator: Commander, at_s: float) -> tuple[Outcome, Heard]:
     async def main() -> Outcome:
         lab = Lab(config, scenario.lab, seed=1, clock=clock.loop_clock())
         lab.open()
-        image = ProcessImage()
+        image = ProcessImage(8)
         daemon = Daemon(
             config,
             scenario,

@@ -33,7 +33,7 @@ def test_a_plain_listener_sees_the_documented_frames(tmp_path: Path) -> None:
         lab = Lab(config, scenario.lab, seed=1, clock=clock.now_ns)
         lab.open()
         listener = can.Bus(interface="tonus", channel="can0")
-        master = CanopenFieldbus(config, ProcessImage())
+        master = CanopenFieldbus(config, ProcessImage(8))
         await master.start(lambda _: None)
         for tick in range(20):
             master.collect(tick)
@@ -95,7 +95,7 @@ def test_when_the_master_falls_silent_every_drive_leaves_operation_enabled(
     async def go_silent() -> tuple[list[int], list[int], set[int]]:
         lab = Lab(config, scenario.lab, seed=1, clock=clock.now_ns)
         lab.open()
-        image = ProcessImage()
+        image = ProcessImage(8)
         master = CanopenFieldbus(config, image)
         listener = can.Bus(interface="tonus", channel="can0")
         await master.start(lambda _: None)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hil.runs import configured, virtual
 
-from tonus.runtime.signals import TOPICS
+from tonus.runtime.signals import TABLE
 from tonus.sim.can.wire.timing import frame_bits
 from tonus.tools.log import Log
 
@@ -37,7 +37,7 @@ def test_bit_for_bit_when_the_sampling_instants_are_equal(tmp_path: Path) -> Non
     count = len(framed["/tonus/state"])
     assert count > 2000
     assert len(direct["/tonus/state"]) == count
-    for topic in TOPICS:
+    for topic in TABLE:
         if topic.name == "/tonus/timing":
             continue
         ours, theirs = framed[topic.name], direct[topic.name]

@@ -87,7 +87,7 @@ def play(hidden: tuple[float, float] = (9.0, 9.0), knock: float = 0.0) -> tuple[
     async def main() -> Outcome:
         now = clock.loop_clock()
         lab = Lab(config, scenario.lab, seed=1, clock=now)
-        image, camera = ProcessImage(), Camera(lab)
+        image, camera = ProcessImage(8), Camera(lab)
         daemon = Daemon(
             config,
             scenario,

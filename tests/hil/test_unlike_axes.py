@@ -14,14 +14,15 @@ from loop import QUICK, ClosedLoop
 from tests.torn import Torn
 from tonus.config import load
 from tonus.config.loader import load_bounds
-from tonus.config.schema.robot import CABLES
-from tonus.runtime.signals import TOPICS
+from tonus.runtime.signals import TABLE
 from tonus.runtime.states import Fault, State
 from tonus.sim.devices.cia402.output import Output
-from tonus.sim.devices.samples import POSITION, TORQUE, Samples
+from tonus.sim.devices.samples import Samples
 from tonus.tools.campaign.invariants import within_bounds
 from tonus.tools.identify import identify
 from tonus.tools.log import Log
+
+CABLES = 8
 
 BUSES = ("config/direct.yaml", "config/can.yaml", "config/ethercat.yaml")
 FLIPPED = (1, 4, 6)
@@ -46,7 +47,7 @@ def test_a_robot_that_lists_the_defaults_for_every_axis_is_the_same_robot(tmp_pa
         result, log = virtual(config, scenario, tmp_path / str(number))
         assert result.outcome.state is State.STANDBY, result.outcome.reason
         logs.append(log)
-    for name in (*(topic.name for topic in TOPICS), "/tonus/truth"):
+    for name in (*(topic.name for topic in TABLE), "/tonus/truth"):
         ours, theirs = (log[name] for log in logs)
         assert len(ours) > 1000
         assert ours.tobytes() == theirs.tobytes(), name
@@ -94,13 +95,13 @@ def test_motors_that_turn_the_other_way_move_the_platform_alike(
     shared = sorted(one.keys() & other.keys())
     assert len(shared) > 2000
     sent, mirrored = (np.array([each[now] for now in shared]) for each in (one, other))
-    turned = sent[:, POSITION : POSITION + CABLES]
+    turned = sent[:, :CABLES]
     assert (np.ptp(turned, axis=0) > 2000).all(), "every motor turns"
-    apart = SIGNS * mirrored[:, POSITION : POSITION + CABLES] - turned
+    apart = SIGNS * mirrored[:, :CABLES] - turned
     assert np.abs(apart).max() < 0.01 * np.ptp(turned)
-    flowing = sent[:, TORQUE : TORQUE + CABLES]
+    flowing = sent[:, CABLES : 2 * CABLES]
     assert np.median(flowing, axis=0).min() > 20, "per mille, reeling in"
-    assert (np.median(mirrored[:, TORQUE : TORQUE + CABLES], axis=0) * SIGNS > 20).all()
+    assert (np.median(mirrored[:, CABLES : 2 * CABLES], axis=0) * SIGNS > 20).all()
     for axis, sign in enumerate(SIGNS):
         ours, theirs = (np.array(exchanged[f"torque {axis}"]) for exchanged in wires)
         assert ours.max() > 20

@@ -14,7 +14,7 @@ from hil.runs import configured, virtual
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from tonus.runtime.signals import TOPICS
+from tonus.runtime.signals import TABLE
 from tonus.tools.cli.export import export as export_command
 from tonus.tools.log import Log
 from tonus.tools.log.export import export
@@ -35,7 +35,7 @@ def test_mcap_reads_it_with_every_checksum(log: Log) -> None:
         assert summary is not None
         assert summary.statistics is not None
         names = {channel.topic for channel in summary.channels.values()}
-        assert {topic.name for topic in TOPICS} <= names
+        assert {topic.name for topic in TABLE} <= names
         count = sum(1 for _ in reader.iter_messages())
         assert count == summary.statistics.message_count
         attached = {item.name for item in reader.iter_attachments()}

@@ -85,7 +85,7 @@ def test_process_data_are_exchanged_with_seventeen_independent_nodes() -> None:
     config = robot_on("exchange")
 
     async def work() -> None:
-        image = ProcessImage()
+        image = ProcessImage(8)
         bus = Exchange(CanopenFieldbus(config, image), image)
         with ExitStack() as networks:
             for channel in config.fieldbus.channels:

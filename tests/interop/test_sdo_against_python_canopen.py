@@ -164,7 +164,7 @@ def bring_up(config: Config, leave_out: int = 0) -> tuple[list[str], dict[int, A
     nodes: dict[int, Any] = {}
 
     async def work() -> None:
-        fieldbus = CanopenFieldbus(config, ProcessImage())
+        fieldbus = CanopenFieldbus(config, ProcessImage(8))
         await fieldbus.start(progress.append)
         assert await fieldbus.sdo_read(0, 0x1008, 0) == b"EPOS4"
         await fieldbus.stop()

@@ -32,13 +32,13 @@ from numpy.typing import NDArray
 
 from tonus.config import load
 from tonus.config.loader import HERE
-from tonus.config.schema.robot import CABLES
 from tonus.runtime.safety.guard import Guard
 from tonus.sim.plant import Plant
 
 CONFIG, _ = load(str(HERE / "can.yaml"), scenario="hold")
 assert CONFIG.lab is not None
 ROBOT, LAB, STOP = CONFIG.robot, CONFIG.lab, CONFIG.control.stop
+CABLES = ROBOT.cables
 PERIOD = CONFIG.control.rates.period
 PERIOD_NS = CONFIG.control.rates.period_ns
 RADIUS = ROBOT.drum.radius

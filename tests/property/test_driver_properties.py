@@ -24,7 +24,7 @@ any_float = st.floats(allow_nan=True, allow_infinity=True)
 
 
 def exchange() -> tuple[Exchange, ProcessImage]:
-    image = ProcessImage()
+    image = ProcessImage(8)
     places = [f"axis {axis}" for axis in range(8)]
     cell, freshness = CONFIG.fieldbus.force_cell, CONFIG.control.freshness
     return Exchange(CONFIG.robot, cell, freshness, image, EventLog(), places), image
@@ -105,7 +105,7 @@ pose = st.builds(
 
 @given(st.lists(st.one_of(st.binary(max_size=200), pose), max_size=6), st.integers(0, 2**62))
 def test_no_datagram_puts_anything_wild_into_the_image(datagrams: list[bytes], now: int) -> None:
-    image = ProcessImage()
+    image = ProcessImage(8)
     tracker = TrackerInput(image, Given(datagrams))
     tracker.collect(now)
     row = image.tracker

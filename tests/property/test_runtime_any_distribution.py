@@ -19,7 +19,7 @@ ROBOT, CONTROL = CONFIG.robot, CONFIG.control
 LENGTH = ROBOT.geometry.moment_length
 SCALE = np.array([1.0, 1.0, 1.0, 1.0 / LENGTH, 1.0 / LENGTH, 1.0 / LENGTH])
 T_MIN, T_MAX = CONTROL.tension.min, CONTROL.tension.max
-SHARED = TensionDistribution(CONTROL.distribution, LENGTH)
+SHARED = TensionDistribution(CONTROL.distribution, LENGTH, 8)
 
 forces = st.floats(-2000.0, 2000.0)
 wrenches = st.tuples(*[forces] * 3, *[st.floats(-100.0, 100.0)] * 3)
@@ -75,7 +75,7 @@ def test_bounds_always_hold_and_the_optimum_conditions_with_them(
 @given(wrenches, centres)
 def test_the_fallback_keeps_the_bounds_too(wrench: tuple[float, ...], centre: list[float]) -> None:
     hurried = CONTROL.distribution.model_copy(update={"maximum_iterations": 1})
-    found = TensionDistribution(hurried, LENGTH)
+    found = TensionDistribution(hurried, LENGTH, 8)
     kinematics = Kinematics(ROBOT.geometry)
     kinematics.evaluate(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     low, high = np.full(8, T_MIN), np.full(8, T_MAX)

@@ -171,7 +171,7 @@ class Robot:
                 self._add(bus, amplifier.node_id, self._cell(len(amplifier.cells)))
                 for cell in amplifier.cells:
                     self.cell_at[cell] = (bus, amplifier.node_id)
-        self.image = ProcessImage()
+        self.image = ProcessImage(8)
         self.fieldbus = CanopenFieldbus(
             self.config, self.image, tap, open_bus=lambda name: self.buses[name]
         )

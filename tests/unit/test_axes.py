@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tonus.config import load
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.drivers.devices import epos4
 
 PAPER = load("config/can.yaml")[0].robot
@@ -40,7 +40,7 @@ def test_a_value_of_its_own_takes_the_defaults_place_on_its_axis_only(name: str)
     section, field, value, factor = ARRAYS[name]
     found = getattr(robot({5: {section: {field: value}}}), name)
     default = getattr(PAPER, name)
-    assert found.shape == (CABLES,)
+    assert found.shape == (8,)
     assert found[5] == pytest.approx(value * factor)
     assert found[5] != default[5]
     assert np.array_equal(np.delete(found, 5), np.delete(default, 5))
@@ -61,7 +61,7 @@ def test_axes_that_differ_in_the_sign_only_are_of_one_kind() -> None:
     assert found.signs == (1, -1, -1, 1, 1, 1, 1, 1)
     assert found.whose((1, 6)) == " on axes 1, 6"
     assert found.whose((3,)) == " on axis 3"
-    assert PAPER.whose(tuple(range(CABLES))) == ""
+    assert PAPER.whose(tuple(range(8))) == ""
 
 
 @pytest.mark.parametrize("axes", [{}, {4: {"sign": -1, "drum": {"radius": 0.025}}, 0: {}}])

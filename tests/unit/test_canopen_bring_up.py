@@ -125,7 +125,7 @@ def test_a_channel_that_cannot_be_opened_is_named() -> None:
             raise can.CanInitializationError("no such device")
         return robot.buses[name]
 
-    robot.fieldbus = CanopenFieldbus(load("config/can.yaml")[0], ProcessImage(), open_bus=refuse)
+    robot.fieldbus = CanopenFieldbus(load("config/can.yaml")[0], ProcessImage(8), open_bus=refuse)
 
     async def work() -> None:
         with pytest.raises(BringUpError, match=r"can2 cannot be opened .* no such device"):
@@ -209,10 +209,10 @@ def test_an_interpolation_period_other_than_the_ticks_is_refused() -> None:
             "config/can.yaml", overrides={"fieldbus.drive.interpolation_ms": interpolation_ms}
         )[0]
         if fits:
-            CanopenFieldbus(config, ProcessImage())
+            CanopenFieldbus(config, ProcessImage(8))
             continue
         with pytest.raises(DriverError, match="interpolation_ms is 2; it must be 0 or the period"):
-            CanopenFieldbus(config, ProcessImage())
+            CanopenFieldbus(config, ProcessImage(8))
 
 
 FOUR_CHANNELS = {

@@ -19,6 +19,13 @@ CONTROL = "control.yaml"
 BUS = "buses/can4.yaml"
 REALTIME = "realtime.yaml"
 DRIVE = "buses/epos4.yaml"
+LOWER = """\
+    - [ 0.75,  0.75, -0.55]
+    - [-0.75,  0.75, -0.55]
+    - [-0.75, -0.75, -0.55]
+    - [ 0.75, -0.75, -0.55]
+"""
+"""The paper's lower frame anchors."""
 
 
 @dataclass(frozen=True)
@@ -142,8 +149,12 @@ CASES = [
         "home", "robot.home.2", "is missing", "add it",
     ),
     Broken(
-        "seven cables", Edit(ROBOT, "    - [ 0.75, -0.75, -0.55]\n", ""), ROBOT, "frame",
-        "robot.geometry.frame", "at least 8 items", "give the missing items",
+        "an anchor too few", Edit(ROBOT, "    - [ 0.75, -0.75, -0.55]\n", ""), ROBOT, "geometry:",
+        "robot.geometry", "frame has 7 anchors, platform 8", "give both one for each cable",
+    ),
+    Broken(
+        "four cables", Edit(ROBOT, LOWER, ""), ROBOT, "frame",
+        "robot.geometry.frame", "at least 6 items", "give the missing items",
     ),
     Broken(
         "duplicate key", Edit(ROBOT, "  mass: 2.35", "  mass: 2.35\n  mass: 2.4"), ROBOT,
@@ -203,11 +214,11 @@ CASES = [
     ),
     Broken(
         "an axis by a name", axes("upper: {drum: {radius: 0.03}}"), ROBOT, "upper: {",
-        "robot.axes.upper", "there is no axis upper", "axes are numbered 0 to 7",
+        "robot.axes.upper", "there is no axis upper", "axes are numbered from 0",
     ),
     Broken(
         "an axis in a second spelling", axes("4: {}, 04: {}"), ROBOT, "04: {}",
-        "robot.axes.04", "there is no axis 04", "axes are numbered 0 to 7",
+        "robot.axes.04", "there is no axis 04", "axes are numbered from 0",
     ),
     Broken(
         "an axis twice", axes("4: {}, 4: {}"), ROBOT, "4: {}, 4: {}",
@@ -293,6 +304,19 @@ CASES = [
     Broken(
         "missing axis", Edit(BUS, ", {axis: 7, node_id: 8}", ""), BUS, "channels",
         "fieldbus.channels", "no node for axis 7", "add one",
+    ),
+    Broken(
+        "a drive of an axis that is not there", Edit(BUS, "{axis: 7,", "{axis: 8,"), BUS, "axis: 8",
+        "fieldbus.channels.3.drives.1.axis", "there is no axis 8", "axes are numbered 0 to 7",
+    ),
+    Broken(
+        "a cell that is not there", Edit(BUS, "{cell: 8,", "{cell: 9,"), BUS, "cell: 9",
+        "fieldbus.channels.3.force_cells.2", "there is no cell 9", "cells are numbered 0 to 8",
+    ),
+    Broken(
+        "an offset too few", Edit(CONTROL, "tare: null", "tare: [0, 0, 0, 0, 0, 0, 0, 0]"), CONTROL,
+        "tare: [", "control.sequence.tare", "states 8 offsets, the robot has 9 cells",
+        "give one for each",
     ),
     Broken(
         "missing contact cell", Edit(BUS, ", {cell: 8, node_id: 25}", ""), BUS, "channels",

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tonus.config import load
-from tonus.config.schema.robot import CABLES
 from tonus.runtime.control.controllers import CONTROLLERS, Motion
 from tonus.runtime.control.controllers.base import LEVEL, Controller
 from tonus.runtime.control.controllers.bio import Bio
@@ -19,6 +18,7 @@ from tonus.tools.check.rules import check
 from tonus.tools.margins.task import margins
 
 CONFIG, SCENARIO = load("config/can.yaml")
+CABLES = CONFIG.robot.cables
 HOME, PERIOD = np.array(CONFIG.robot.home), CONFIG.control.rates.period
 SMALL, ALONG = 1e-5, np.array([1.0, 0.0, 0.0])
 SPRINGS = [name for name in CONTROLLERS if name != "pid_length"]

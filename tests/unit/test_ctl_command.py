@@ -57,7 +57,9 @@ def test_a_session_in_words_and_exit_codes(daemon: Live) -> None:
     assert refused.stderr == "refused: start is not allowed in STANDBY; arm it\n"
     armed = daemon.say("arm")
     assert armed.exit_code == 0, armed.stderr
-    assert armed.stdout.splitlines()[0].startswith("STANDBY to REFERENCING: the self-test has passed")
+    assert armed.stdout.splitlines()[0].startswith(
+        "STANDBY to REFERENCING: the self-test has passed"
+    )
     assert armed.stdout.splitlines()[-1].endswith("next: start it, or stop it")
     assert daemon.say("scenario", "sine_x").exit_code == 0
     assert daemon.say("start").exit_code == 0

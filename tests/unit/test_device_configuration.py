@@ -104,7 +104,7 @@ def test_mappings_in_any_order_and_form_mean_the_same() -> None:
     encode = drive_encoder(Mapping.of([0x60710010, 0x60600008, 0x60400010]))
     assert encode(0x0F, -3) == struct.pack("<hbH", -3, 10, 0x0F)
     cell = CONFIG.fieldbus.force_cell.model_copy(update={"tpdo": (0x61500108, 0x61300120)})
-    image, events, syncs = ProcessImage(), EventLog(), Syncs()
+    image, events, syncs = ProcessImage(8), EventLog(), Syncs()
     exchange = Exchange(CONFIG.robot, cell, CONFIG.control.freshness, image, events, [""] * 8)
     reception = Reception(syncs, 8)
     of_cell = Mapping.of(cell.tpdo)

@@ -61,7 +61,7 @@ def test_the_image_is_bit_for_bit_that_of_can() -> None:
     torques = np.random.default_rng(8).normal(0.0, 6.0, (30, 8))
     port = ScriptedPort()
     port.samples = table
-    image = ProcessImage()
+    image = ProcessImage(8)
     direct = DirectFieldbus(CONFIG, image, port, now_ns)
     robot = Robot()
 
@@ -98,7 +98,7 @@ def test_samples_are_taken_at_the_offset_and_before_the_first_publish_nothing_mo
     port = ScriptedPort()
     port.samples = samples(4)
     now = 0
-    bus = DirectFieldbus(CONFIG, ProcessImage(), port, lambda: now)
+    bus = DirectFieldbus(CONFIG, ProcessImage(8), port, lambda: now)
 
     async def work() -> None:
         nonlocal now
@@ -120,7 +120,7 @@ def test_a_drive_that_refuses_is_named() -> None:
                 raise ValueError("wrong state")
             super().write(axis, index, subindex, data)
 
-    bus = DirectFieldbus(CONFIG, ProcessImage(), Refusing(), lambda: 0)
+    bus = DirectFieldbus(CONFIG, ProcessImage(8), Refusing(), lambda: 0)
 
     async def work() -> None:
         with pytest.raises(SdoError, match="0x2000:1"):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tonus.config import load
 from tonus.config.schema.axis import DriveTrain
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
@@ -25,6 +25,7 @@ from tonus.sim.plant import Plant
 
 Array = NDArray[np.float64]
 CONFIG, _ = load("config/unlike_axes.yaml")
+CABLES = CONFIG.robot.cables
 UNLIKE, CONTROL, LAB = CONFIG.robot, CONFIG.control, CONFIG.lab
 assert LAB is not None
 TRAINS = UNLIKE.drive_trains
@@ -97,7 +98,7 @@ def isolation(robot: Robot, _: DriveTrain | None) -> Array:
 
 
 def sensing(robot: Robot, _: DriveTrain | None) -> Array:
-    made, image, rows = Sensing(robot, CONTROL), ProcessImage(), []
+    made, image, rows = Sensing(robot, CONTROL), ProcessImage(8), []
     image.axes["age"] = 0
     for tick in range(1, 60):
         image.axes["angle"] = 1e-2 * tick**2
@@ -109,7 +110,7 @@ def sensing(robot: Robot, _: DriveTrain | None) -> Array:
 
 def referencing(robot: Robot, _: DriveTrain | None) -> Array:
     made = Referencing(robot, CONTROL.sequence, Kinematics(robot.geometry))
-    image = ProcessImage()
+    image = ProcessImage(8)
     image.tracker["fresh"], image.tracker["quaternion"] = 1, (1.0, 0.0, 0.0, 0.0)
     image.tracker["position"] = robot.rest
     for _tick in range(CONTROL.sequence.referencing_poses):
@@ -120,7 +121,7 @@ def referencing(robot: Robot, _: DriveTrain | None) -> Array:
 
 
 def exchange(robot: Robot, _: DriveTrain | None) -> Array:
-    image, bus = ProcessImage(), CONFIG.fieldbus
+    image, bus = ProcessImage(8), CONFIG.fieldbus
     made = Exchange(
         robot, bus.force_cell, CONTROL.freshness, image, EventLog(), [str(i) for i in range(CABLES)]
     )

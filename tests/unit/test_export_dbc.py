@@ -23,7 +23,9 @@ def exported(
     bus = config.fieldbus
     assert isinstance(bus, CanopenBus)
     channels = bus.channels if channel is None else (bus.channels[channel],)
-    text = dbc.write(messages.nodes(bus, channels), messages.messages(config, bus, channels))
+    text = dbc.write(
+        messages.nodes(config, bus, channels), messages.messages(config, bus, channels)
+    )
     found = cantools.database.load_string(text, "dbc")
     assert isinstance(found, Database)
     return found

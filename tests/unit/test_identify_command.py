@@ -14,11 +14,13 @@ from synthetic_run import MS, recording
 from tonus.config import load
 from tonus.runtime.recording.recorder import Recorder
 from tonus.runtime.recording.ring import RingWriter
-from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.signals import cycle_dtype, topics
 from tonus.runtime.states import State
 from tonus.runtime.topics import to_json
 from tonus.tools.cli.main import main
 from tonus.tools.identify.record import read
+
+CYCLE, TOPICS = cycle_dtype(8), topics(8)
 
 TICKS = 3000
 CONFIG, _ = load("config/direct.yaml")

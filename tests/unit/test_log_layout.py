@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tonus.runtime.signals import CYCLE
+from tonus.runtime.signals import cycle_dtype
 from tonus.tools.cli.log.layout import layout
 from tonus.tools.log.layout import PAGES, VIEWERS, foxglove, plotjuggler
+
+CYCLE = cycle_dtype(8)
 
 
 def known() -> set[str]:
@@ -28,14 +30,14 @@ def known() -> set[str]:
 
 
 def test_every_line_of_the_foxglove_layout_is_in_the_record() -> None:
-    panels = json.loads(foxglove())["configById"]
+    panels = json.loads(foxglove(8))["configById"]
     drawn = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
     assert len(drawn) > 60
     assert set(drawn) <= known()
 
 
 def test_every_panel_of_the_foxglove_layout_is_placed_once() -> None:
-    document = json.loads(foxglove())
+    document = json.loads(foxglove(8))
 
     def leaves(node: object) -> list[str]:
         if isinstance(node, str):
@@ -48,14 +50,14 @@ def test_every_panel_of_the_foxglove_layout_is_placed_once() -> None:
 
 
 def test_every_curve_of_the_plotjuggler_layout_is_in_the_record() -> None:
-    curves = [curve.get("name", "") for curve in ET.fromstring(plotjuggler()).iter("curve")]
+    curves = [curve.get("name", "") for curve in ET.fromstring(plotjuggler(8)).iter("curve")]
     paths = {name.replace("/", ".", 3).replace(".", "/", 2) for name in curves}
     assert paths <= known()
-    assert len(curves) == sum(1 for plots in PAGES.values() for p in plots for _ in p.series())
+    assert len(curves) == sum(1 for plots in PAGES.values() for p in plots for _ in p.series(8))
 
 
 def test_lines_of_one_plot_differ_in_colour_up_to_eight() -> None:
-    for area in ET.fromstring(plotjuggler()).iter("plot"):
+    for area in ET.fromstring(plotjuggler(8)).iter("plot"):
         colours = [curve.get("color") for curve in area.iter("curve")][:8]
         assert len(set(colours)) == len(colours)
     assert np.all([len(plots) == 4 for plots in PAGES.values()])
@@ -66,4 +68,4 @@ def test_the_command_writes_the_file_and_names_it(viewer: str, tmp_path: Path) -
     out = tmp_path / "mine"
     found = CliRunner().invoke(layout, [viewer, "--out", str(out)])
     assert found.output.strip() == str(out)
-    assert out.read_text() == VIEWERS[viewer][1]()
+    assert out.read_text() == VIEWERS[viewer][1](8)

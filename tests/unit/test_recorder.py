@@ -12,10 +12,12 @@ from tonus.config.schema.control import Recording
 from tonus.runtime.recording.recorder import Recorder
 from tonus.runtime.recording.ring import RingError, RingReader, RingWriter
 from tonus.runtime.recording.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
-from tonus.runtime.signals import CYCLE, TOPICS, CycleRecord
+from tonus.runtime.signals import CycleRecord, cycle_dtype, topics
 from tonus.runtime.topics import to_json
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
+
+CYCLE, TOPICS = cycle_dtype(8), topics(8)
 
 TICKS = 800
 RECORDING = Recording(ring_s=8.0, chunk_ms=100, compression="zstd", raw_frames=True)
@@ -33,7 +35,7 @@ class Run:
         frames = FrameRing.open(rings / "frames.ring", ["can0", "can1"], 8 * TICKS)
         self.path = folder / "run.mcap"
         self.recorder = Recorder(rings, self.path, RECORDING, {"seed": "1"}, {}, 0)
-        record = CycleRecord()
+        record = CycleRecord(8)
         self.records = np.zeros(TICKS, CYCLE)
         for tick in range(TICKS):
             record.timing.tick[...] = tick

@@ -13,7 +13,6 @@ from tonus.config.faults import KINDS
 from tonus.config.schema.faults import FAULT
 from tonus.config.schema.lab import LabScript
 from tonus.config.schema.scenario import Scenario
-from tonus.sim.devices.samples import CELL
 from tonus.sim.devices.tracker import DATAGRAM, VALID
 from tonus.sim.errors import LabError
 from tonus.sim.lab.door import Door
@@ -140,7 +139,7 @@ def test_the_devices_show_what_a_broken_sensor_shows() -> None:
         bench.wait(5)
         sound.wait(5)
         words, healthy = samples.at(bench.now), sound.lab.samples.at(sound.now)
-        assert words[CELL + 8] - healthy[CELL + 8] == pytest.approx(3000, abs=1)
+        assert words[2 * 8 + 8] - healthy[2 * 8 + 8] == pytest.approx(3000, abs=1)
         assert words[2] - healthy[2] == pytest.approx(0.5 * per_radian, abs=1.0)
         assert samples.position(2) == words[2]
 

@@ -334,7 +334,7 @@ def test_equal_inputs_make_equal_records_bit_for_bit(hold: tuple[ClosedLoop, Tra
     loop, trace = hold
     config, scenario = configured("hold", QUICK)
     again = ControlCycle(config.robot, config.control, config.tracker, scenario.reference)
-    image = ProcessImage()
+    image = ProcessImage(8)
     for tick, given in enumerate(loop.inputs):
         image.axes[:], image.cells[:] = given.axes, given.cells
         image.tracker[...] = given.tracker

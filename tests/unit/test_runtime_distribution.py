@@ -43,7 +43,7 @@ def reference(matrix: Array, wrench: Array, centre: Array, low: Array, high: Arr
 
 
 def distribution(settings: Distribution = SETTINGS) -> TensionDistribution:
-    return TensionDistribution(settings, LENGTH)
+    return TensionDistribution(settings, LENGTH, 8)
 
 
 CASES = {

@@ -9,13 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from tonus.config import load
-from tonus.config.schema.bus import CELLS
-from tonus.config.schema.robot import CABLES
 from tonus.runtime.safety.isolation import Isolation
 from tonus.runtime.states import Fault
 
 Array = NDArray[np.float64]
 CONFIG, _ = load("config/can.yaml")
+CABLES, CELLS = CONFIG.robot.cables, CONFIG.robot.cells
 CONTROL = CONFIG.control
 PERIOD, RADIUS = CONTROL.rates.period, CONFIG.robot.drum.radius
 SETTINGS = CONTROL.isolation

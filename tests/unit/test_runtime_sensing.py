@@ -15,7 +15,7 @@ PERIOD, FRESHNESS = CONTROL.rates.period, CONTROL.freshness
 
 
 def quiet() -> ProcessImage:
-    image = ProcessImage()
+    image = ProcessImage(8)
     image.axes["age"], image.cells["age"] = 0, 0
     return image
 
@@ -29,7 +29,7 @@ def test_rate_is_the_difference_of_consecutive_samples() -> None:
 
 
 def test_the_first_sample_makes_no_rate() -> None:
-    sensing, image = Sensing(ROBOT, CONTROL), ProcessImage()
+    sensing, image = Sensing(ROBOT, CONTROL), ProcessImage(8)
     sensing.step(image, 0)
     image.axes["age"], image.axes["angle"] = 0, 40.0
     sensing.step(image, 1)

@@ -8,8 +8,10 @@ import struct
 import numpy as np
 import pytest
 
-from tonus.runtime.signals import CYCLE, TOPICS, CycleRecord
+from tonus.runtime.signals import CycleRecord, cycle_dtype, topics
 from tonus.runtime.topics import Field, Topic, from_json, record_dtype, to_json
+
+CYCLE, TOPICS = cycle_dtype(8), topics(8)
 
 CDR = {
     "float64": ("d", 8),
@@ -70,7 +72,7 @@ def test_topics_survive_json() -> None:
 
 
 def test_views_write_through_to_the_record() -> None:
-    record = CycleRecord()
+    record = CycleRecord(8)
     record.pose.position[:] = (1.0, 2.0, 3.0)
     record.timing.tick[...] = 7
     record.stiffness.k_eq[...] = 3210.0

@@ -42,7 +42,7 @@ def several(failing: dict[str, str]) -> tuple[SeveralFieldbuses, list[Part]]:
         return parts[-1]
 
     config, _ = load("config/mixed.yaml")
-    made = SeveralFieldbuses(config, ProcessImage(), build)  # type: ignore[arg-type]
+    made = SeveralFieldbuses(config, ProcessImage(8), build)  # type: ignore[arg-type]
     return made, parts
 
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tonus import runtime
-from tonus.runtime.signals import TOPICS
+from tonus.runtime.signals import TABLE
 
-NAMES = {topic.name.rsplit("/", 1)[1] for topic in TOPICS}
+NAMES = {topic.name.rsplit("/", 1)[1] for topic in TABLE}
 
 
 def topic_of(node: ast.expr, known: dict[str, str]) -> str | None:
@@ -65,7 +65,7 @@ def writers() -> dict[tuple[str, str], set[str]]:
 
 def test_each_signal_is_written_by_one_function() -> None:
     found = writers()
-    for topic in TOPICS:
+    for topic in TABLE:
         name = topic.name.rsplit("/", 1)[1]
         for field in topic.fields:
             places = found[name, field.name]

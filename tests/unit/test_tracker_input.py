@@ -51,7 +51,7 @@ class Listed:
 
 
 def setup() -> tuple[ProcessImage, Listed, TrackerInput]:
-    image, source = ProcessImage(), Listed()
+    image, source = ProcessImage(8), Listed()
     return image, source, TrackerInput(image, source)
 
 
@@ -122,7 +122,7 @@ class Failing(Listed):
 
 
 def test_an_error_of_the_socket_is_counted_and_ends_no_tick() -> None:
-    image, source = ProcessImage(), Failing()
+    image, source = ProcessImage(8), Failing()
     tracker = TrackerInput(image, source)
     for _ in range(100):
         tracker.collect(5 * MS)
@@ -153,7 +153,7 @@ def test_what_came_before_an_error_of_the_socket_is_used(monkeypatch: pytest.Mon
     source.close()
     broken = BrokenSocket()
     monkeypatch.setattr(source, "_socket", broken)
-    image = ProcessImage()
+    image = ProcessImage(8)
     tracker = TrackerInput(image, source)
     broken.answers = [datagram(1, MS), OSError(errno.ECONNREFUSED, "refused"), datagram(2, 2 * MS)]
     tracker.collect(5 * MS)

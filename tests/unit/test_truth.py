@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from plant_setup import KELVIN_VOIGT, placed, plant, run
 
-from tonus.sim.lab.truth import TRUTH, TRUTH_FIELDS, fill
+from tonus.sim.lab.truth import fill, truth_dtype, truth_fields
+
+TRUTH, TRUTH_FIELDS = truth_dtype(8), truth_fields(8)
 
 
 def test_the_record_is_packed_in_the_tables_order_widest_first() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.cycle import ControlCycle
-from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.signals import TABLE, cycle_dtype
 from tonus.runtime.states import Operator
 from tonus.tools.campaign.observed import Observed
 
@@ -30,7 +30,7 @@ def first_difference(run: Observed) -> tuple[int, str] | None:
     begin with the run's first tick."""
     config, cycle = run.config, run.cycle
     fresh = ControlCycle(config.robot, config.control, config.tracker, run.scenario.reference)
-    image = ProcessImage()
+    image = ProcessImage(config.robot.cables)
     tables = [
         (getattr(image, table)[name], cycle[topic][name])
         for topic, (table, names) in _INPUTS.items()
@@ -40,14 +40,14 @@ def first_difference(run: Observed) -> tuple[int, str] | None:
     ticks = cycle["timing"]["tick"].tolist()
     operators = cycle["state"]["operator"].tolist()
     selects = cycle["state"]["select"].tolist()
-    out = np.zeros(len(ticks), CYCLE)
+    out = np.zeros(len(ticks), cycle_dtype(config.robot.cables))
     for index, tick in enumerate(ticks):
         for table, rows in tables:
             table[...] = rows[index]
         operator = Operator(operators[index])
         out[index] = fresh.step(image, tick, operator, selects[index]).data[0]
     found: list[tuple[int, str]] = []
-    for topic in TOPICS:
+    for topic in TABLE:
         short = topic.name.rsplit("/", 1)[1]
         for name in (each.name for each in topic.fields if short != "timing"):
             then, now = np.ascontiguousarray(cycle[short][name]), out[short][name]

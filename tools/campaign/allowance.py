@@ -57,7 +57,7 @@ def optimum(
     velocity: ArrayLike,
     table: LeastStops | None = None,
 ) -> Stop:
-    """The table's entry for ``cable`` (0 to 7): of the motion that ``velocity`` (m/s) along the way
+    """The table's entry for ``cable`` (from 0): of the motion that ``velocity`` (m/s) along the way
     to the torn cable's anchor is nearest to, at the pose nearest to ``position`` (m) that has one.
     Raises `ValueError` where the table has none."""
     table = table or _table()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.drivers.process_image import AxisState
-from tonus.runtime.signals import TOPICS
+from tonus.runtime.signals import TABLE
 from tonus.runtime.states import Fault, State
 from tonus.tools.campaign.strikes import Strike, strikes
 from tonus.tools.errors import ToolError
@@ -74,7 +74,7 @@ def of_log(log: Log, named: frozenset[str] = frozenset()) -> Observed:
     `ToolError`."""
     if TRUTH not in log:
         raise ToolError(f"{log.path}: holds no truth, so it cannot be judged; run it in the lab")
-    topics = [topic.name for topic in TOPICS if topic.name in log]
+    topics = [topic.name for topic in TABLE if topic.name in log]
     log.load([*topics, TRUTH])
     cycle = {name.rsplit("/", 1)[1]: log[name] for name in topics}
     times = log.times("/tonus/timing")

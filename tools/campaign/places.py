@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from tonus.config.schema.bus import CELLS, CanopenBus, EthercatBus, parts
+from tonus.config.schema.bus import CanopenBus, EthercatBus, parts
 from tonus.config.schema.campaign import Place
-from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 
 
@@ -15,10 +14,12 @@ def places(config: Config, place: Place | None) -> list[dict[str, Any]]:
     """The fields of a fault that say where it is, once for each place of the kind."""
     if place is None:
         return [{}]
+    robot = config.robot
     if place == "axis":
-        return [{"axis": axis} for axis in range(CABLES)]
+        return [{"axis": axis} for axis in range(robot.cables)]
     if place in ("cell", "cable_cell"):
-        return [{"cell": cell} for cell in range(CABLES if place == "cable_cell" else CELLS)]
+        count = robot.cables if place == "cable_cell" else robot.cells
+        return [{"cell": cell} for cell in range(count)]
     if place == "channel":
         return [{"channel": name} for name in dict.fromkeys(name for name, _, _ in _nodes(config))]
     return [

@@ -18,12 +18,12 @@ from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.safety.sequence import Sequence
-from tonus.runtime.signals import CYCLE
+from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import Fault, Operator, State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.lab.engine import Lab
-from tonus.sim.lab.truth import TRUTH
+from tonus.sim.lab.truth import truth_dtype
 from tonus.tools.campaign.episode import Episode
 from tonus.tools.campaign.observed import FAULTED, GOOD, End, Observed
 from tonus.tools.campaign.strikes import strikes
@@ -108,7 +108,8 @@ class Playing:
         self.config, self.scenario, self._seed = config, scenario, seed
         self.script = Operated(scenario, config.control.rates.period, tail, longest)
         self._turn = turn
-        self._cycles, self._truths = Rows(CYCLE), Rows(TRUTH)
+        cables = config.robot.cables
+        self._cycles, self._truths = Rows(cycle_dtype(cables)), Rows(truth_dtype(cables))
         self._events: list[Event] = []
         self.lab: Lab | None = None
 
@@ -146,7 +147,8 @@ class Playing:
         )
 
     async def _main(self) -> Outcome:
-        config, image = self.config, ProcessImage()
+        config = self.config
+        image = ProcessImage(config.robot.cables)
         lab = self.lab = Lab(
             config,
             self.scenario.lab,

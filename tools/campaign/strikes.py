@@ -9,7 +9,6 @@ from typing import Any
 
 from tonus.config.schema.bus import CanopenBus, EthercatBus, parts
 from tonus.config.schema.faults import Fault
-from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 
 NS = 1_000_000_000
@@ -71,7 +70,7 @@ def _strike(config: Config, fault: Any, at_ns: int, named: frozenset[str]) -> St
         kind,
         at_ns,
         frozenset(axes),
-        frozenset(cells | {each for each in axes if each < CABLES}),
+        frozenset(cells | axes),
         places,
         unpowers=sto or kind == "power_loss",
         named=kind in named,

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from tonus.config import Config, Scenario
 from tonus.config.busload import channel_load
 from tonus.config.schema.bus import (
-    CELLS,
     Amplifier,
     CanopenBus,
     Channel,
@@ -24,7 +23,6 @@ from tonus.config.schema.bus import (
     ForceCell,
     parts,
 )
-from tonus.config.schema.robot import CABLES
 from tonus.config.schema.robot_faults import OfRobot, PhantomHit
 from tonus.drivers.canopen import identifiers
 from tonus.drivers.canopen.process_data import drive_encoder
@@ -253,7 +251,7 @@ def _faults(config: Config, scenario: Scenario) -> Iterator[Finding]:
 
 def _robot_fault(config: Config, scenario: Scenario, index: int, fault: OfRobot) -> Finding:
     where = f"scenario {scenario.name}: lab.faults.{index}"
-    for name, count in (("axis", CABLES), ("cell", CELLS)):
+    for name, count in (("axis", config.robot.cables), ("cell", config.robot.cells)):
         number = getattr(fault, name, None)
         if number is not None:
             return Finding(

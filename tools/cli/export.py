@@ -40,7 +40,7 @@ def dbc(config: Path, channel: str | None, out: Path | None) -> None:
         found = messages.messages(loaded, bus, channels)
     except ToolError as error:
         raise ToolError(f"{config}: {error}") from error
-    text = dbc_file.write(messages.nodes(bus, channels), found)
+    text = dbc_file.write(messages.nodes(loaded, bus, channels), found)
     if out is None:
         click.echo(text, nl=False)
     else:

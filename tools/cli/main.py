@@ -58,7 +58,7 @@ class _Commands(click.Group):
 @click.group(cls=_Commands)
 @click.version_option(package_name="tonus")
 def tonus() -> None:
-    """Control software of an eight-cable parallel robot, and its lab in software."""
+    """Control software of a cable-driven parallel robot, and its lab in software."""
 
 
 def main() -> None:

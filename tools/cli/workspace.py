@@ -9,7 +9,6 @@ import click
 import numpy as np
 
 from tonus.config import Config, load
-from tonus.config.schema.robot import CABLES
 from tonus.tools.cli.numbers import FiniteRange
 from tonus.tools.folders import make_folder
 from tonus.tools.workspace import Maps, compute, draw, grid
@@ -22,7 +21,7 @@ COARSEST, FINEST = 2, 41
 @click.option("--tilt", is_flag=True, help="Turned by the workspace's tilt as well as upright.")
 @click.option(
     "--missing",
-    type=click.IntRange(0, CABLES - 1),
+    type=click.IntRange(min=0),
     help="As if this cable (the number of its axis) were lost.",
 )
 @click.option(
@@ -52,6 +51,11 @@ def workspace(
 ) -> None:
     """Map CONFIG's workspace: wrench feasibility, wrench closure and stiffness at every pose."""
     loaded, _ = load(config)
+    if missing is not None and missing >= loaded.robot.cables:
+        raise click.BadParameter(
+            f"there is no axis {missing}; axes are numbered 0 to {loaded.robot.cables - 1}",
+            param_hint="'--missing'",
+        )
     if force is None:
         force = loaded.control.envelope.contact_limit
     make_folder(out)

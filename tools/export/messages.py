@@ -8,7 +8,7 @@ from functools import partial
 
 from tonus.config import Config
 from tonus.config.schema.axis import DriveTrain
-from tonus.config.schema.bus import CONTACT_CELL, CanopenBus, Channel, Device
+from tonus.config.schema.bus import CanopenBus, Channel, Device
 from tonus.drivers.canopen import emcy, identifiers
 from tonus.drivers.cia301.pdo import Mapping as PdoMapping
 from tonus.drivers.cia301.pdo import PdoError
@@ -59,14 +59,15 @@ Known = Mapping[int, Callable[[int], list[Signal]]]
 """By mapping word: the signals of an object that starts at a bit of its PDO."""
 
 
-def nodes(bus: CanopenBus, channels: tuple[Channel, ...]) -> dict[str, str]:
+def nodes(config: Config, bus: CanopenBus, channels: tuple[Channel, ...]) -> dict[str, str]:
     """Names with what they are."""
     found = {MASTER: f"the control PC, node {bus.master.node_id}"}
     for channel in channels:
         for drive in channel.drives:
             found[f"Axis{drive.axis}"] = f"drive, node {drive.node_id} on {channel.name}"
         for cell in channel.force_cells:
-            found[_cells_name(cell.cells)] = f"load cell, node {cell.node_id} on {channel.name}"
+            name = _cells_name(config, cell.cells)
+            found[name] = f"load cell, node {cell.node_id} on {channel.name}"
     return found
 
 
@@ -77,7 +78,7 @@ def messages(config: Config, bus: CanopenBus, channels: tuple[Channel, ...]) -> 
     a PDO cannot be described.
     """
     found: dict[int, tuple[Message, str]] = {}
-    everyone = tuple(name for name in nodes(bus, channels) if name != MASTER)
+    everyone = tuple(name for name in nodes(config, bus, channels) if name != MASTER)
     for channel in channels:
         for message in _channel(config, bus, channel, everyone):
             there = found.setdefault(message.identifier, (message, channel.name))
@@ -112,8 +113,8 @@ def _channel(
         tpdo = bus.drive.tpdo
         yield from _node(name, drive.node_id, "drive", bus.drive, tpdo, known, cycle_ms)
     for cell in channel.force_cells:
-        name = _cells_name(cell.cells)
-        known = _of_cells(cell.cells, bus.force_cell.decimal_digits)
+        name = _cells_name(config, cell.cells)
+        known = _of_cells(config, cell.cells, bus.force_cell.decimal_digits)
         tpdo = bus.force_cell.mapping(len(cell.cells))
         yield from _node(name, cell.node_id, "force_cell", bus.force_cell, tpdo, known, cycle_ms)
 
@@ -249,11 +250,11 @@ def _statusword(start: int) -> list[Signal]:
     return [state, *flags]
 
 
-def _of_cells(cells: tuple[int, ...], digits: int) -> Known:
+def _of_cells(config: Config, cells: tuple[int, ...], digits: int) -> Known:
     """Each channel's signals; where there are several they carry their cell's name."""
     known: dict[int, Callable[[int], list[Signal]]] = {}
     for channel, cell in enumerate(cells, start=1):
-        suffix = f"_{_cell_name(cell)}" if len(cells) > 1 else ""
+        suffix = f"_{_cell_name(config, cell)}" if len(cells) > 1 else ""
         force = Signal(f"Force{suffix}", 0, 32, "signed", 10.0**-digits, "N")
         status = Signal(f"Status{suffix}", 0, 8, about="CiA 404, 0x6150", values=_CELL_STATUS)
         for entry, signal in (
@@ -266,9 +267,9 @@ def _of_cells(cells: tuple[int, ...], digits: int) -> Known:
     return known
 
 
-def _cells_name(cells: tuple[int, ...]) -> str:
-    return "_".join(map(_cell_name, cells))
+def _cells_name(config: Config, cells: tuple[int, ...]) -> str:
+    return "_".join(_cell_name(config, cell) for cell in cells)
 
 
-def _cell_name(cell: int) -> str:
-    return "Contact" if cell == CONTACT_CELL else f"Cell{cell}"
+def _cell_name(config: Config, cell: int) -> str:
+    return "Contact" if cell == config.robot.contact_cell else f"Cell{cell}"

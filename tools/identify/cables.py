@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.robot import CABLES
 from tonus.runtime.states import State
 from tonus.tools.identify.estimate import (
     NORMAL,
@@ -34,11 +33,12 @@ def identify_cables(records: Sequence[Record], anchor_sigma: float) -> list[Esti
     """EA, from l = (L0 − r θ)(1 + T/EA) at the tracker's poses: bring-up, from straight to
     pretension, says most. Empty when no cable's tension changed enough. Each coordinate of an
     anchor may be wrong by ``anchor_sigma`` (m), standard error."""
-    stretches = [[_stretch(record, cable) for record in records] for cable in range(CABLES)]
+    robot = records[0].config.robot
+    stretches = [[_stretch(record, cable) for record in records] for cable in range(robot.cables)]
     fits = [_fit(parts) for parts in stretches]
     if not any(fits):
         return []
-    robot, estimates = records[0].config.robot, []
+    estimates = []
     for axes, key, configured in per_kind(robot, "cable", "axial_stiffness", fits):
         some = [fits[cable] for cable in axes]
         value, half_width = mean_of(some, 0)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.robot import CABLES
 from tonus.runtime.states import State
 from tonus.tools.identify.estimate import Estimate, Fit, each_of, fit, mean_of, numbered, per_kind
 from tonus.tools.identify.record import UNLIKE_DELAY_TICKS, Record
@@ -125,7 +124,8 @@ def _again(drums: Sequence[Drum], fits: Sequence[Fit | None], **late: float) -> 
 def identify_drums(records: Sequence[Record]) -> tuple[list[Estimate], list[tuple[Drum, Fit]]]:
     """Inertia, friction and efficiencies, and every drum that could be fitted; both empty when
     none could."""
-    drums = [gather(records, cable) for cable in range(CABLES)]
+    every = tuple(range(records[0].config.robot.cables))
+    drums = [gather(records, cable) for cable in every]
     fits = [fit_drum(drum) for drum in drums]
     fitted = [(drum, found) for drum, found in zip(drums, fits, strict=True) if found is not None]
     if not fitted:
@@ -134,7 +134,6 @@ def identify_drums(records: Sequence[Record]) -> tuple[list[Estimate], list[tupl
     robot, lab = config.robot, config.lab
     coulomb = lab.plant.coulomb_friction if lab else None
     load = lab.plant.load_friction if lab else None
-    every = tuple(range(CABLES))
     of_lab = {"coulomb_friction": coulomb, "load_friction": load}
     delay = UNLIKE_DELAY_TICKS * records[0].period
     skewed = [_again(drums, fits, encoder=delay), _again(drums, fits, cell=delay)]

@@ -15,7 +15,6 @@ from scipy.ndimage import binary_erosion
 from scipy.signal import butter, filtfilt
 from scipy.spatial.transform import Rotation
 
-from tonus.config.schema.robot import CABLES
 from tonus.config.schema.root import Config
 from tonus.runtime.states import State
 from tonus.tools.errors import ToolError
@@ -49,11 +48,11 @@ class Record:
     """s (n,), of the SYNC at which drives and cells sampled"""
     state: NDArray[np.uint8]
     angle: Array
-    """rad (n, 8)"""
+    """rad (n, cables)"""
     torque: Array
-    """N m at the drum (n, 8), the drives' own figure"""
+    """N m at the drum (n, cables), the drives' own figure"""
     tension: Array
-    """N (n, 8), tared"""
+    """N (n, cables), tared"""
     desired: Array
     """m (n, 3)"""
     stiffness: Array
@@ -111,7 +110,7 @@ class Record:
 
     @cached_property
     def direction(self) -> Array:
-        """Unit vectors (n, 8, 3) along which the cables pull the platform, base frame."""
+        """Unit vectors (n, cables, 3) along which the cables pull the platform, base frame."""
         way = ways(self.config, self.position, self.rotation)
         return np.asarray(way / np.linalg.norm(way, axis=2, keepdims=True))
 
@@ -122,11 +121,11 @@ class Record:
 
     @cached_property
     def tare_error(self) -> Array:
-        """N (8,): standard error of the cells' zero, from their noise while they were tared."""
-        raw = self.log["/tonus/force_cells"]["raw"][:, :CABLES]
+        """N (cables,): standard error of the cells' zero, from their noise while tared."""
+        raw = self.log["/tonus/force_cells"]["raw"][:, :-1]
         before = raw[self.log["/tonus/state"]["state"] == State.OFF]
         if len(before) < 2:
-            return np.zeros(CABLES)
+            return np.zeros(raw.shape[1])
         return np.asarray(before.std(axis=0, ddof=1) / np.sqrt(len(before)))
 
 
@@ -137,7 +136,7 @@ def _filled(ticks: NDArray[np.int64], values: Array) -> Array:
 
 
 def ways(config: Config, position: Array, rotation: Rotation) -> Array:
-    """From platform to frame anchors (n, 8, 3), m, at poses (n,)."""
+    """From platform to frame anchors (n, cables, 3), m, at poses (n,)."""
     geometry = config.robot.geometry
     frame, tips = np.array(geometry.frame), np.array(geometry.platform)
     turned = np.einsum("nij,cj->nci", rotation.as_matrix(), tips)

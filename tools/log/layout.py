@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from tonus.runtime.signals import TOPICS
+from tonus.runtime.signals import TABLE
 
 MARKERS, BASE = "/viewer/markers", "base"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
 """told apart by the colour-blind too (Okabe and Ito, Color Universal Design)"""
-_SIZES = {
-    f"{topic.name.rsplit('/', 1)[1]}.{field.name}": field.size
-    for topic in TOPICS
+_FIELDS = {
+    f"{topic.name.rsplit('/', 1)[1]}.{field.name}": field
+    for topic in TABLE
     for field in topic.fields
 }
 _FOXGLOVE_COLUMNS = 2
@@ -33,11 +33,11 @@ class Plot:
     signals: tuple[str, ...]
     """topic.field of the cycle record; arrays are drawn element by element"""
 
-    def series(self) -> Iterator[tuple[str, str, int | None]]:
+    def series(self, cables: int) -> Iterator[tuple[str, str, int | None]]:
         """(topic, field, element or None for a scalar) of each line."""
         for signal in self.signals:
             topic, field = signal.split(".")
-            size = _SIZES[signal]
+            size = _FIELDS[signal].sized(cables).size
             for element in range(size) if size else (None,):
                 yield f"/tonus/{topic}", field, element
 
@@ -70,7 +70,7 @@ PAGES: Mapping[str, tuple[Plot, ...]] = {
 }
 
 
-def foxglove() -> str:
+def foxglove(cables: int) -> str:
     """JSON for "Import from file" in Foxglove or Lichtblick: a tab a page, and the robot in 3-D."""
     panels: dict[str, Any] = {
         "3D!robot": {
@@ -85,7 +85,7 @@ def foxglove() -> str:
         names = []
         for number, plot in enumerate(plots):
             name = f"Plot!{page.lower()}{number}"
-            panels[name] = _foxglove_plot(plot)
+            panels[name] = _foxglove_plot(plot, cables)
             names.append(name)
         half = len(names) // _FOXGLOVE_COLUMNS
         columns = [_split(names[:half], "column"), _split(names[half:], "column")]
@@ -101,7 +101,7 @@ def foxglove() -> str:
     return json.dumps(layout, indent=2) + "\n"
 
 
-def _foxglove_plot(plot: Plot) -> dict[str, Any]:
+def _foxglove_plot(plot: Plot, cables: int) -> dict[str, Any]:
     return {
         "foxglovePanelTitle": plot.title,
         "paths": [
@@ -112,7 +112,7 @@ def _foxglove_plot(plot: Plot) -> dict[str, Any]:
                 "enabled": True,
                 "timestampMethod": "receiveTime",
             }
-            for (topic, field, element), colour in _coloured(plot)
+            for (topic, field, element), colour in _coloured(plot, cables)
         ],
         "xAxisVal": "timestamp",
         "showLegend": True,
@@ -133,7 +133,7 @@ def _split(parts: Sequence[Any], direction: str) -> Any:
     }
 
 
-def plotjuggler() -> str:
+def plotjuggler(cables: int) -> str:
     """XML for "Load Layout" in PlotJuggler: a tab a page."""
     root = ET.Element("root")
     window = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
@@ -147,7 +147,7 @@ def plotjuggler() -> str:
         for plot in plots:
             area = ET.SubElement(splitter, "DockArea", name=plot.title)
             drawn = ET.SubElement(area, "plot", mode="TimeSeries", style="Lines")
-            for (topic, field, element), colour in _coloured(plot):
+            for (topic, field, element), colour in _coloured(plot, cables):
                 name = f"{topic}/{field}" + ("" if element is None else f"[{element}]")
                 ET.SubElement(drawn, "curve", name=name, color=colour)
     ET.SubElement(window, "currentTabIndex", index="0")
@@ -155,8 +155,8 @@ def plotjuggler() -> str:
     return "<?xml version='1.0' encoding='UTF-8'?>\n" + ET.tostring(root, "unicode") + "\n"
 
 
-def _coloured(plot: Plot) -> Iterator[tuple[tuple[str, str, int | None], str]]:
-    for number, line in enumerate(plot.series()):
+def _coloured(plot: Plot, cables: int) -> Iterator[tuple[tuple[str, str, int | None], str]]:
+    for number, line in enumerate(plot.series(cables)):
         yield line, COLOURS[number % len(COLOURS)]
 
 
@@ -165,8 +165,8 @@ def _label(field: str, element: int | None) -> str:
     return words if element is None else f"{words} {element}"
 
 
-VIEWERS: Mapping[str, tuple[str, Callable[[], str]]] = {
+VIEWERS: Mapping[str, tuple[str, Callable[[int], str]]] = {
     "foxglove": ("tonus.foxglove.json", foxglove),
     "plotjuggler": ("tonus.plotjuggler.xml", plotjuggler),
 }
-"""usual file name and maker, by viewer"""
+"""usual file name and maker, for so many cables, by viewer"""

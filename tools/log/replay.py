@@ -22,7 +22,7 @@ from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.errors import ControllerError
 from tonus.runtime.recording.keyframe import KeyframeError, restore
 from tonus.runtime.recording.messages import KEYFRAME_TOPIC
-from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.signals import TABLE, cycle_dtype
 from tonus.runtime.states import Fault, Operator
 from tonus.tools.errors import ToolError
 from tonus.tools.log.decode import Column
@@ -214,8 +214,8 @@ class _Replayer:
             self._config = _in_step(log, self._config, other)
         self._reference = played(log).reference
         self._others = [scenario.reference for scenario in catalogue(log)]
-        self._image = ProcessImage()
-        self._topics = [topic for topic in TOPICS if topic.name in log]
+        self._image = ProcessImage(self._config.robot.cables)
+        self._topics = [topic for topic in TABLE if topic.name in log]
         self._cycle: ControlCycle | None = None
         self._next: int | None = 0
         """sequence number of the record that follows on the state; None: no state"""
@@ -283,7 +283,7 @@ class _Replayer:
     def _play(self, batch: dict[str, Column], ticks: NDArray[np.int64]) -> None:
         """Step through a batch, and compare what came out."""
         sequence = batch[TIMING].sequence
-        out = np.zeros(len(ticks), CYCLE)
+        out = np.zeros(len(ticks), cycle_dtype(self._config.robot.cables))
         done = np.zeros(len(ticks), bool)
         rows = self._inputs(batch)
         state = batch["/tonus/state"].messages

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.runtime.recording.messages import KEYFRAME_TOPIC
-from tonus.runtime.signals import TOPICS
+from tonus.runtime.signals import TABLE
 from tonus.tools.errors import ToolError
 from tonus.tools.log.decode import Column
 from tonus.tools.log.log import Log
@@ -19,7 +19,7 @@ from tonus.tools.run.truth import TOPIC as TRUTH
 
 _NS = 1e-9
 _UNITS = {
-    (topic.name, field.name): field.unit for topic in (*TOPICS, TRUTH) for field in topic.fields
+    (topic.name, field.name): field.unit for topic in (*TABLE, TRUTH) for field in topic.fields
 }
 
 

@@ -1,7 +1,7 @@
 """Stability margins of a whole controller: task-space loop round tension loop round plant.
 
 Translation along one axis at home, linear and frictionless, as in
-`tonus.tools.margins.tension_loop`: the eight drums move in the pattern g_i = u_i . d of that axis,
+`tonus.tools.margins.tension_loop`: the drums move in the pattern g_i = u_i . d of that axis,
 so that they are one drum behind one cable, and G = sum g_i^2 of them pull at the platform. Where
 axes differ, each kind is computed as if all were of it, and the worst counts. The
 estimator is taken as exact but for its delay, so a load observer, which then sees only what comes

@@ -19,12 +19,12 @@ from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.safety.sequence import Sequence
-from tonus.runtime.signals import CYCLE
+from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import Fault, Operator, State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.lab.engine import Lab
-from tonus.sim.lab.truth import TRUTH
+from tonus.sim.lab.truth import truth_dtype
 from tonus.tools.log.log import Event
 from tonus.tools.paper.case import Kind, Run
 from tonus.tools.paper.trial import Trial
@@ -87,14 +87,15 @@ class _Conduct:
         self._run, self._config = run, config
         stride = SLOW_TICKS if run.case.kind is Kind.SLOPE else 1
         stride_ns = stride * config.control.rates.period_ns
-        self.cycles = _Cycles(CYCLE, stride_ns)
-        self.truths = _Rows(TRUTH, stride_ns)
+        cables = config.robot.cables
+        self.cycles = _Cycles(cycle_dtype(cables), stride_ns)
+        self.truths = _Rows(truth_dtype(cables), stride_ns)
         self.events: list[Event] = []
         self.contact_peak = 0.0
 
     async def play(self) -> Outcome:
         run, config = self._run, self._config
-        image = ProcessImage()
+        image = ProcessImage(config.robot.cables)
         lab = Lab(
             config, run.case.scenario.lab, seed=run.seed, clock=clock.loop_clock(), truth=self._true
         )
@@ -154,13 +155,13 @@ def conduct(
         time=seconds,
         cycle={
             f"{topic}.{field}": np.ascontiguousarray(cycles[topic][field])
-            for topic in CYCLE.names or ()
-            for field in CYCLE[topic].names or ()
+            for topic in cycles.dtype.names or ()
+            for field in cycles.dtype[topic].names or ()
             if cycle is None or f"{topic}.{field}" in cycle
         },
         truth={
             name: np.ascontiguousarray(truths[name])
-            for name in TRUTH.names or ()
+            for name in truths.dtype.names or ()
             if truth is None or name in truth
         },
         state=outcome.state.name,

@@ -58,7 +58,7 @@ def over_time(
 
 
 class Cloud:
-    """Figure 1's points: highest tension of the eight, K_eq, contact, and the envelope's grade, of
+    """Figure 1's points: highest tension of all, K_eq, contact, and the envelope's grade, of
     the armed robot, thinned to `_DOTS`."""
 
     def __init__(self, story: Story) -> None:

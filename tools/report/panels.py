@@ -56,7 +56,7 @@ def stiffness(sheet: Sheet, piece: Piece) -> None:
 
 
 def tension(sheet: Sheet, piece: Piece) -> None:
-    """The eight cables: true in a lab, measured otherwise."""
+    """The cables: true in a lab, measured otherwise."""
     for cable, column in enumerate(tensions(piece.log).T):
         colour, line = style.cable(cable)
         sheet.curve(piece, column, f"cable {cable + 1}", colour, width=1.1, line=line)

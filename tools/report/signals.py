@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import sys
 
-from tonus.runtime.signals import SCHEMA_VERSION, TOPICS
-from tonus.runtime.topics import Topic
+from tonus.runtime.signals import SCHEMA_VERSION, TABLE
+from tonus.runtime.topics import Per, Topic
 from tonus.tools.run.truth import TOPIC as TRUTH
 
 _HEAD = """# The log
@@ -22,6 +22,7 @@ definition in the file. The file also has `/tonus/events` ([events.md](events.md
 Configuration, scenario and installed packages are attached; the metadata `tonus` has versions, seed
 and, in real time, facts about the host. `log_time` is UTC in real time and starts at 0 in virtual
 time. In Python, `tonus.open_log("run.mcap")["/tonus/tension"]` is an array with one row per cycle.
+*n* is the number of the robot's cables; the definitions in a log have the figure.
 
     tonus log info FILE...     time, duration, states, faults, topics, rates, gaps, damage
     tonus log report FILE      one HTML page: verdict, plots, the paper's Figure 1, events; offline
@@ -74,10 +75,13 @@ version
 """
 
 
+_SIZES = {int(Per.CABLE): "n", int(Per.CELL): "n + 1"}
+
+
 def markdown() -> str:
     """The whole page."""
     parts = [f"{_HEAD.rstrip()} {SCHEMA_VERSION}.\n"]
-    parts += [_section(topic) for topic in (*TOPICS, TRUTH)]
+    parts += [_section(topic) for topic in (*TABLE, TRUTH)]
     return "\n".join(parts)
 
 
@@ -85,7 +89,7 @@ def _section(topic: Topic) -> str:
     rows = [f"## {topic.name}", "", f"{topic.doc[0].upper()}{topic.doc[1:]}.", ""]
     rows += ["| field | type | unit | meaning |", "|---|---|---|---|"]
     for field in topic.fields:
-        size = f"[{field.size}]" if field.size else ""
+        size = f"[{_SIZES.get(field.size, field.size)}]" if field.size else ""
         rows.append(f"| {field.name} | {field.type}{size} | {field.unit} | {field.doc} |")
     return "\n".join(rows) + "\n"
 

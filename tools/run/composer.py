@@ -31,7 +31,7 @@ from tonus.runtime.recording.taps import KEYFRAME_BYTES, EventRing, FrameRing, K
 from tonus.runtime.recording.viewer import Scene
 from tonus.runtime.safety.firewall import Firewall
 from tonus.runtime.safety.guarded_tap import GuardedTap
-from tonus.runtime.signals import CYCLE, TOPICS
+from tonus.runtime.signals import cycle_dtype, topics
 from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.latencies import Latencies
@@ -126,10 +126,12 @@ class _Stage:
             played, period = order.scenario, config.control.rates.period
             script = Script(played.duration, patience, played.operator, period)
         self._console = Console(script)
-        self._image = ProcessImage()
+        cables = config.robot.cables
+        self._image = ProcessImage(cables)
         ticks = int(config.recording.ring_s / config.control.rates.period)
-        meta = {"kind": "record", "topics": to_json(TOPICS)}
-        self._cycles = RingWriter.create(rings / "cycle.ring", CYCLE.itemsize, ticks, meta)
+        meta = {"kind": "record", "topics": to_json(topics(cables))}
+        size = cycle_dtype(cables).itemsize
+        self._cycles = RingWriter.create(rings / "cycle.ring", size, ticks, meta)
         self._events = EventRing.open(rings / "events.ring")
         self._keyframes = KeyframeRing.open(rings / "keyframes.ring")
         self._firewall = Firewall(config.operation.firewall.failures)
@@ -248,7 +250,7 @@ class _Stage:
         order = self._order
         if order.config.lab is None:
             raise ToolError("virtual time needs a lab: section in the configuration")
-        truth = TruthRing(self._rings / "truth.ring", self._ticks)
+        truth = TruthRing(self._rings / "truth.ring", self._ticks, order.config.robot.cables)
         lab = Lab(
             order.config,
             order.scenario.lab,

@@ -136,7 +136,7 @@ async def _until_left_alone(job: dict[str, Any]) -> None:
     """Serve until standard input closes."""
     config = Config.model_validate(job["config"])
     scenario = Scenario.model_validate(job["scenario"])
-    truth = TruthRing(Path(job["truth"]), job["truth_capacity"])
+    truth = TruthRing(Path(job["truth"]), job["truth_capacity"], config.robot.cables)
     working = asyncio.get_running_loop().create_task(
         work(config, scenario, job["seed"], truth.publish, lambda: _say(_READY + b"\n"))
     )

@@ -8,23 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.runtime.recording.ring import RingWriter
-from tonus.runtime.topics import Field, Topic, to_json
-from tonus.sim.lab.truth import TRUTH, TRUTH_FIELDS
+from tonus.runtime.topics import Field, Per, Topic, to_json
+from tonus.sim.lab.truth import PER_CABLE, TRUTH_TABLE, truth_dtype
 
 TOPIC = Topic(
     "/tonus/truth",
     "tonus_msgs/msg/Truth",
     "true state of the lab's plant; does not exist on a robot",
-    tuple(Field(*row) for row in TRUTH_FIELDS),
+    tuple(
+        Field(name, kind, Per.CABLE if size == PER_CABLE else size, unit, meaning)
+        for name, kind, size, unit, meaning in TRUTH_TABLE
+    ),
 )
+"""Of any robot, as `tonus.runtime.signals.TABLE`."""
 
 
 class TruthRing:
     """Where a lab writes its truth, a record each millisecond."""
 
-    def __init__(self, path: Path, capacity: int) -> None:
-        meta = {"kind": "record", "topics": to_json([TOPIC])}
-        self._ring = RingWriter.create(path, TRUTH.itemsize, capacity, meta)
+    def __init__(self, path: Path, capacity: int, cables: int) -> None:
+        meta = {"kind": "record", "topics": to_json([TOPIC.sized(cables)])}
+        self._ring = RingWriter.create(path, truth_dtype(cables).itemsize, capacity, meta)
 
     def publish(self, record: NDArray[np.void], stamp_ns: int) -> None:
         self._ring.publish(record, stamp_ns)

@@ -16,12 +16,12 @@ from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.daemon import Daemon
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.safety.sequence import Sequence
-from tonus.runtime.signals import CYCLE
+from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import Fault, Operator, State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.lab.engine import Lab
-from tonus.sim.lab.truth import TRUTH
+from tonus.sim.lab.truth import truth_dtype
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ def play(config: Config, scenario: Scenario, *, seed: int) -> Trial:
 
     async def main() -> Daemon:
         lab = Lab(config, scenario.lab, seed=seed, clock=clock.loop_clock(), truth=truths.publish)
-        image = ProcessImage()
+        image = ProcessImage(config.robot.cables)
         daemon = Daemon(
             config,
             scenario,
@@ -100,13 +100,13 @@ def play(config: Config, scenario: Scenario, *, seed: int) -> Trial:
         return daemon
 
     daemon = clock.run(main(), virtual=True)
-    return _active(cycles, truths, daemon.cycle.sequence.fault)
+    return _active(config.robot.cables, cycles, truths, daemon.cycle.sequence.fault)
 
 
-def _active(cycles: _Rows, truths: _Rows, fault: Fault) -> Trial:
+def _active(cables: int, cycles: _Rows, truths: _Rows, fault: Fault) -> Trial:
     """The rows of ACTIVE, truth beside them."""
-    cycle = np.concatenate(cycles.rows).view(CYCLE)
-    truth = np.concatenate(truths.rows).view(TRUTH)
+    cycle = np.concatenate(cycles.rows).view(cycle_dtype(cables))
+    truth = np.concatenate(truths.rows).view(truth_dtype(cables))
     at = np.searchsorted(truths.stamps, cycles.stamps)
     chosen = (cycle["state"]["state"] == State.ACTIVE) & (at < len(truth))
     return Trial(cycle[chosen], truth[at[chosen]], fault)

@@ -42,9 +42,9 @@ class Motion:
     shortfall: Array
     """N, the part of the last tick's force that the cables could not deliver"""
     wound: Array
-    """(8,) m, unstretched cable lengths"""
+    """(n,) m, unstretched cable lengths"""
     winding: Array
-    """(8,) m/s, rate at which they shorten"""
+    """(n,) m/s, rate at which they shorten"""
     push: Array
     """N, force the scenario asks for at the contact port"""
 
@@ -85,7 +85,7 @@ class Controller(ABC):
         """Forget the past, before motion starts."""
 
     def applied(self, tensions: Array, active: float) -> None:  # noqa: B027
-        """The tension references (8,) of a tick, ``active`` s into ACTIVE, negative outside it."""
+        """The tension references (n,) of a tick, ``active`` s into ACTIVE, negative outside it."""
 
     def linear_laws(self) -> tuple[LinearLaw, ...]:
         """The feedback at the ends of the controller's range, for its margins: every class that
@@ -150,7 +150,7 @@ class Controller(ABC):
         return self._levelled(motion, (drag, self._weight, NOTHING))
 
     def tensions(self, motion: Motion, stiffness: float, centre: Array) -> Array | None:  # noqa: ARG002
-        """Tensions (8,) round ``centre`` for a controller that commands cables; None for one that
+        """Tensions (n,) round ``centre`` for a controller that commands cables; None for one that
         commands a wrench. They pass the same distribution, which gives them their bounds."""
         return None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tonus.config.schema.control import Control, TensionLoop
-from tonus.config.schema.robot import CABLES, Robot
+from tonus.config.schema.robot import Robot
 from tonus.runtime.control.controllers.base import LEVEL, Array, Controller, Motion
 from tonus.runtime.control.controllers.linear import LinearLaw
 from tonus.runtime.control.distribution import closed_form
@@ -27,7 +27,7 @@ class PidLength(Controller):
     def __init__(self, robot: Robot, control: Control) -> None:
         super().__init__(robot, control)
         gains = self._gains = control.pid_length
-        self._integral = np.zeros(CABLES)
+        self._integral = np.zeros(robot.cables)
         self._step = gains.integral * control.rates.period
         self._kinematics = Kinematics(robot.geometry)
         self._kinematics.evaluate(np.array(robot.home), LEVEL)

@@ -41,7 +41,7 @@ from tonus.sim.devices.epos4.objects import (
 )
 from tonus.sim.devices.epos4.values import connect, scale_speeds
 from tonus.sim.devices.objects import INTERNAL, PASSWORD, WRONG_STATE, AbortError
-from tonus.sim.devices.samples import POSITION, TORQUE, Samples
+from tonus.sim.devices.samples import Samples
 from tonus.sim.devices.store import connect_store
 from tonus.sim.devices.timers import Timers
 
@@ -194,9 +194,10 @@ class Epos4:
         if index == 0x6041:
             return self.statusword
         if index == 0x6064:
-            return lambda: samples.words[POSITION + axis]
+            return lambda: samples.words[axis]
         if index == 0x6077:
-            return lambda: samples.words[TORQUE + axis]
+            place = samples.torque + axis
+            return lambda: samples.words[place]
         return self.objects.find(index, subindex).measure
 
     def writer(self, index: int, subindex: int) -> Writer:

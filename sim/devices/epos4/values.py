@@ -8,7 +8,7 @@ from tonus.sim.devices.cia402.guard import Guard
 from tonus.sim.devices.cia402.servo import Servo
 from tonus.sim.devices.epos4.profile_objects import ROWS
 from tonus.sim.devices.objects import Kind, ObjectDictionary, Value
-from tonus.sim.devices.samples import POSITION, TORQUE, Samples
+from tonus.sim.devices.samples import Samples
 from tonus.sim.devices.timers import Timers
 
 _SPEEDS = {
@@ -52,10 +52,10 @@ def connect(
         plant.advance(timers.now_ns)
 
     def position() -> int:
-        return samples.at(timers.now_ns)[POSITION + axis]
+        return samples.at(timers.now_ns)[axis]
 
     def torque() -> int:
-        return samples.at(timers.now_ns)[TORQUE + axis]
+        return samples.at(timers.now_ns)[samples.torque + axis]
 
     def speed() -> int:
         present()

@@ -13,7 +13,7 @@ from tests.bench.least_stop.problem import CONVERGED, DELAY
 from tonus.config.schema.least_stop import LeastStops
 from tonus.config.schema.least_stop import Stop as Least
 from tonus.config.schema.least_stop import Tear as Row
-from tonus.config.schema.robot import CABLES, Geometry
+from tonus.config.schema.robot import Geometry
 
 _HEAD = """\
 # The lower bound of physics after a torn cable: per cable (0 to 7), pose and motion at the break,
@@ -56,7 +56,7 @@ def spread(folder: Path) -> list[float]:
 
 def table(folder: Path, geometry: Geometry, speed_limit: float, date: str) -> LeastStops:
     rows = []
-    for cable in range(CABLES):
+    for cable in range(len(geometry.frame)):
         for position in POSITIONS:
             stops = {}
             for motion in MOTIONS:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from tonus.config import load
 from tonus.tools.draft import write_whole
 from tonus.tools.errors import ToolError
 from tonus.tools.log.layout import VIEWERS
@@ -18,19 +19,23 @@ from tonus.tools.log.layout import VIEWERS
     type=click.Path(path_type=Path, dir_okay=False),
     help="The file; by default the usual name in this folder. - prints it.",
 )
-def layout(viewer: str, out: Path | None) -> None:
+@click.option(
+    "--config", default="can.yaml", show_default=True, help="Of the robot whose logs are shown."
+)
+def layout(viewer: str, out: Path | None, config: str) -> None:
     """Write a layout that shows a run's log in VIEWER at once: motion, cables, safety, timing.
 
     Foxglove and Lichtblick: "Import from file" in the layouts menu. PlotJuggler: "Load Layout",
     after the log.
     """
     name, make = VIEWERS[viewer]
+    text = make(load(config)[0].robot.cables)
     if out is not None and str(out) == "-":
-        click.echo(make(), nl=False)
+        click.echo(text, nl=False)
         return
     file = Path(name) if out is None else out
     try:
-        write_whole(file, make())
+        write_whole(file, text)
     except OSError as error:
         raise ToolError(f"{file}: {error.strerror}; choose another with --out") from error
     click.echo(str(file))
