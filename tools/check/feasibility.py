@@ -1,17 +1,18 @@
 """Which wrenches the cables can balance, and where, with every tension inside its bounds.
 
-The tensions that balance a wrench w are T = T_p + N lambda with W T_p = w and N (8, 2) the null
-space of the structure matrix W. Each bound makes a strip in the plane of lambda, and convex sets in
-a plane have a common point as soon as every three of them have one (Helly). Three strips i, j, k do
-if c . T_p lies between the least and the largest value of c . T over the bounds, where
-c = (N_j x N_k, N_k x N_i, N_i x N_j) is the combination in which lambda cancels. That is 56 linear
-inequalities a pose, exact, and the same as the facets of the available wrench set (Bouchard,
-Gosselin and Moore 2010), without a solver. With |c| in the 1-norm, what is left of the
-tightest inequality is the distance that all tensions together can keep from their bounds.
+The tensions that balance a wrench w are T = T_p + N lambda with W T_p = w and N (n, r) the null
+space of the structure matrix W, r = n - 6. Each bound makes a strip in the space of lambda, and
+convex sets in r dimensions have a common point as soon as every r + 1 of them have one (Helly).
+These do if c . T_p lies between the least and the largest value of c . T over the bounds, where c
+is the combination in which lambda cancels: the minors of their rows of N, with alternating signs.
+For eight cables that is 56 linear inequalities a pose, exact, and the same as the facets of the
+available wrench set (Bouchard, Gosselin and Moore 2010), without a solver. With |c| in the 1-norm,
+what is left of the tightest inequality is the distance that all tensions together can keep from
+their bounds.
 
 With T_p = 0 the same inequalities tell how even a self-stress can be: its least tension over its
 largest is at most the smaller of c's positive and negative parts over the larger. Zero is the end
-of wrench closure. Seven cables, one being lost, leave a line of lambda, and pairs do for triples.
+of wrench closure. Six cables have no lambda and no self-stress: each tension is what it is.
 """
 
 from __future__ import annotations
@@ -45,11 +46,11 @@ class Poses:
     rotations: Array
     """rad, rotation vectors in the base frame, (n, 3)"""
     lengths: Array
-    """m, (n, 8)"""
+    """m, (n, cables)"""
     matrices: Array
-    """structure matrices, (n, 6, 8)"""
+    """structure matrices, (n, 6, cables)"""
     arms: Array
-    """m, platform anchors from the platform's origin, base frame, (n, 8, 3)"""
+    """m, platform anchors from the platform's origin, base frame, (n, cables, 3)"""
 
     def describe(self, index: int) -> str:
         x, y, z = self.positions[index]
@@ -79,6 +80,8 @@ class Feasibility:
     """of the poses at which all wrenches can be balanced"""
     worst: int
     """index of the pose with the least reserve"""
+    wrench: Array
+    """(6,) N and N m: what the cables have to exert there, of the wrenches that with it"""
     reserve: float
     """N that all tensions can keep from their bounds there; negative if they cannot be kept"""
 
@@ -118,14 +121,16 @@ def reserves(at: Poses, wrenches: Array, tension: Tension, moment_length: float)
     """The distance (N) that all tensions can keep from their bounds, (n poses, k wrenches).
 
     ``wrenches`` (k, 6) or (n, k, 6), N and N m about the platform's origin, are what the cables
-    shall exert: W T. Negative where they cannot; minus infinity where W loses rank.
+    shall exert: W T. Negative where they cannot; minus infinity where W has not rank six.
     """
+    if at.matrices.shape[2] < FREEDOMS:
+        return np.full((len(at.matrices), wrenches.shape[-2]), -np.inf)
     scale = np.array([1.0, 1.0, 1.0, *(1.0 / moment_length,) * 3])
     left, size, right = np.linalg.svd(at.matrices * scale[:, None])
     full = size[:, -1] > TOLERANCE * size[:, 0]
     size = np.where(full[:, None], size, 1.0)
     wanted = np.broadcast_to(wrenches * scale, (len(size), *wrenches.shape[-2:]))
-    # T_p = V S^-1 U^T w, for all poses and wrenches at once: (n, k, 8).
+    # T_p = V S^-1 U^T w, for all poses and wrenches at once: (n, k, cables).
     particular = (wanted @ left / size[:, None, :]) @ right[:, : size.shape[1], :]
     worst = np.full(particular.shape[:2], np.inf)
     for chosen, combination, used in _combinations(right[:, FREEDOMS:, :]):
@@ -140,24 +145,38 @@ def reserves(at: Poses, wrenches: Array, tension: Tension, moment_length: float)
 
 
 def _combinations(null: Array) -> Iterator[tuple[list[int], Array, NDArray[np.bool_]]]:
-    """Of each few cables (with ``null`` (n, 2, 8) each three, with (n, 1, 7) each two) the
-    combination (n, few) of 1-norm 1 in which the null space cancels, and where there is one."""
+    """Of each r + 1 cables, with the null space ``null`` (n, r, cables), the combination (n, r + 1)
+    of 1-norm 1 in which the null space cancels, and where there is one."""
     redundancy, cables = null.shape[1:]
+    minors = _minors(null)
     for few in combinations(range(cables), redundancy + 1):
-        chosen = list(few)
-        part = null[:, :, chosen]
-        if redundancy == 1:
-            combination = np.stack([part[:, 0, 1], -part[:, 0, 0]], axis=1)
-        else:
-            combination = np.cross(part[:, 0], part[:, 1])
+        parts = [minors[few[:left] + few[left + 1 :]] * (-1.0) ** left for left in range(len(few))]
+        combination = np.stack(parts, axis=1)
         weight = np.abs(combination).sum(axis=1)
         used = weight > TOLERANCE
-        yield chosen, combination / np.where(used, weight, 1.0)[:, None], used
+        yield list(few), combination / np.where(used, weight, 1.0)[:, None], used
+
+
+def _minors(null: Array) -> dict[tuple[int, ...], Array]:
+    """Determinants (n,) of each r columns of ``null`` (n, r, cables), expanded row by row."""
+    count, rows, cables = null.shape
+    minors: dict[tuple[int, ...], Array] = {(): np.ones(count)}
+    for row in range(rows):
+        larger: dict[tuple[int, ...], Array] = {}
+        for chosen in combinations(range(cables), row + 1):
+            larger[chosen] = np.zeros(count)
+            for left, column in enumerate(chosen):
+                rest = minors[chosen[:left] + chosen[left + 1 :]]
+                larger[chosen] += (-1.0) ** (row + left) * null[:, row, column] * rest
+        minors = larger
+    return minors
 
 
 def closures(at: Poses, moment_length: float) -> Array:
     """Least over largest tension of the evenest self-stress, (n,): above zero the cables can exert
     any wrench at all (wrench closure), were they strong enough."""
+    if at.matrices.shape[2] < FREEDOMS:
+        return np.zeros(len(at.matrices))
     scale = np.array([1.0, 1.0, 1.0, *(1.0 / moment_length,) * 3])
     _, size, right = np.linalg.svd(at.matrices * scale[:, None])
     ratio = np.ones(len(size))
@@ -170,11 +189,15 @@ def closures(at: Poses, moment_length: float) -> Array:
 
 def feasibility(at: Poses, wrenches: Array, tension: Tension, moment_length: float) -> Feasibility:
     """Whether all of ``wrenches`` can be balanced at each pose, as `reserves` takes them."""
-    reserve = reserves(at, wrenches, tension, moment_length).min(axis=1)
+    return judged(reserves(at, wrenches, tension, moment_length), wrenches)
+
+
+def judged(each: Array, wrenches: Array) -> Feasibility:
+    """The outcome of `reserves` (n, k) for ``wrenches`` (k, 6) or (n, k, 6)."""
+    reserve = each.min(axis=1)
     worst = int(reserve.argmin())
-    return Feasibility(
-        share=float(np.mean(reserve >= 0.0)), worst=worst, reserve=float(reserve[worst])
-    )
+    asked = np.broadcast_to(wrenches, (*each.shape, 6))[worst, int(each[worst].argmin())]
+    return Feasibility(float(np.mean(reserve >= 0.0)), worst, asked, float(reserve[worst]))
 
 
 def against(weight: float, forces: Array) -> Array:

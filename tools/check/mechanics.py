@@ -13,12 +13,16 @@ from tonus.config.schema.lab import Load
 from tonus.config.schema.robot import Robot, Workspace
 from tonus.runtime.control.reference import trajectory
 from tonus.tools.check.feasibility import (
+    TOLERANCE,
     Feasibility,
     Poses,
     against,
     cable_lengths,
+    closures,
     feasibility,
+    judged,
     poses,
+    reserves,
     workspace_poses,
 )
 from tonus.tools.check.finding import Finding
@@ -39,6 +43,8 @@ def mechanics(config: Config, scenario: Scenario) -> Iterator[Finding]:
     """The rules that need the robot's geometry and drives."""
     at = workspace_poses(config.robot.geometry, config.robot.workspace)
     yield from _workspace(config, at)
+    yield _self_stress(config.robot, at)
+    yield _referencing(config)
     yield from _places(config.robot)
     yield from scenario_rules(config, scenario)
     yield from _drives(config)
@@ -55,11 +61,11 @@ def _judged(
     if outcome.reserve >= 0.0:
         text += f"tensions stay {outcome.reserve:.1f} N inside their bounds, least at {place}"
     elif math.isinf(outcome.reserve):
-        text += f"the cables cannot hold the platform at {place}"
+        text += f"the cables leave the platform free to move at {place}"
     else:
         text += (
             f"tensions must leave {bounds.min:g} to {bounds.max:g} N by {-outcome.reserve:.1f} N "
-            f"at {place}"
+            f"at {place} to exert {_wrench(outcome.wrench)}"
         )
     return Finding(
         rule,
@@ -73,17 +79,55 @@ def _judged(
 def _workspace(config: Config, at: Poses) -> Iterator[Finding]:
     robot, limit = config.robot, config.control.envelope.contact_limit
     weight = robot.platform.mass * robot.gravity
-    for force, name in (
-        (0.0, "gravity"),
-        (limit, f"gravity and {limit:g} N either way on an axis"),
+    wrenches = against(weight, np.vstack([np.zeros(3), limit * DIRECTIONS]))
+    each = reserves(at, wrenches, config.control.tension, robot.geometry.moment_length)
+    for some, name in (
+        (slice(1), "gravity"),
+        (slice(1, None), f"gravity and {limit:g} N either way on an axis"),
     ):
-        outcome = feasibility(
-            at,
-            against(weight, force * DIRECTIONS),
-            config.control.tension,
-            robot.geometry.moment_length,
-        )
+        outcome = judged(each[:, some], wrenches[some])
         yield _judged(config, "workspace", "robot.workspace", at, outcome, name)
+
+
+def _self_stress(robot: Robot, at: Poses) -> Finding:
+    """What co-contraction acts on. Without it, a robot is what gravity makes it: no defect, but
+    nobody should expect more."""
+    ratio = closures(at, robot.geometry.moment_length)
+    closed = ratio > TOLERANCE
+    worst = int(ratio.argmin())
+    text = f"least over largest tension {ratio[worst]:.2f} at least, at {at.describe(worst)}"
+    if not closed.any():
+        text = (
+            "none: gravity is the pretension, co-contraction raises no tension, K_eq is the "
+            "virtual spring's alone, and a lost cable drops the platform"
+        )
+    elif not closed.all():
+        text = (
+            f"at {100 * closed.mean():.1f} % of {len(ratio)} poses; without it, as at "
+            f"{at.describe(worst)}, gravity is the pretension"
+        )
+    return Finding("self-stress", True, "robot.geometry", text, "move the anchors further apart")
+
+
+def _referencing(config: Config) -> Finding:
+    """The platform must lie still in its cradle while all cables pull evenly."""
+    robot, even = config.robot, config.control.tension.referencing
+    at = poses(robot.geometry, np.array([robot.rest]), np.zeros((1, 3)))
+    lift = even * float(at.matrices[0, 2].sum())
+    weight = robot.platform.mass * robot.gravity
+    return Finding(
+        "referencing",
+        lift < weight,
+        "control.tension.referencing",
+        f"{even:g} N in every cable lift with {lift:.1f} N a platform of {weight:.1f} N in its "
+        "cradle",
+        "lower it",
+    )
+
+
+def _wrench(wrench: Array) -> str:
+    force, moment = (", ".join(f"{value:+.1f}" for value in part) for part in np.split(wrench, 2))
+    return f"({force}) N, ({moment}) N m"
 
 
 def _inside(positions: Array, box: Workspace) -> NDArray[np.bool_]:
