@@ -58,12 +58,13 @@ def worst_frame_bits(data_bytes: int) -> int:
 def channel_load(bus: CanopenBus, channel: Channel, period_us: int) -> ChannelLoad:
     """The load of ``channel`` when SYNC is sent every ``period_us``."""
     sizes = [0]  # SYNC
-    for _ in channel.drives:
-        sizes += _sizes(bus.drive.rpdo, bus.drive.tpdo)
+    profiles = [bus.profile(drive.axis) for drive in channel.drives]
+    for profile in profiles:
+        sizes += _sizes(profile.rpdo, profile.tpdo)
     for node in channel.force_cells:
         sizes += _sizes(bus.force_cell.rpdo, bus.force_cell.mapping(len(node.cells)))
     per_ms = 1.0 / bus.master.heartbeat_ms
-    per_ms += len(channel.drives) / bus.drive.heartbeat_ms
+    per_ms += sum(1.0 / profile.heartbeat_ms for profile in profiles)
     per_ms += len(channel.force_cells) / bus.force_cell.heartbeat_ms
     bit_us = 1e6 / bus.bitrate
     heartbeats = per_ms * period_us * 1e-3

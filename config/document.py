@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from os.path import normpath
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +151,7 @@ def _included(
     if other.resolve() in chain:
         problem = f"!include {name}: that file includes this one"
         raise ConfigError(shown, line, dotted(key), problem, "break the circle")
-    return _file(other, str(Path(shown).parent / name), key, document, chain)
+    return _file(other, normpath(Path(shown).parent / name), key, document, chain)
 
 
 def _name(node: yaml.Node, shown: str, key: Key) -> str:

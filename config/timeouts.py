@@ -5,7 +5,8 @@ A value that a configuration states itself stands; `tonus check` holds it to the
 
 from __future__ import annotations
 
-from tonus.config.schema.bus import CanopenBus, Device, EthercatBus, Master
+from tonus.config.schema.bus import CanopenBus, EthercatBus, Master
+from tonus.config.schema.drive import Device, DriveProfile
 from tonus.config.schema.tolerance import Tolerance
 
 
@@ -14,9 +15,9 @@ def least_master_timeout_ms(bus: CanopenBus, tolerance: Tolerance) -> int:
     return tolerance.timeout_ms(bus.master.heartbeat_ms, tolerance.lost.heartbeat)
 
 
-def master_timeout_ms(bus: CanopenBus, tolerance: Tolerance) -> int:
-    """0x1016 of the drives."""
-    return bus.drive.master_timeout_ms or least_master_timeout_ms(bus, tolerance)
+def master_timeout_ms(bus: CanopenBus, profile: DriveProfile, tolerance: Tolerance) -> int:
+    """0x1016 of a drive of the bus."""
+    return profile.master_timeout_ms or least_master_timeout_ms(bus, tolerance)
 
 
 def least_node_timeout_ms(device: Device, tolerance: Tolerance) -> int:

@@ -8,7 +8,7 @@ from typing import Protocol
 from tonus.config.schema.bus import DirectBus
 from tonus.config.schema.root import Config
 from tonus.drivers.cia301.setting import apply
-from tonus.drivers.devices import epos4
+from tonus.drivers.devices.drive import settings
 from tonus.drivers.errors import BringUpError, DriverError, SdoError
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
@@ -44,9 +44,10 @@ class DirectFieldbus:
         self.channels: tuple[str, ...] = ()
         self._port = port
         self._clock = clock
+        self._profiles = [config.fieldbus.profile(axis) for axis in range(config.robot.cables)]
         self._settings = [
-            epos4.settings(train.motor, config.fieldbus.drive)
-            for train in config.robot.drive_trains
+            settings(train, profile)
+            for train, profile in zip(config.robot.drive_trains, self._profiles, strict=True)
         ]
         self._cables = config.robot.cables
         self._offset_ns = round(config.fieldbus.sample_offset_us * 1000)
@@ -70,7 +71,9 @@ class DirectFieldbus:
         failed = []
         for axis in range(self._cables):
             try:
-                await apply(_Objects(self._port, axis), self._settings[axis])
+                access = _Objects(self._port, axis)
+                await apply(access, self._settings[axis])
+                await self._exchange.read_scale(axis, access, self._profiles[axis])
             except DriverError as error:
                 failed.append(f"axis {axis}: {error}")
         if failed:

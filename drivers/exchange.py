@@ -14,10 +14,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tonus.config.schema.bus import Amplifier, ForceCell
+from tonus.config.schema.drive import DriveProfile
 from tonus.config.schema.robot import Robot
 from tonus.config.schema.safety import Freshness
+from tonus.drivers.cia301.setting import ObjectAccess
 from tonus.drivers.devices.cia402 import STATE_OF, Cia402Axis
-from tonus.drivers.devices.epos4 import Scale
+from tonus.drivers.devices.drive import Scale, read_scale
 from tonus.drivers.devices.force_cell import divisor
 from tonus.drivers.events import EventLog
 from tonus.drivers.process_image import NEVER, AxisCommand, AxisState, ProcessImage
@@ -127,23 +129,30 @@ class Exchange:
         self._events = events
         self._places = places
         self._freshness = freshness.measurement_ticks
-        trains = zip(robot.drive_trains, robot.signs, strict=True)
-        scales = [Scale.of(train, sign) for train, sign in trains]
-        self._scales = (
-            np.array([scale.radian_per_increment for scale in scales]),
-            np.array([scale.newton_metre_per_mille for scale in scales]),
-            float(divisor(cell)),
-        )
-        self._axes = [Cia402Axis() for _ in scales]
-        self._per_newton_metre = [scale.mille_per_newton_metre for scale in scales]
-        self._torque_limits = [
-            scale.mille_limit * abs(scale.newton_metre_per_mille) for scale in scales
-        ]
+        cables = robot.cables
+        self._trains = list(zip(robot.drive_trains, robot.signs, strict=True))
+        self._scales = (np.zeros(cables), np.zeros(cables), float(divisor(cell)))
+        self._axes = [Cia402Axis() for _ in range(cables)]
+        self._per_newton_metre = [0.0] * cables
+        self._torque_limits = [0.0] * cables
+        for axis, (train, sign) in enumerate(self._trains):
+            self._set_scale(axis, Scale.of(train, sign))
         self._reported = False
         self._axis_table, self._cell_table = image.axes, image.cells
         self._state = image.axes["state"]
         self._command_torque = image.commands["torque"]
         self._command = image.commands["command"]
+
+    async def read_scale(self, axis: int, access: ObjectAccess, profile: DriveProfile) -> None:
+        """Take over what an axis' drive counts in, now that it holds its settings. Raises
+        `DriverError`."""
+        self._set_scale(axis, await read_scale(access, profile, *self._trains[axis]))
+
+    def _set_scale(self, axis: int, scale: Scale) -> None:
+        self._scales[0][axis] = scale.radian_per_increment
+        self._scales[1][axis] = scale.newton_metre_per_mille
+        self._per_newton_metre[axis] = scale.mille_per_newton_metre
+        self._torque_limits[axis] = scale.mille_limit * abs(scale.newton_metre_per_mille)
 
     def forget(self) -> None:
         """Begin anew: no sample has been taken yet and nobody is mistrusted."""

@@ -11,6 +11,7 @@ __all__ = [
     "Config",
     "ConfigError",
     "Controller",
+    "DriveProfile",
     "Lab",
     "LabError",
     "LinearLaw",
@@ -29,6 +30,7 @@ __all__ = [
 if TYPE_CHECKING:
     from tonus import faults
     from tonus.config import Config, ConfigError, Scenario, load
+    from tonus.config.schema.drive import DriveProfile
     from tonus.runtime.control.controllers import Controller, LinearLaw, Motion
     from tonus.sim.errors import LabError
     from tonus.sim.lab.engine import Lab
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
 else:
     _MODULES = {
         "tonus.config": ("Config", "ConfigError", "Scenario", "load"),
+        "tonus.config.schema.drive": ("DriveProfile",),
         "tonus.runtime.control.controllers": ("Controller", "LinearLaw", "Motion"),
         "tonus.sim.errors": ("LabError",),
         "tonus.sim.lab.engine": ("Lab",),

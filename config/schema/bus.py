@@ -9,78 +9,20 @@ from pydantic import Field, field_validator, model_validator
 
 from tonus.config.errors import PlacedError, no_such
 from tonus.config.schema.base import Count, Fraction, NodeId, NonNegative, Positive, Section
+from tonus.config.schema.drive import Device, DriveProfile, Identity, MappingEntry
 
 KeyPath = tuple[str | int, ...]
 AMPLIFIER_CHANNELS = 4
-EPOS4_PDO_ENTRIES = 12
-EPOS4_PDO_BYTES = 40
-_REAL32 = 0x6130
 """Cells that one node carries at most: as many 16-bit values as a frame holds."""
+_REAL32 = 0x6130
 Number = Annotated[int, Field(ge=0)]
 """Of an axis or a cell. How many there are the robot says: `check_devices`."""
-
-MappingEntry = Annotated[int, Field(ge=0x10000000, le=0xFFFFFFFF)]
-"""A PDO mapping word of CiA 301: index << 16 | subindex << 8 | length in bits."""
-
-
-class Identity(Section):
-    vendor: int
-    product: int
-    minimum_revision: int
-
-
-class Device(Section):
-    """What every node of one kind is told at bring-up."""
-
-    identity: Identity
-    heartbeat_ms: Count
-    """producer period written to 0x1017"""
-    rpdo: tuple[MappingEntry, ...] = ()
-    tpdo: tuple[MappingEntry, ...]
-
-    @model_validator(mode="after")
-    def _fits_a_frame(self) -> Device:
-        for name in ("rpdo", "tpdo"):
-            bits = sum(entry & 0xFF for entry in getattr(self, name))
-            if bits > 64:
-                raise ValueError(
-                    f"{name} maps {bits} bits, a CAN frame carries 64; map fewer objects"
-                )
-        return self
-
-
-class DriveOptions(Section):
-    """CiA 402 option codes: how a drive stops. Ranges: what an EPOS4 accepts."""
-
-    abort_connection: Annotated[int, Field(ge=2, le=3)]
-    """0x6007, the master is gone: 2 power off, 3 quick stop"""
-    quick_stop: Annotated[int, Field(ge=6, le=6)]
-    """0x605A: 6 on the quick stop ramp, then stay"""
-    shutdown: Annotated[int, Field(ge=0, le=1)]
-    """0x605B: 0 power off, 1 ramp"""
-    disable_operation: Annotated[int, Field(ge=0, le=1)]
-    """0x605C: 0 power off, 1 ramp"""
-    fault_reaction: Annotated[int, Field(ge=0, le=2)]
-    """0x605E: 0 power off, 1 ramp, 2 quick stop ramp"""
-
-
-class Drive(Device):
-    """EPOS4 in cyclic synchronous torque."""
-
-    rpdo: tuple[MappingEntry, ...]
-    master_timeout_ms: Count | None = None
-    """heartbeat consumer 0x1016: the drive leaves Operation Enabled when the daemon is silent;
-    null: as `tolerance` has it (`tonus.config.timeouts`)"""
-    interpolation_ms: Annotated[int, Field(ge=0, le=100)]
-    """0x60C2: 0 for none and no RPDO timeout, else the period of the tick"""
-    on_communication_error: Annotated[int, Field(ge=0, le=2)]
-    """0x1029:1: 0 to pre-operational, 1 no change, 2 stopped"""
-    options: DriveOptions
 
 
 class ForceCell(Device):
     """CiA 404 analogue input."""
 
+    identity: Identity
     decimal_digits: Annotated[int, Field(ge=0, le=6)]
     """0x6132: the integer process value is the force times ten to this power"""
 
@@ -95,6 +37,8 @@ class ForceCell(Device):
 class DriveNode(Section):
     axis: Number
     node_id: NodeId
+    profile: str | None = None
+    """one of the bus' ``profiles``; null: its ``drive``"""
 
 
 class CellNode(Section):
@@ -154,7 +98,43 @@ class Master(Section):
     """how often a controller is asked for its error state"""
 
 
-class CanopenBus(Section):
+class _Drives(Section):
+    """What every fieldbus has: a profile for its drives, and others by name for some of them."""
+
+    drive: DriveProfile
+    """of every axis that names no other"""
+    profiles: dict[str, DriveProfile] = Field(default_factory=dict)
+
+    def chosen(self) -> dict[int, str]:
+        """Axis to the name of its profile, where it names one."""
+        raise NotImplementedError
+
+    def profile(self, axis: int) -> DriveProfile:
+        """Of the drive of an axis."""
+        name = self.chosen().get(axis)
+        return self.drive if name is None else self.profiles[name]
+
+    def profile_key(self, axis: int) -> str:
+        """Where the profile of an axis stands in the configuration."""
+        name = self.chosen().get(axis)
+        return "fieldbus.drive" if name is None else f"fieldbus.profiles.{name}"
+
+    @property
+    def every_profile(self) -> dict[str, DriveProfile]:
+        """By the place in the configuration."""
+        others = {f"fieldbus.profiles.{name}": each for name, each in self.profiles.items()}
+        return {"fieldbus.drive": self.drive, **others}
+
+    @model_validator(mode="after")
+    def _named_profiles_are_there(self) -> _Drives:
+        for axis, name in self.chosen().items():
+            if name not in self.profiles:
+                known = ", ".join(self.profiles) or "none: add it to profiles"
+                raise ValueError(f"axis {axis}: there is no drive profile {name!r}; known: {known}")
+        return self
+
+
+class CanopenBus(_Drives):
     kind: Literal["canopen"]
     interface: str
     """python-can interface: tonus (the lab), socketcan, or a vendor's"""
@@ -162,7 +142,6 @@ class CanopenBus(Section):
     load_limit: Fraction
     """highest worst-case share of a cycle that a channel's frames may take"""
     master: Master
-    drive: Drive
     force_cell: ForceCell
     channels: Annotated[tuple[Channel, ...], Field(min_length=1)]
 
@@ -171,6 +150,10 @@ class CanopenBus(Section):
     def _every_device_once(cls, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
         _once("node", *_on_channels(channels))
         return channels
+
+    def chosen(self) -> dict[int, str]:
+        drives = (drive for channel in self.channels for drive in channel.drives)
+        return {drive.axis: drive.profile for drive in drives if drive.profile is not None}
 
     @model_validator(mode="after")
     def _one_scale_for_all_cells(self) -> CanopenBus:
@@ -182,49 +165,26 @@ class CanopenBus(Section):
         return self
 
 
-class DirectBus(Section):
+class DirectBus(_Drives):
     """The same quantities without frames: for campaigns, tuning and comparison."""
 
     kind: Literal["direct"]
-    drive: Drive
+    axes: dict[Number, str] = Field(default_factory=dict)
+    """axis to one of the ``profiles``"""
     force_cell: ForceCell
     sample_offset_us: NonNegative
     """time from the start of the tick to the sampling of every device"""
 
-
-class EthercatDevice(Section):
-    """What every slave of one kind is told at bring-up."""
-
-    identity: Identity
-    rpdo: tuple[MappingEntry, ...] = ()
-    tpdo: tuple[MappingEntry, ...]
+    def chosen(self) -> dict[int, str]:
+        return dict(self.axes)
 
 
-class EthercatDrive(EthercatDevice):
-    """EPOS4 on EtherCAT in cyclic synchronous torque."""
-
-    rpdo: tuple[MappingEntry, ...]
-    interpolation_ms: Annotated[int, Field(ge=0, le=100)]
-    """0x60C2: 0 for none, else the period of the tick"""
-    options: DriveOptions
-
-    @model_validator(mode="after")
-    def _fits_a_pdo(self) -> EthercatDrive:
-        for name in ("rpdo", "tpdo"):
-            entries = getattr(self, name)
-            size = sum(entry & 0xFF for entry in entries) / 8
-            if len(entries) > EPOS4_PDO_ENTRIES or size > EPOS4_PDO_BYTES:
-                raise ValueError(
-                    f"{name} maps {len(entries)} objects of {size:g} bytes, a PDO of the drive "
-                    f"holds {EPOS4_PDO_ENTRIES} of {EPOS4_PDO_BYTES}; map fewer"
-                )
-        return self
-
-
-class Amplifier(EthercatDevice):
+class Amplifier(Section):
     """Strain gauge amplifier with CiA 404 objects; ``tpdo`` is what it maps of channel 1, and the
     same of each further channel behind it."""
 
+    identity: Identity
+    tpdo: tuple[MappingEntry, ...]
     decimal_digits: Annotated[int, Field(ge=0, le=6)]
     """0x6132: the integer process value is the force times ten to this power"""
 
@@ -241,6 +201,8 @@ class Slave(Section):
     """One slave of a segment: a drive (``axis: 3``) or an amplifier (``cells: [0, 1]``)."""
 
     axis: Number | None = None
+    profile: str | None = None
+    """of a drive: one of the bus' ``profiles``; null: its ``drive``"""
     cells: tuple[Number, ...] = ()
     """the cell on each channel, in the order of the channels"""
     identity: Identity | None = None
@@ -250,6 +212,8 @@ class Slave(Section):
     def _one_kind(self) -> Slave:
         if (self.axis is None) == (not self.cells):
             raise ValueError("a slave has either an axis or cells; give it one of the two")
+        if self.axis is None and self.profile is not None:
+            raise ValueError("a slave with cells has no drive profile; remove it")
         return self
 
 
@@ -297,7 +261,7 @@ class EthercatMaster(Section):
     sdo_timeout_ms: Count
 
 
-class EthercatBus(Section):
+class EthercatBus(_Drives):
     kind: Literal["ethercat"]
     interface: str
     """network interface of the segment's first cable"""
@@ -305,7 +269,6 @@ class EthercatBus(Section):
     """of the cable back from its last slave, where there is one"""
     master: EthercatMaster
     clocks: DistributedClocks
-    drive: EthercatDrive
     force_cell: Amplifier
     slaves: Annotated[tuple[Slave, ...], Field(min_length=1)]
     """in the order of the cable"""
@@ -324,9 +287,23 @@ class EthercatBus(Section):
             ends.append(self.redundant_interface)
         return ends
 
-    def identity(self, slave: Slave) -> Identity:
+    def chosen(self) -> dict[int, str]:
+        found = ((slave.axis, slave.profile) for slave in self.slaves)
+        return {axis: name for axis, name in found if axis is not None and name is not None}
+
+    def profile(self, axis: int) -> DriveProfile:
+        """Of the drive of an axis, as it is on EtherCAT."""
+        return super().profile(axis).on_ethercat
+
+    @property
+    def every_profile(self) -> dict[str, DriveProfile]:
+        """By the place in the configuration, as they are on EtherCAT."""
+        return {key: each.on_ethercat for key, each in super().every_profile.items()}
+
+    def identity(self, slave: Slave) -> Identity | None:
         """What a slave has to be."""
-        return slave.identity or (self.drive if not slave.cells else self.force_cell).identity
+        kind = self.force_cell if slave.axis is None else self.profile(slave.axis)
+        return slave.identity or kind.identity
 
 
 class SeveralBuses(Section):
@@ -351,6 +328,10 @@ class SeveralBuses(Section):
             cells += more_cells
         _once("device", axes, cells)
         return buses
+
+    def profile(self, axis: int) -> DriveProfile:
+        """Of the drive of an axis, on the bus it is on."""
+        return next(bus for bus in self.buses if axis in devices(bus)[0]).profile(axis)
 
     @property
     def force_cell(self) -> ForceCell | Amplifier:

@@ -10,6 +10,7 @@ from typing import Any
 import can
 
 from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.drive import DriveProfile
 from tonus.config.schema.root import Config
 from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.channel import Channel
@@ -29,7 +30,9 @@ from tonus.drivers.canopen.supervision import Supervision, Watched
 from tonus.drivers.canopen.syncs import Arrival
 from tonus.drivers.cia301.pdo import Mapping
 from tonus.drivers.cia301.setting import Setting
-from tonus.drivers.devices import epos4, force_cell
+from tonus.drivers.devices import drive as drives
+from tonus.drivers.devices import force_cell
+from tonus.drivers.devices.drive_errors import Errors
 from tonus.drivers.errors import BringUpError, DriverError, SdoError
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import NOT_YET, Exchange
@@ -64,7 +67,8 @@ class CanopenFieldbus:
         if not isinstance(config.fieldbus, CanopenBus):
             raise DriverError(f"fieldbus kind {config.fieldbus.kind} is not canopen")
         period_us = config.control.rates.period_us
-        epos4.require_interpolation(config.fieldbus.drive, period_us)
+        for key, profile in config.fieldbus.every_profile.items():
+            drives.require_interpolation(profile, key, period_us)
         self.image = image
         self._config = config
         self._bus = bus = config.fieldbus
@@ -82,7 +86,11 @@ class CanopenFieldbus:
             self._events,
             [places.get(axis, self.channels[0]) for axis in range(config.robot.cables)],
         )
-        self._drive_rpdo = drive_encoder(Mapping.of(bus.drive.rpdo))
+        self._encoders = {
+            node.axis: drive_encoder(Mapping.of(bus.profile(node.axis).rpdo))
+            for channel in bus.channels
+            for node in channel.drives
+        }
         self._period_us = period_us
         self._poll_s = bus.master.poll_us * 1e-6
         self._heartbeat_ticks = max(1, bus.master.heartbeat_ms * 1000 // period_us)
@@ -217,29 +225,34 @@ class CanopenFieldbus:
             self._add_cells(channel, number)
 
     def _add_drives(self, channel: Channel, number: int) -> None:
-        device, exchange = self._bus.drive, self._exchange
-        trains = self._config.robot.drive_trains
-        communication = Setting(
-            0x1029, 1, device.on_communication_error, 1, "behaviour on a communication error"
-        )
-        mapping = Mapping.of(device.tpdo)
         outputs: list[tuple[int, int, Encode]] = []
         if self._bus.channels[number].drives:
             self._outputs.append((channel, outputs))
         for drive in self._bus.channels[number].drives:
-            role = Role(
-                f"drive of axis {drive.axis}",
-                device,
-                device.tpdo,
-                (*epos4.settings(trains[drive.axis].motor, device), communication),
-                drive=True,
-                consumer_ms=master_timeout_ms(self._bus, self._config.tolerance),
-            )
-            node = self._add_node(channel, drive.node_id, role)
-            arrival = self._arrival(node, mapping, drive_fields(mapping, drive.axis, exchange))
-            self._supervision.add(Watched(node, arrival, axis=drive.axis))
-            outputs.append((drive.axis, RPDO1 + drive.node_id, self._drive_rpdo))
-            self._drives[drive.axis] = node
+            axis, profile = drive.axis, self._bus.profile(drive.axis)
+            node = self._add_node(channel, drive.node_id, self._drive_role(axis, profile))
+            mapping = Mapping.of(profile.tpdo)
+            arrival = self._arrival(node, mapping, drive_fields(mapping, axis, self._exchange))
+            self._supervision.add(Watched(node, arrival, axis=axis))
+            outputs.append((axis, RPDO1 + drive.node_id, self._encoders[axis]))
+            self._drives[axis] = node
+
+    def _drive_role(self, axis: int, profile: DriveProfile) -> Role:
+        settings = drives.settings(self._config.robot.drive_trains[axis], profile)
+        behaviour = profile.on_communication_error
+        if behaviour is not None:
+            why = "behaviour on a communication error"
+            settings = (*settings, Setting(0x1029, 1, behaviour, 1, why))
+        return Role(
+            f"drive of axis {axis}",
+            profile,
+            profile.tpdo,
+            settings,
+            drive=True,
+            consumer_ms=master_timeout_ms(self._bus, profile, self._config.tolerance),
+            errors=Errors(profile),
+            finish=lambda access: self._exchange.read_scale(axis, access, profile),
+        )
 
     def _add_cells(self, channel: Channel, number: int) -> None:
         device, exchange = self._bus.force_cell, self._exchange

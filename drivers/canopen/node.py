@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
 
-from tonus.config.schema.bus import Device, Identity, Master
-from tonus.drivers.canopen import emcy, nmt
+from tonus.config.schema.bus import Master
+from tonus.config.schema.drive import Device, Identity
+from tonus.drivers.canopen import nmt
 from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.identifiers import NMT, SDO_REQUEST
 from tonus.drivers.canopen.nmt import Command, NmtState, NodeMonitor
@@ -15,9 +16,9 @@ from tonus.drivers.canopen.sdo import SdoClient
 from tonus.drivers.cia301 import pdo
 from tonus.drivers.cia301.abort_codes import NO_SUCH_OBJECT
 from tonus.drivers.cia301.pdo import Direction
-from tonus.drivers.cia301.setting import Setting, apply
+from tonus.drivers.cia301.setting import ObjectAccess, Setting, apply
 from tonus.drivers.devices.cia402 import DISABLE_VOLTAGE, FAULT_RESET
-from tonus.drivers.devices.epos4_errors import Cure, cure
+from tonus.drivers.devices.drive_errors import Errors, Reset
 from tonus.drivers.errors import DriverError, SdoAbortError
 from tonus.drivers.fieldbus import Progress
 
@@ -45,6 +46,9 @@ class Role:
     """CiA 402: it has a fault to be reset"""
     consumer_ms: int = 0
     """0x1016: how long the device waits for the master's heartbeat, 0 for ever"""
+    errors: Errors = field(default_factory=Errors)
+    finish: Callable[[ObjectAccess], Awaitable[None]] | None = None
+    """called when the settings are in place, to read what depends on them"""
 
 
 class Node:
@@ -82,6 +86,8 @@ class Node:
         if self.role.drive:
             await self._clear_fault(progress)
         await apply(self.sdo, self.role.settings)
+        if self.role.finish is not None:
+            await self.role.finish(self.sdo)
         await self._configure_pdos()
         await apply(self.sdo, self._heartbeat_settings())
         self.configured = True
@@ -120,10 +126,12 @@ class Node:
             f"missing: no boot-up within {self._master.boot_timeout_ms} ms of a reset, {heard}"
         )
 
-    async def _identify(self, wanted: Identity) -> int:
+    async def _identify(self, wanted: Identity | None) -> int:
         async def number(subindex: int) -> int:
             return int.from_bytes(await self.sdo.read(0x1018, subindex), "little")
 
+        if wanted is None:
+            return await number(3)
         for subindex, name, value in ((1, "vendor", wanted.vendor), (2, "product", wanted.product)):
             found = await number(subindex)
             if found != value:
@@ -139,15 +147,15 @@ class Node:
     async def _clear_fault(self, progress: Progress) -> None:
         """Clear a fault that is there at the start; communication was reset before, as some need.
 
-        Raises `NodeError` with the fault and its cure if it stays.
+        Raises `NodeError` with the fault and what clears it if it stays.
         """
         code = await self.error_code()
         if not code:
             return
-        text = f"0x{code:04X} {emcy.words(code, drive=True)}"
+        text = f"0x{code:04X} {self.role.errors.text(code)}"
         before = await self._history(code)
         progress(f"{self.where} {self.role.title}: has a fault, {text}{before}")
-        if cure(code) is Cure.DEVICE_RESET:
+        if self.role.errors.reset(code) is Reset.DEVICE_RESET:
             await self._boot(Command.RESET_NODE)
         loop = asyncio.get_running_loop()
         end = loop.time() + self._master.boot_timeout_ms * 1e-3

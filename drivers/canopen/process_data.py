@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from tonus.drivers.canopen.reception import Field, doubt_field, mapped, tick_field, time_field
 from tonus.drivers.cia301.pdo import Mapping, PdoError
-from tonus.drivers.devices import epos4, force_cell
+from tonus.drivers.devices import drive, force_cell
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
 
@@ -32,9 +32,9 @@ class Refusal:
 def drive_fields(mapping: Mapping, row: int, exchange: Exchange) -> list[Field]:
     """Raises `PdoError` if the mapping lacks what control needs."""
     wanted = (
-        (epos4.STATUSWORD, exchange.statuswords),
-        (epos4.POSITION_ACTUAL, exchange.positions),
-        (epos4.TORQUE_ACTUAL, exchange.torques),
+        (drive.STATUSWORD, exchange.statuswords),
+        (drive.POSITION_ACTUAL, exchange.positions),
+        (drive.TORQUE_ACTUAL, exchange.torques),
     )
     return [
         tick_field(exchange.place(exchange.axis_tick, row)),
@@ -65,11 +65,11 @@ def cell_fields(mapping: Mapping, rows: Sequence[int], exchange: Exchange) -> li
 def drive_encoder(mapping: Mapping) -> Encode:
     """Raises `PdoError` if the mapping lacks, or holds, what control cannot command."""
     pack = mapping.layout.pack
-    mapping.position(epos4.CONTROLWORD)
-    mapping.position(epos4.TARGET_TORQUE)
-    if mapping.entries == (epos4.CONTROLWORD, epos4.TARGET_TORQUE):
+    mapping.position(drive.CONTROLWORD)
+    mapping.position(drive.TARGET_TORQUE)
+    if mapping.entries == (drive.CONTROLWORD, drive.TARGET_TORQUE):
         return pack
-    known = (epos4.CONTROLWORD, epos4.TARGET_TORQUE, *epos4.CONSTANTS)
+    known = (drive.CONTROLWORD, drive.TARGET_TORQUE, *drive.CONSTANTS)
     for entry in mapping.entries:
         if entry not in known:
             raise PdoError(f"the RPDO maps 0x{entry:08X}, which control does not command")
@@ -77,5 +77,5 @@ def drive_encoder(mapping: Mapping) -> Encode:
 
 
 def _values(entries: Sequence[int], controlword: int, torque: int) -> list[int]:
-    values = {**epos4.CONSTANTS, epos4.CONTROLWORD: controlword, epos4.TARGET_TORQUE: torque}
+    values = {**drive.CONSTANTS, drive.CONTROLWORD: controlword, drive.TARGET_TORQUE: torque}
     return [values[entry] for entry in entries]

@@ -7,7 +7,7 @@ import asyncio
 from tonus.drivers.canopen.nmt import Command
 from tonus.drivers.canopen.supervision import Supervision, Watched
 from tonus.drivers.devices.cia402 import decode
-from tonus.drivers.devices.epos4_errors import Cure, cure
+from tonus.drivers.devices.drive_errors import RESETS, Reset
 from tonus.drivers.errors import DriverError
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
@@ -19,8 +19,9 @@ _IN_FAULT = (AxisState.FAULT, AxisState.FAULT_REACTION_ACTIVE)
 class Recovery:
     """Resets and configures every node that needs more than a controlword, all at once.
 
-    0x8120 and 0x8130 keep a fault reset from working until NMT reset communication, which loses the
-    PDO mapping and the heartbeats: such a node goes the whole way of a bring-up again.
+    Some errors (of an EPOS4 0x8120 and 0x8130) keep a fault reset from working until NMT reset
+    communication, which loses the PDO mapping and the heartbeats: such a node goes the whole way of
+    a bring-up again.
     """
 
     def __init__(self, supervision: Supervision, exchange: Exchange, events: EventLog) -> None:
@@ -40,7 +41,7 @@ class Recovery:
                 return
             node.started = False
             self._supervision.trust(watched)
-            device = Cure.DEVICE_RESET in watched.standing
+            device = Reset.DEVICE_RESET in watched.standing
             await node.configure(
                 lambda _: None,
                 Command.RESET_NODE if device else Command.RESET_COMMUNICATION,
@@ -65,7 +66,7 @@ class Recovery:
         if watched.axis is None:
             return ""
         if decode(self._exchange.statuswords[watched.axis]) in _IN_FAULT:
-            needed = cure(await node.error_code())
-            if needed in (Cure.COMMUNICATION_RESET, Cure.DEVICE_RESET):
+            needed = node.role.errors.reset(await node.error_code())
+            if needed in (Reset.COMMUNICATION_RESET, Reset.DEVICE_RESET):
                 watched.standing.add(needed)
-        return next((f"an error that {each.value}" for each in watched.standing), "")
+        return next((f"an error that {RESETS[each]}" for each in watched.standing), "")

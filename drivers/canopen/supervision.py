@@ -12,11 +12,11 @@ from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT
 from tonus.drivers.canopen.nmt import NmtState
 from tonus.drivers.canopen.node import Node
 from tonus.drivers.canopen.syncs import Arrival
-from tonus.drivers.devices.epos4_errors import Cure, cure
+from tonus.drivers.devices.drive_errors import Reset
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
 
-_RESETS = (Cure.COMMUNICATION_RESET, Cure.DEVICE_RESET)
+_RESETS = (Reset.COMMUNICATION_RESET, Reset.DEVICE_RESET)
 
 
 @dataclass
@@ -32,8 +32,8 @@ class Watched:
     silent: bool = False
     restarted: bool = False
     """of itself: its configuration is gone"""
-    standing: set[Cure] = field(default_factory=set)
-    """cures beyond a fault reset that its errors ask for"""
+    standing: set[Reset] = field(default_factory=set)
+    """what its errors need beyond a fault reset"""
 
     @property
     def trusted(self) -> bool:
@@ -153,7 +153,7 @@ class Supervision:
         code, register = parsed
         if watched.axis is not None:
             self._exchange.error_codes[watched.axis] = code
-            needed = cure(code)
+            needed = node.role.errors.reset(code)
             if not code:
                 watched.standing.clear()
             elif needed in _RESETS:
@@ -161,6 +161,6 @@ class Supervision:
         for cell in watched.cells:
             self._exchange.cell_emergency[cell] = code
         title = node.role.title
-        words = emcy.words(code, drive=node.role.drive)
-        text = f"{title}: 0x{code:04X}, register 0x{register:02X}: {words}"
+        meaning = node.role.errors.text(code)
+        text = f"{title}: 0x{code:04X}, register 0x{register:02X}: {meaning}"
         self._events.counted("emcy", node.where, text, kind=code)

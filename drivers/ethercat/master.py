@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from tonus.config.schema.bus import DistributedClocks, EthercatBus
 from tonus.config.schema.root import Config
 from tonus.config.timeouts import watchdog_ms
-from tonus.drivers.canopen import emcy
-from tonus.drivers.devices import epos4
+from tonus.drivers.devices.drive import require_interpolation
+from tonus.drivers.devices.drive_errors import Errors
 from tonus.drivers.errors import BringUpError, DriverError
 from tonus.drivers.ethercat.al import ERROR, AlState
 from tonus.drivers.ethercat.phase import Phase
@@ -65,7 +65,8 @@ class EthercatFieldbus:
             raise DriverError(f"fieldbus kind {config.fieldbus.kind} is not ethercat")
         self._bus = bus = config.fieldbus
         period_us = config.control.rates.period_us
-        epos4.require_interpolation(bus.drive, period_us)
+        for key, profile in bus.every_profile.items():
+            require_interpolation(profile, key, period_us)
         self.image = image
         self.channels: tuple[str, ...] = ()
         self.lost = LostFrames()
@@ -94,7 +95,9 @@ class EthercatFieldbus:
         self._outputs = list(self._idle)
         self._expected = sum(each.counts for each in self._slaves)
         self._watch = Watch(bus, exchange, self._events)
-        self._recovery = Recovery(bus, self._watch, self._events, self._set_clocks, self._look_soon)
+        self._recovery = Recovery(
+            bus, self._watch, exchange, self._events, self._set_clocks, self._look_soon
+        )
         self._wire: Wire | None = None
         self._now: Clock = _loop_clock
         self._pump_task: asyncio.Task[None] | None = None
@@ -104,6 +107,7 @@ class EthercatFieldbus:
         self._sent_ns = 0
         self._phase = Phase(bus.clocks, self._period_ns)
         self._codes = [0] * config.robot.cables
+        self._errors = {each.number: Errors(each.profile) for each in self._axes}
         self._next_look = 0
         self._look_now = False
 
@@ -120,7 +124,7 @@ class EthercatFieldbus:
             progress(f"configuring {len(self._slaves)} slaves on {self._bus.interface}")
             for slave in self._slaves:
                 try:
-                    await slave.configure(wire.objects(slave.number))
+                    await slave.configure(wire.objects(slave.number), self._exchange)
                 except DriverError as error:
                     raise BringUpError(
                         f"bring-up failed: {slave.where} ({slave.title}): {error}"
@@ -338,7 +342,7 @@ class EthercatFieldbus:
             assert slave.axis is not None
             code = codes[slave.axis]
             if code and code != self._codes[slave.axis]:
-                text = f"{slave.title}: 0x{code:04X}: {emcy.words(code, drive=True)}"
+                text = f"{slave.title}: 0x{code:04X}: {self._errors[slave.number].text(code)}"
                 self._events.counted("drive_error", slave.where, text, kind=code)
         self._codes = codes
 

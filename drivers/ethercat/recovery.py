@@ -10,6 +10,7 @@ from tonus.drivers.errors import DriverError
 from tonus.drivers.ethercat.watch import Watch, Watched
 from tonus.drivers.ethercat.wire import Wire
 from tonus.drivers.events import EventLog
+from tonus.drivers.exchange import Exchange
 
 _AGAIN_S = 3e-3
 """Between two attempts at one slave."""
@@ -23,6 +24,7 @@ class Recovery:
         self,
         bus: EthercatBus,
         watch: Watch,
+        exchange: Exchange,
         events: EventLog,
         set_clocks: Callable[[Wire], Awaitable[None]],
         look: Callable[[], None],
@@ -31,6 +33,7 @@ class Recovery:
         every slave's state."""
         self._bus = bus
         self._watch = watch
+        self._exchange = exchange
         self._events = events
         self._set_clocks = set_clocks
         self._look = look
@@ -46,7 +49,7 @@ class Recovery:
             watched.busy = True
             try:
                 await wire.reconfigure(slave.number)
-                await slave.configure(wire.objects(slave.number))
+                await slave.configure(wire.objects(slave.number), self._exchange)
                 await wire.remap(slave.number)
             except DriverError as error:
                 waiting.remove(watched)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tonus.config.schema.bus import EthercatBus, Identity
+from tonus.config.schema.bus import EthercatBus
+from tonus.config.schema.drive import DriveProfile, Identity
 from tonus.config.schema.robot import Robot
 from tonus.drivers.canopen.process_data import Encode, drive_encoder
 from tonus.drivers.cia301.pdo import Mapping, PdoError
 from tonus.drivers.cia301.setting import ObjectAccess, Setting, apply
-from tonus.drivers.devices import epos4, force_cell
+from tonus.drivers.devices import drive, force_cell
 from tonus.drivers.errors import DriverError
 from tonus.drivers.ethercat.wire import Found, Sizes
 from tonus.drivers.exchange import Exchange
@@ -34,7 +35,7 @@ class Slave:
     where: str
     """for people, counted from 1: tonus0/3"""
     title: str
-    identity: Identity
+    identity: Identity | None
     settings: tuple[Setting, ...]
     rx: tuple[int, ...]
     """mapping words of its outputs"""
@@ -42,6 +43,8 @@ class Slave:
     sizes: Sizes
     axis: int | None = None
     cells: tuple[int, ...] = ()
+    profile: DriveProfile | None = None
+    """of a drive"""
 
     @property
     def counts(self) -> int:
@@ -51,6 +54,8 @@ class Slave:
     def identify(self, found: Found) -> str:
         """What is wrong with the device that was found; "" for nothing."""
         wanted = self.identity
+        if wanted is None:
+            return ""
         for name, value in (("vendor", wanted.vendor), ("product", wanted.product)):
             there = getattr(found, name)
             if there != value:
@@ -62,32 +67,49 @@ class Slave:
             )
         return ""
 
-    async def configure(self, access: ObjectAccess) -> None:
-        """Settings, then PDO mapping and assignment, all read back. Raises `DriverError`."""
+    async def configure(self, access: ObjectAccess, exchange: Exchange) -> None:
+        """Settings, then PDO mapping and assignment, all read back; ``exchange`` is told a drive's
+        scale. Raises `DriverError`."""
         await apply(access, self.settings)
+        if self.axis is not None and self.profile is not None:
+            await exchange.read_scale(self.axis, access, self.profile)
         if self.rx:
             await _assign(access, RX_ASSIGNMENT, _RX_MAPPING, self.rx)
         await _assign(access, TX_ASSIGNMENT, _TX_MAPPING, self.tx)
 
 
 def slaves(bus: EthercatBus, robot: Robot) -> list[Slave]:
-    """The segment as it is configured. Raises `PdoError` for a mapping control cannot work with."""
+    """The segment as it is configured. Raises `DriverError` for a mapping that control cannot work
+    with, and for a setting that its object cannot hold."""
     built = []
     trains = robot.drive_trains
     for number, each in enumerate(bus.slaves):
         where = f"{bus.interface}/{number + 1}"
-        identity = bus.identity(each)
+        identity, profile = bus.identity(each), None
         if each.axis is not None:
-            rx, tx = bus.drive.rpdo, bus.drive.tpdo
+            profile = bus.profile(each.axis)
+            rx, tx = profile.rpdo, profile.tpdo
             title = f"drive of axis {each.axis}"
-            settings = epos4.settings(trains[each.axis].motor, bus.drive)
+            settings = drive.settings(trains[each.axis], profile)
         else:
             rx, tx = (), bus.force_cell.mapping(len(each.cells))
             title = f"amplifier of cell {' '.join(map(str, each.cells))}"
             settings = force_cell.settings(bus.force_cell, len(each.cells))
         sizes = Sizes(Mapping.of(rx).layout.size, Mapping.of(tx).layout.size)
         built.append(
-            Slave(number, where, title, identity, settings, rx, tx, sizes, each.axis, each.cells)
+            Slave(
+                number,
+                where,
+                title,
+                identity,
+                settings,
+                rx,
+                tx,
+                sizes,
+                each.axis,
+                each.cells,
+                profile,
+            )
         )
     return built
 
@@ -129,9 +151,9 @@ def decoder(slave: Slave, exchange: Exchange) -> Decode:
 
 def _drive(mapping: Mapping, axis: int, exchange: Exchange) -> Decode:
     unpack = mapping.layout.unpack
-    status_at = mapping.position(epos4.STATUSWORD)
-    position_at = mapping.position(epos4.POSITION_ACTUAL)
-    torque_at = mapping.position(epos4.TORQUE_ACTUAL)
+    status_at = mapping.position(drive.STATUSWORD)
+    position_at = mapping.position(drive.POSITION_ACTUAL)
+    torque_at = mapping.position(drive.TORQUE_ACTUAL)
     error_at = mapping.position(ERROR_CODE) if ERROR_CODE in mapping.entries else None
     statuswords, positions, torques = exchange.statuswords, exchange.positions, exchange.torques
     codes = exchange.error_codes

@@ -29,7 +29,7 @@ from tonus.sim.lab.engine import Lab
 
 FRESH = CONFIG.control.freshness.measurement_ticks
 assert isinstance(CONFIG.fieldbus, CanopenBus)
-TIMEOUT_S = 1e-3 * master_timeout_ms(CONFIG.fieldbus, CONFIG.tolerance)
+TIMEOUT_S = 1e-3 * master_timeout_ms(CONFIG.fieldbus, CONFIG.fieldbus.drive, CONFIG.tolerance)
 SILENCE_S = 1.5 * TIMEOUT_S
 
 

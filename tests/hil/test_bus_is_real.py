@@ -90,7 +90,7 @@ def test_when_the_master_falls_silent_every_drive_leaves_operation_enabled(
     config, scenario = configured()
     bus = config.fieldbus
     assert isinstance(bus, CanopenBus)
-    timeout_ms = master_timeout_ms(bus, config.tolerance)
+    timeout_ms = master_timeout_ms(bus, bus.drive, config.tolerance)
 
     async def go_silent() -> tuple[list[int], list[int], set[int]]:
         lab = Lab(config, scenario.lab, seed=1, clock=clock.now_ns)

@@ -9,7 +9,7 @@ import pytest
 
 from tonus.config import load
 from tonus.config.schema.robot import Robot
-from tonus.drivers.devices import epos4
+from tonus.drivers.devices.drive import Scale
 
 PAPER = load("config/can.yaml")[0].robot
 
@@ -84,7 +84,7 @@ def test_one_value_of_an_axis_can_be_set_by_its_dotted_key() -> None:
 
 def test_a_motor_that_turns_down_has_factors_of_the_other_sign() -> None:
     train = PAPER.drive_trains[0]
-    up, down = epos4.Scale.of(train, 1), epos4.Scale.of(train, -1)
+    up, down = Scale.of(train, 1), Scale.of(train, -1)
     assert down.radian_per_increment == -up.radian_per_increment < 0.0
     assert down.newton_metre_per_mille == -up.newton_metre_per_mille < 0.0
     assert down.mille_per_newton_metre == -up.mille_per_newton_metre < 0.0

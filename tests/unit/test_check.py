@@ -200,8 +200,10 @@ def test_a_robot_without_a_lab_waits_no_longer_than_it_must() -> None:
     robot, _ = load("config/robot.yaml")
     assert isinstance(robot.fieldbus, CanopenBus)
     assert isinstance(CONFIG.fieldbus, CanopenBus)
-    assert master_timeout_ms(robot.fieldbus, robot.tolerance) == 2 * 20 + 20
-    assert master_timeout_ms(CONFIG.fieldbus, CONFIG.tolerance) == 2 * 20 + 60
+    assert master_timeout_ms(robot.fieldbus, robot.fieldbus.drive, robot.tolerance) == 2 * 20 + 20
+    assert (
+        master_timeout_ms(CONFIG.fieldbus, CONFIG.fieldbus.drive, CONFIG.tolerance) == 2 * 20 + 60
+    )
 
 
 def with_load(force: float, direction: tuple[float, float, float] = (1, 0, 0)) -> Scenario:

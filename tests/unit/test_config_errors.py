@@ -18,7 +18,7 @@ ROBOT = "robots/paper.yaml"
 CONTROL = "control.yaml"
 BUS = "buses/can4.yaml"
 REALTIME = "realtime.yaml"
-DRIVE = "buses/epos4.yaml"
+DRIVE = "drives/epos4.yaml"
 LOWER = """\
     - [ 0.75,  0.75, -0.55]
     - [-0.75,  0.75, -0.55]

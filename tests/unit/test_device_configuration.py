@@ -14,7 +14,8 @@ from tonus.drivers.canopen.reception import Reception
 from tonus.drivers.canopen.syncs import Syncs, word_of
 from tonus.drivers.cia301.pdo import Direction, Mapping, PdoError, configure, silence
 from tonus.drivers.cia301.setting import Kind, Setting, SettingError, apply
-from tonus.drivers.devices import epos4, force_cell
+from tonus.drivers.devices import force_cell
+from tonus.drivers.devices.drive import Scale, settings
 from tonus.drivers.errors import SdoAbortError
 from tonus.drivers.events import CAPACITY, EventLog
 from tonus.drivers.exchange import Exchange
@@ -63,16 +64,15 @@ def test_a_value_that_does_not_stay_and_one_of_another_size_are_refused() -> Non
 
 
 def test_a_drive_is_powered_off_first_and_its_target_cleared_before_its_mode() -> None:
-    objects = [
-        setting.index for setting in epos4.settings(CONFIG.robot.motor, CONFIG.fieldbus.drive)
-    ]
+    train = CONFIG.robot.drive_trains[0]
+    objects = [setting.index for setting in settings(train, CONFIG.fieldbus.drive)]
     assert objects[0] == 0x6040
     assert objects.index(0x6071) < objects.index(0x6060)
     assert objects.index(0x3001) < objects.index(0x6076)
 
 
 def test_scale_of_the_papers_drive() -> None:
-    scale = epos4.Scale.of(CONFIG.robot.drive_trains[0])
+    scale = Scale.of(CONFIG.robot.drive_trains[0])
     assert scale.newton_metre_per_mille == pytest.approx(0.568e-3 * 49 / 4)
     assert scale.radian_per_increment * 4096 * 49 / 4 == pytest.approx(6.283185307179586)
     assert scale.mille_limit == 2000

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from tonus.drivers.canopen import emcy
-from tonus.drivers.devices.epos4_errors import ERRORS, Cure, Reaction, cure
+from tonus.config import load
+from tonus.drivers.devices.drive_errors import Errors, Reaction, Reset
 from tonus.sim.devices.epos4 import errors as emulated
 
+DRIVE = Errors(load("config/can.yaml")[0].fieldbus.drive)
+ERRORS = DRIVE.listed
 LETTER = {
     Reaction.POWER_OFF: "D",
     Reaction.ABORT: "A",
@@ -19,25 +21,27 @@ ONLY_WARNS = 0x8A8A
 def test_every_error_of_the_emulated_drive_is_known_with_its_reaction() -> None:
     for code, error in emulated.ERRORS.items():
         assert code in ERRORS, f"0x{code:04X}"
+        reaction = ERRORS[code].reaction
         if code != ONLY_WARNS:
-            assert LETTER[ERRORS[code].reaction] == error.reaction, f"0x{code:04X}"
+            assert reaction is not None
+            assert LETTER[reaction] == error.reaction, f"0x{code:04X}"
 
 
 def test_two_errors_need_a_communication_reset() -> None:
-    needing = {code for code in ERRORS if cure(code) is Cure.COMMUNICATION_RESET}
+    needing = {code for code in ERRORS if DRIVE.reset(code) is Reset.COMMUNICATION_RESET}
     assert needing == {0x8120, 0x8130}
 
 
-def test_an_error_is_told_with_reaction_cure_and_what_it_costs() -> None:
-    assert emcy.words(0x7380, drive=True) == (
+def test_an_error_is_reported_with_reaction_reset_and_what_it_costs() -> None:
+    assert DRIVE.text(0x7380) == (
         "position sensor breach; power off at once, a fault reset clears it, the position is lost"
     )
-    assert "cleared with the error history" in emcy.words(0xFF01, drive=True)
-    assert emcy.words(0, drive=True) == emcy.words(0, drive=False) == "no error left"
+    assert "cleared with the error history" in DRIVE.text(0xFF01)
+    assert DRIVE.text(0) == Errors().text(0) == "no error left"
 
 
 def test_other_devices_and_other_codes_are_told_by_their_class() -> None:
-    assert emcy.words(0x8130, drive=False) == "communication error"
-    assert emcy.words(0x8199, drive=True) == "communication error"
-    assert emcy.words(0x0123, drive=True) == "unknown error"
-    assert cure(0x1234) is Cure.FAULT_RESET
+    assert Errors().text(0x8130) == "communication error"
+    assert DRIVE.text(0x8199) == "communication error"
+    assert DRIVE.text(0x0123) == "unknown error"
+    assert DRIVE.reset(0x1234) is Reset.FAULT_RESET

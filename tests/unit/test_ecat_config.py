@@ -22,7 +22,7 @@ from tonus.tools.check.losses import check_losses
         ({"fieldbus.slaves.9.cells": [7]}, "cell 7 has more than one slave"),
         ({"fieldbus.slaves": [{"axis": 0}]}, "no slave for axis 1"),
         ({"fieldbus.slaves.0": {"axis": 0, "cells": [1]}}, "either an axis or cells"),
-        ({"fieldbus.drive.tpdo": [0x60410010] * 13}, "a PDO of the drive holds 12"),
+        ({"fieldbus.drive.ethercat.tpdo": [0x60410010] * 13}, "a PDO of the drive holds 12"),
         ({"fieldbus.master.state_policy": "ignore"}, "recover"),
     ],
 )

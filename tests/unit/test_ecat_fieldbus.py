@@ -80,8 +80,11 @@ def test_positions_and_forces_are_those_of_the_devices() -> None:
 @pytest.mark.parametrize(
     ("overrides", "told"),
     [
-        ({"fieldbus.drive.identity.product": 0x61500000}, "product 0x65510000, not 0x61500000"),
-        ({"fieldbus.drive.identity.minimum_revision": 0x7FFF0000}, "firmware too old"),
+        (
+            {"fieldbus.drive.ethercat.identity.product": 0x61500000},
+            "product 0x65510000, not 0x61500000",
+        ),
+        ({"fieldbus.drive.ethercat.identity.minimum_revision": 0x7FFF0000}, "firmware too old"),
     ],
 )
 def test_another_device_is_refused_and_the_cable_shown(

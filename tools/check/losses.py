@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tonus.config import Config
-from tonus.config.schema.bus import CanopenBus, Drive, EthercatBus, ForceCell, devices, parts
+from tonus.config.schema.bus import CanopenBus, EthercatBus, devices, parts
+from tonus.config.schema.drive import Device, DriveProfile
 from tonus.config.timeouts import (
     least_master_timeout_ms,
     least_node_timeout_ms,
@@ -16,8 +17,6 @@ from tonus.config.timeouts import (
 )
 from tonus.tools.check.finding import Finding
 
-LEAST_JITTER_MS = 20
-"""EPOS4: a heartbeat consumer waits at least this much longer than the producer's period."""
 LEAST_JITTER_TICKS = 2
 """A heartbeat leaves in a tick, and with the lowest priority waits for a cycle's other frames."""
 
@@ -26,19 +25,22 @@ def check_losses(config: Config) -> Iterator[Finding]:
     """Every rule's outcome, in a fixed order; nothing raises."""
     buses = parts(config.fieldbus)
     if buses:
-        yield _jitter(config)
+        yield _jitter(config, buses)
         yield from _process_data(config, buses)
     for bus in buses:
         if devices(bus)[0]:
-            yield _interpolation(bus)
+            for key, profile in bus.every_profile.items():
+                yield _interpolation(key, profile)
         rules = _watchdog(config, bus) if isinstance(bus, EthercatBus) else _heartbeats(config, bus)
         yield from rules
     yield from _tracker(config)
 
 
-def _jitter(config: Config) -> Finding:
+def _jitter(config: Config, buses: tuple[CanopenBus | EthercatBus, ...]) -> Finding:
     tick_ms = config.control.rates.period_us * 1e-3
-    least = max(LEAST_JITTER_MS, LEAST_JITTER_TICKS * tick_ms)
+    drives = (profile for bus in buses for profile in bus.every_profile.values())
+    margin = max(profile.heartbeat_margin_ms for profile in drives)
+    least = max(margin, LEAST_JITTER_TICKS * tick_ms)
     jitter = config.tolerance.jitter_ms
     return Finding(
         "jitter",
@@ -79,33 +81,34 @@ def _process_data(config: Config, buses: tuple[CanopenBus | EthercatBus, ...]) -
     )
 
 
-def _interpolation(bus: CanopenBus | EthercatBus) -> Finding:
-    set_to = bus.drive.interpolation_ms
+def _interpolation(key: str, profile: DriveProfile) -> Finding:
+    set_to = profile.interpolation_ms
     text = "0x60C2 is 0: a drive goes on without one set-point"
-    if set_to:
+    if set_to is None:
+        text = "0x60C2 stays as it is in the drive: a plain drive goes on without one set-point"
+    elif set_to:
         text = f"0x60C2 is {set_to} ms: one lost set-point is an error of the drive (0x8250)"
-    return Finding(
-        "interpolation", not set_to, "fieldbus.drive.interpolation_ms", text, "set it to 0"
-    )
+    return Finding("interpolation", not set_to, f"{key}.interpolation_ms", text, "set it to 0")
 
 
 def _heartbeats(config: Config, bus: CanopenBus) -> Iterator[Finding]:
     tolerance = config.tolerance
     needed = f"{tolerance.lost.heartbeat} lost and {tolerance.jitter_ms} ms of jitter need"
-    waits = master_timeout_ms(bus, tolerance)
     least = least_master_timeout_ms(bus, tolerance)
-    yield Finding(
-        "heartbeat",
-        waits >= least,
-        "fieldbus.drive.master_timeout_ms",
-        f"drives wait {waits} ms for the master's heartbeat, sent every "
-        f"{bus.master.heartbeat_ms} ms; {needed} {least} ms",
-        f"leave it out, or set it to at least {least}",
-    )
-    watched: list[Drive | ForceCell] = []
+    for key, profile in bus.every_profile.items():
+        waits = master_timeout_ms(bus, profile, tolerance)
+        yield Finding(
+            "heartbeat",
+            waits >= least,
+            f"{key}.master_timeout_ms",
+            f"drives wait {waits} ms for the master's heartbeat, sent every "
+            f"{bus.master.heartbeat_ms} ms; {needed} {least} ms",
+            f"leave it out, or set it to at least {least}",
+        )
+    watched: list[Device] = []
     axes, cells = devices(bus)
     if axes:
-        watched.append(bus.drive)
+        watched += bus.every_profile.values()
     if cells:
         watched.append(bus.force_cell)
     for device in watched:

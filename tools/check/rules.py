@@ -17,17 +17,16 @@ from tonus.config.schema.bus import (
     CanopenBus,
     Channel,
     DirectBus,
-    Drive,
     EthercatBus,
-    EthercatDrive,
     ForceCell,
     parts,
 )
+from tonus.config.schema.drive import DriveProfile
 from tonus.config.schema.robot_faults import OfRobot, PhantomHit
 from tonus.drivers.canopen import identifiers
 from tonus.drivers.canopen.process_data import drive_encoder
 from tonus.drivers.cia301.pdo import Mapping, PdoError
-from tonus.drivers.devices import epos4, force_cell
+from tonus.drivers.devices import drive, force_cell
 from tonus.tools.check.controller import check_controller
 from tonus.tools.check.ethercat import check_ethercat
 from tonus.tools.check.finding import Finding
@@ -52,9 +51,9 @@ def check(config: Config, scenario: Scenario, *, timed: bool = False) -> list[Fi
     if not all(finding.ok for finding in findings):
         return findings  # whatever would be computed from them would mislead
     if isinstance(config.fieldbus, DirectBus):
-        findings += _mappings(config.fieldbus.drive, config.fieldbus.force_cell)
+        findings += _mappings(config.fieldbus)
     for bus in parts(config.fieldbus):
-        findings += _mappings(bus.drive, bus.force_cell)
+        findings += _mappings(bus)
         if isinstance(bus, EthercatBus):
             findings += check_ethercat(config, bus)
             continue
@@ -85,24 +84,30 @@ def check_catalogue(
             yield Finding("catalogue", True, "operation.scenarios", text, "leave it out")
 
 
-def _mappings(drive: Drive | EthercatDrive, cell: ForceCell | Amplifier) -> Iterator[Finding]:
+def _mappings(bus: CanopenBus | DirectBus | EthercatBus) -> Iterator[Finding]:
+    for key, profile in bus.every_profile.items():
+        yield from _drive_mappings(key, profile)
+    yield _cell_mapping(bus.force_cell)
+
+
+def _drive_mappings(key: str, profile: DriveProfile) -> Iterator[Finding]:
     needed = "statusword 0x60410010, position 0x60640020 and torque 0x60770010"
     commands = "controlword 0x60400010 and target torque 0x60710010"
     try:
-        drive_encoder(Mapping.of(drive.rpdo))
+        drive_encoder(Mapping.of(profile.rpdo))
         problem = ""
     except PdoError as error:
         problem = str(error)
     yield Finding(
         "PDO mapping",
         not problem,
-        "fieldbus.drive.rpdo",
+        f"{key}.rpdo",
         problem or f"maps {commands}",
         f"map {commands}",
     )
     try:
-        mapping = Mapping.of(drive.tpdo)
-        for entry in (epos4.STATUSWORD, epos4.POSITION_ACTUAL, epos4.TORQUE_ACTUAL):
+        mapping = Mapping.of(profile.tpdo)
+        for entry in (drive.STATUSWORD, drive.POSITION_ACTUAL, drive.TORQUE_ACTUAL):
             mapping.position(entry)
         problem = ""
     except PdoError as error:
@@ -110,17 +115,20 @@ def _mappings(drive: Drive | EthercatDrive, cell: ForceCell | Amplifier) -> Iter
     yield Finding(
         "PDO mapping",
         not problem,
-        "fieldbus.drive.tpdo",
+        f"{key}.tpdo",
         problem or f"maps {needed}",
         f"map {needed}",
     )
+
+
+def _cell_mapping(cell: ForceCell | Amplifier) -> Finding:
     values = ", ".join(f"0x{entry:08X}" for entry in force_cell.PROCESS_VALUES)
     try:
         found = set(Mapping.of(cell.tpdo).entries) & set(force_cell.PROCESS_VALUES)
         problem = "" if found else "the PDO maps no process value of channel 1"
     except PdoError as error:
         problem = str(error)
-    yield Finding(
+    return Finding(
         "PDO mapping",
         not problem,
         "fieldbus.force_cell.tpdo",
@@ -171,10 +179,10 @@ def _nodes(bus: CanopenBus, channel: Channel) -> Iterator[_Node]:
         identifiers.HEARTBEAT,
     )
     yield _Node("the master", bus.master.node_id, (identifiers.HEARTBEAT,))
-    for drive in channel.drives:
-        yield _Node(
-            f"axis {drive.axis}", drive.node_id, (*every, *_pdos(bus.drive.rpdo, bus.drive.tpdo))
-        )
+    for each in channel.drives:
+        profile = bus.profile(each.axis)
+        pdos = _pdos(profile.rpdo, profile.tpdo)
+        yield _Node(f"axis {each.axis}", each.node_id, (*every, *pdos))
     for cell in channel.force_cells:
         pdos = _pdos(bus.force_cell.rpdo, bus.force_cell.tpdo)
         yield _Node(f"cell {' '.join(map(str, cell.cells))}", cell.node_id, (*every, *pdos))
@@ -226,7 +234,7 @@ def _faults(config: Config, scenario: Scenario) -> Iterator[Finding]:
             nodes |= {(bus.interface, number + 1) for number in range(len(bus.slaves))}
             continue
         for channel in bus.channels:
-            nodes |= {(channel.name, drive.node_id) for drive in channel.drives}
+            nodes |= {(channel.name, each.node_id) for each in channel.drives}
             nodes |= {(channel.name, cell.node_id) for cell in channel.force_cells}
     channels = {name for name, _ in nodes}
     for index, fault in enumerate(scenario.lab.faults):

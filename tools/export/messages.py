@@ -8,12 +8,14 @@ from functools import partial
 
 from tonus.config import Config
 from tonus.config.schema.axis import DriveTrain
-from tonus.config.schema.bus import CanopenBus, Channel, Device
-from tonus.drivers.canopen import emcy, identifiers
+from tonus.config.schema.bus import CanopenBus, Channel
+from tonus.config.schema.drive import Device, DriveProfile
+from tonus.drivers.canopen import identifiers
 from tonus.drivers.cia301.pdo import Mapping as PdoMapping
 from tonus.drivers.cia301.pdo import PdoError
-from tonus.drivers.devices import cia402, epos4, force_cell
-from tonus.drivers.devices.epos4_errors import ERRORS
+from tonus.drivers.devices import cia402, force_cell
+from tonus.drivers.devices import drive as drives
+from tonus.drivers.devices.drive_errors import Errors
 from tonus.drivers.process_image import AxisState
 from tonus.tools.errors import ToolError
 from tonus.tools.export.dbc import Message, Signal
@@ -31,7 +33,7 @@ _FLAGS = {
     14: "Bit14",
     15: "Referenced",
 }
-"""Bits of the statusword above the state, as an EPOS4 in a cyclic mode means them."""
+"""Bits of the statusword above the state, as an EPOS4 in a cyclic mode has them."""
 _CONTROLWORDS = {
     cia402.DISABLE_VOLTAGE: "DISABLE_VOLTAGE",
     cia402.QUICK_STOP: "QUICK_STOP",
@@ -109,26 +111,31 @@ def _channel(
     yield _heartbeat(MASTER, bus.master.node_id, bus.master.heartbeat_ms, everyone)
     trains, signs = config.robot.drive_trains, config.robot.signs
     for drive in channel.drives:
-        name, known = f"Axis{drive.axis}", _of_drive(trains[drive.axis], signs[drive.axis])
-        tpdo = bus.drive.tpdo
-        yield from _node(name, drive.node_id, "drive", bus.drive, tpdo, known, cycle_ms)
+        axis, profile = drive.axis, bus.profile(drive.axis)
+        known, where = _of_drive(profile, trains[axis], signs[axis]), bus.profile_key(axis)
+        codes = {code: error.text for code, error in Errors(profile).listed.items()}
+        yield from _node(
+            f"Axis{axis}", drive.node_id, where, profile, profile.tpdo, known, cycle_ms, codes
+        )
     for cell in channel.force_cells:
         name = _cells_name(config, cell.cells)
         known = _of_cells(config, cell.cells, bus.force_cell.decimal_digits)
         tpdo = bus.force_cell.mapping(len(cell.cells))
-        yield from _node(name, cell.node_id, "force_cell", bus.force_cell, tpdo, known, cycle_ms)
+        where = "fieldbus.force_cell"
+        yield from _node(name, cell.node_id, where, bus.force_cell, tpdo, known, cycle_ms, {})
 
 
 def _node(
     name: str,
     node_id: int,
-    kind: str,
+    where: str,
     device: Device,
     tpdo: tuple[int, ...],
     known: Known,
     cycle_ms: int,
+    codes: Mapping[int, str],
 ) -> Iterator[Message]:
-    codes = {code: error.words for code, error in ERRORS.items()} if kind == "drive" else {}
+    """``where``: the place of the device's configuration; ``codes``: its errors."""
     yield Message(
         identifiers.EMCY + node_id,
         f"{name}_EMCY",
@@ -136,7 +143,7 @@ def _node(
         (MASTER,),
         8,
         (
-            Signal("ErrorCode", 0, 16, values={0: emcy.words(0, drive=False), **codes}),
+            Signal("ErrorCode", 0, 16, values={0: Errors().text(0), **codes}),
             Signal("ErrorRegister", 16, 8, about="0x1001"),
             Signal("Manufacturer", 24, 40),
         ),
@@ -146,8 +153,7 @@ def _node(
         (device.rpdo, identifiers.RPDO1, "RPDO1", MASTER, name),
     ):
         if mapping:
-            where = f"fieldbus.{kind}.{suffix[:4].lower()}"
-            length, signals = _process_data(mapping, known, where)
+            length, signals = _process_data(mapping, known, f"{where}.{suffix[:4].lower()}")
             yield Message(
                 base + node_id, f"{name}_{suffix}", sender, (receiver,), length, signals, cycle_ms
             )
@@ -195,8 +201,9 @@ def _raw(entry: int, start: int, where: str) -> Signal:
     )
 
 
-def _of_drive(train: DriveTrain, sign: int) -> Known:
-    scale = epos4.Scale.of(train, sign)
+def _of_drive(profile: DriveProfile, train: DriveTrain, sign: int) -> Known:
+    """A value whose scale only the drive itself knows is given raw."""
+    scale, scaling = drives.Scale.of(train, sign), profile.scaling
     position = Signal(
         "Position",
         0,
@@ -215,13 +222,19 @@ def _of_drive(train: DriveTrain, sign: int) -> Known:
         "N m",
         "at the drum, before gearbox losses",
     )
+    if scaling.position != "motor":
+        about = f"0x6064, in the drive's own units by {scaling.position}"
+        position = replace(position, factor=1.0, unit="", about=about)
+    if scaling.torque != "motor":
+        about = f"per mille of the drive's own {scaling.torque}"
+        torque = replace(torque, factor=1.0, unit="", about=about)
     controlword = Signal("Controlword", 0, 16, about="CiA 402", values=_CONTROLWORDS)
     return {
-        epos4.STATUSWORD: _statusword,
-        epos4.POSITION_ACTUAL: partial(_placed, position),
-        epos4.TORQUE_ACTUAL: partial(_placed, torque),
-        epos4.TARGET_TORQUE: partial(_placed, replace(torque, name="TargetTorque")),
-        epos4.CONTROLWORD: partial(_placed, controlword),
+        drives.STATUSWORD: _statusword,
+        drives.POSITION_ACTUAL: partial(_placed, position),
+        drives.TORQUE_ACTUAL: partial(_placed, torque),
+        drives.TARGET_TORQUE: partial(_placed, replace(torque, name="TargetTorque")),
+        drives.CONTROLWORD: partial(_placed, controlword),
     }
 
 
