@@ -40,6 +40,10 @@ class Document:
         return self.folders.get(self.place(key)[0], Path())
 
 
+DATA_SHEET = "eds"
+"""A key whose value names a data sheet beside the file: its text is read with the configuration."""
+
+
 def read(path: Path, shown: str | None = None) -> Document:
     """Parse one file; ``!include other.yaml`` (relative to the file) brings in another."""
     document = Document(None)
@@ -124,6 +128,8 @@ def _node(
                     "keep one of the two",
                 )
             result[name] = _node(value_node, path, shown, (*key, name), document, chain)
+            if name == DATA_SHEET and isinstance(result[name], str):
+                result[name] = _sheet(result[name], path, shown, (*key, name), document)
             # An included value keeps its own file; any other is where its key stands.
             if value_node.tag != INCLUDE:
                 document.places[(*key, name)] = (shown, name_node.start_mark.line + 1)
@@ -152,6 +158,18 @@ def _included(
         problem = f"!include {name}: that file includes this one"
         raise ConfigError(shown, line, dotted(key), problem, "break the circle")
     return _file(other, normpath(Path(shown).parent / name), key, document, chain)
+
+
+def _sheet(name: str, path: Path, shown: str, key: Key, document: Document) -> dict[str, str]:
+    other = path.parent / name
+    place = document.places[key]
+    try:
+        text = other.read_text(encoding="latin-1")
+    except OSError as error:
+        problem = f"{name} cannot be read: {error.strerror}"
+        raise ConfigError(*place, dotted(key), problem, f"looked for it at {other}") from error
+    document.folders[normpath(Path(shown).parent / name)] = other.parent
+    return {"name": other.name, "text": text}
 
 
 def _name(node: yaml.Node, shown: str, key: Key) -> str:

@@ -133,10 +133,10 @@ class Scaling(Section):
     0x6076, or the motor rated current 0x6075 (mA) times the motor section's torque constant"""
     torque_unit: Literal["mN m", "uN m"] = "mN m"
     """of 0x6076; mN m in CiA 402"""
-    position: Annotated[Literal["motor", "0x608F"], BeforeValidator(_as_written)]
-    """what a motor revolution counts: the motor section's increments, or the position encoder
-    resolution 0x608F; then the feed constant 0x6092 takes its place and the gear ratio 0x6091
-    divides it, where the drive has them"""
+    position: Annotated[Literal["motor", "0x608F", "0x6092"], BeforeValidator(_as_written)]
+    """what 0x6064 counts in a motor revolution: the motor section's increments, or the position
+    encoder resolution 0x608F, or the feed constant 0x6092; of the two objects a gear ratio 0x6091,
+    where the drive has one, takes its part"""
 
 
 Option = Literal[

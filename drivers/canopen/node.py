@@ -91,7 +91,8 @@ class Node:
         await self._configure_pdos()
         await apply(self.sdo, self._heartbeat_settings())
         self.configured = True
-        progress(f"{self.where} {self.role.title}: revision 0x{revision:08X}, configured")
+        told = "" if revision is None else f"revision 0x{revision:08X}, "
+        progress(f"{self.where} {self.role.title}: {told}configured")
 
     async def start(self) -> None:
         """Raises `NodeError` unless a heartbeat says OPERATIONAL in time."""
@@ -126,12 +127,14 @@ class Node:
             f"missing: no boot-up within {self._master.boot_timeout_ms} ms of a reset, {heard}"
         )
 
-    async def _identify(self, wanted: Identity | None) -> int:
+    async def _identify(self, wanted: Identity | None) -> int | None:
+        """The revision; None where any device will do."""
+
         async def number(subindex: int) -> int:
             return int.from_bytes(await self.sdo.read(0x1018, subindex), "little")
 
         if wanted is None:
-            return await number(3)
+            return None
         for subindex, name, value in ((1, "vendor", wanted.vendor), (2, "product", wanted.product)):
             found = await number(subindex)
             if found != value:

@@ -37,8 +37,8 @@ CONSTANTS = {MODES_OF_OPERATION: CYCLIC_SYNCHRONOUS_TORQUE, TORQUE_OFFSET: 0}
 
 INT16_MAX = 0x7FFF
 PER_MILLE = 1000
-RATED_CURRENT, RATED_TORQUE = 0x6075, 0x6076
-RESOLUTION, GEAR_RATIO, FEED_CONSTANT = 0x608F, 0x6091, 0x6092
+RATED_CURRENT = 0x6075
+GEAR_RATIO = 0x6091
 _KINDS = {"write": Kind.STORE, "check": Kind.CHECK, "command": Kind.COMMAND}
 _WHY = {
     "abort_connection": "when the connection is lost",
@@ -142,23 +142,21 @@ async def read_scale(
         else:
             rated = found / UNITS["N m"][scaling.torque_unit]
     if scaling.position != "motor":
-        counts = await _ratio(access, RESOLUTION)
-        assert counts is not None
-        feed = await _ratio(access, FEED_CONSTANT, optional=True)
-        gear = await _ratio(access, GEAR_RATIO, optional=True)
-        counts = (counts if feed is None else feed) / (gear or 1.0)
+        above, below = await _ratio(access, int(scaling.position, 16))
+        counts = above / below
+        try:
+            gear = await _ratio(access, GEAR_RATIO)
+        except SdoAbortError as error:
+            if error.code != NO_SUCH_OBJECT:
+                raise
+        else:
+            counts *= gear[1] / gear[0]
     return Scale.of(train, sign, rated, counts)
 
 
-async def _ratio(access: ObjectAccess, index: int, *, optional: bool = False) -> float | None:
-    """Subindex 1 over subindex 2; None for an ``optional`` object that is not there."""
-    try:
-        above = await _positive(access, index, 1)
-    except SdoAbortError as error:
-        if optional and error.code == NO_SUCH_OBJECT:
-            return None
-        raise
-    return above / await _positive(access, index, 2)
+async def _ratio(access: ObjectAccess, index: int) -> tuple[int, int]:
+    """Subindices 1 and 2."""
+    return await _positive(access, index, 1), await _positive(access, index, 2)
 
 
 async def _positive(access: ObjectAccess, index: int, subindex: int) -> int:

@@ -29,16 +29,16 @@ class Reset(Enum):
 
 _REACTIONS = {
     Reaction.POWER_OFF: "power off at once",
-    Reaction.ABORT: "stops as 0x6007 says",
-    Reaction.FAULT: "stops as 0x605E says",
-    Reaction.WARNING: "a warning, it goes on",
+    Reaction.ABORT: "stops as set in 0x6007",
+    Reaction.FAULT: "stops as set in 0x605E",
+    Reaction.WARNING: "a warning, operation continues",
 }
 RESETS = {
     Reset.FAULT_RESET: "a fault reset clears it",
     Reset.COMMUNICATION_RESET: "a fault reset clears it after NMT reset communication",
     Reset.IN_RANGE: "a fault reset clears it once the value is back in range",
     Reset.DEVICE_RESET: "only a reset of the device clears it",
-    Reset.HISTORY: "it goes with the error history",
+    Reset.HISTORY: "cleared with the error history",
 }
 
 

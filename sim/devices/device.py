@@ -40,6 +40,8 @@ class Device(Protocol):
     """heartbeat consumer entries"""
     event_timer: bool
     """whether a PDO can be sent by time"""
+    error_behaviour: bool
+    """whether there is 0x1029"""
 
     def sample(self, now_ns: int) -> None:
         """Take the process data of this instant."""

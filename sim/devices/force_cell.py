@@ -155,6 +155,7 @@ class ForceCell:
     longest_mapping = 4
     consumers = 1
     event_timer = True
+    error_behaviour = True
 
     def __init__(
         self,

@@ -78,7 +78,9 @@ class Kind(Enum):
     I8 = (1, "b")
     I16 = (2, "h")
     I32 = (4, "i")
+    I64 = (8, "q")
     REAL32 = (4, "f")
+    REAL64 = (8, "d")
     STRING = (0, "")
 
     @property
@@ -90,8 +92,12 @@ class Kind(Enum):
         return self.value[1]
 
     @property
+    def real(self) -> bool:
+        return self in (Kind.REAL32, Kind.REAL64)
+
+    @property
     def limits(self) -> tuple[float, float]:
-        if self is Kind.REAL32:
+        if self.real:
             return float("-inf"), float("inf")
         bits = 8 * self.size
         if self.letter.islower():

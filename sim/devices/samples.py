@@ -160,6 +160,12 @@ class Samples:
         self._axes[_PER_AMPERE, axis] = 1000.0 / ampere if ampere > 0.0 else 0.0
         self._changed()
 
+    def set_resolution(self, axis: int, counts: float) -> None:
+        """Counts of an axis' encoder a motor revolution, where its drive has its own."""
+        self.per_revolution[axis] = round(counts)
+        self.per_radian[axis] = self._axes[_PER_RADIAN, axis] = counts / (2.0 * pi)
+        self._changed()
+
     def set_decimal_digits(self, cell: int, digits: int) -> None:
         self._cells[_DIGITS, cell] = 10.0**digits
         self._changed()

@@ -7,13 +7,15 @@ from typing import Protocol
 
 from tonus.config.schema.bus import EthercatBus
 from tonus.config.schema.lab import Lab as LabConfig
+from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.device import Device
-from tonus.sim.devices.epos4.drive import Epos4
+from tonus.sim.devices.eds.drive import EdsDrive
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.devices.timers import Timers
 from tonus.sim.errors import LabError
 from tonus.sim.ethercat.segment import Lab, Segment
 from tonus.sim.ethercat.slaves.identity import EPOS4, Kind, amplifier
+from tonus.sim.ethercat.slaves.identity import drive as drive_kind
 from tonus.sim.ethercat.slaves.slave import Slave
 from tonus.sim.plant.streams import Stream, generator
 
@@ -30,7 +32,7 @@ def build_segment(
     lab: _TimedLab,
     bus: EthercatBus,
     config: LabConfig,
-    drives: Sequence[Epos4],
+    drives: Sequence[Cia402Drive],
     cells: Mapping[tuple[int, ...], ForceCell],
     seed: int,
 ) -> Segment:
@@ -49,13 +51,22 @@ def build_segment(
     for slave in bus.slaves:
         device: Device
         if slave.axis is not None:
-            device, kind = drives[slave.axis], EPOS4
+            device = drives[slave.axis]
+            kind = _kind(device)
         else:
             device, kind = cells[slave.cells], amplifier(len(slave.cells))
         drift = float(draws.uniform(-spread, spread))
         origin = int(draws.integers(_ORIGINS_NS))
         _attach(segment, device, kind, lab, drift, origin)
     return segment
+
+
+def _kind(drive: Cia402Drive) -> Kind:
+    if not isinstance(drive, EdsDrive):
+        return EPOS4
+    vendor, product, revision = (drive.objects.number(0x1018, place) for place in (1, 2, 3))
+    name = drive.sheet.product_name.encode("ascii", "replace").decode("ascii")
+    return drive_kind(name, vendor, product, revision, drive.longest_mapping)
 
 
 def _attach(

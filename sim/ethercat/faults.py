@@ -31,8 +31,7 @@ from tonus.config.schema.faults import (
     WrongIdentity,
 )
 from tonus.config.schema.robot_faults import OfRobot
-from tonus.sim.devices.epos4.drive import Epos4
-from tonus.sim.devices.epos4.errors import ERRORS
+from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.errors import LabError
 from tonus.sim.ethercat.disturbance import Draws, Played
@@ -94,9 +93,9 @@ def check(segment: Segment, fault: Fault) -> None:
         )
     device = segment.slaves[fault.node - 1].device
     where = f"{what}: slave {fault.node} on {segment.name}"
-    if isinstance(fault, DriveError | DriveInput) and not isinstance(device, Epos4):
+    if isinstance(fault, DriveError | DriveInput) and not isinstance(device, Cia402Drive):
         raise LabError(f"{where} is not a drive")
-    if isinstance(fault, DriveError) and fault.code not in ERRORS:
+    if isinstance(fault, DriveError) and fault.code not in getattr(device, "errors", ()):
         raise LabError(f"{what}: a drive has no error 0x{fault.code:04X}")
     if isinstance(fault, CellBreak) and not isinstance(device, ForceCell):
         raise LabError(f"{where} is not a load cell")

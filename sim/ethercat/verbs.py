@@ -13,8 +13,7 @@ from pydantic import Field
 
 from tonus.config.schema.base import Fraction, Section
 from tonus.config.schema.faults import Babble, StuckBus
-from tonus.sim.devices.epos4.drive import Epos4
-from tonus.sim.devices.epos4.errors import ERRORS
+from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.errors import LabError
 from tonus.sim.ethercat.faults import ONLY_HERE
 from tonus.sim.ethercat.segment import Segment
@@ -128,9 +127,9 @@ def of(found: Mapping[str, Segment], clock: _Clock) -> Verbs:
 
     def drive_fault(order: _DriveFault) -> Reply:
         device = slave(order).device
-        if not isinstance(device, Epos4):
+        if not isinstance(device, Cia402Drive):
             raise LabError(f"slave {order.slave} is not a drive")
-        if order.code not in ERRORS:
+        if order.code not in device.errors:
             raise LabError(f"a drive has no error 0x{order.code:04X}")
         device.fail(order.code)
         return {}
@@ -182,7 +181,7 @@ def _told(segment: Segment, place: int, slave: Slave) -> Reply:
         "clock_difference_ns": slave.clock.difference,
         "sync_pulses": slave.sync.pulses,
     }
-    if isinstance(device, Epos4):
+    if isinstance(device, Cia402Drive):
         told |= {
             "device": f"axis {device.axis}",
             "drive_state": device.state.name,

@@ -6,12 +6,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from tonus.config.schema.bus import CanopenBus, DirectBus, EthercatBus, SeveralBuses
+from tonus.config.schema.bus import (
+    CanopenBus,
+    DirectBus,
+    EthercatBus,
+    SeveralBuses,
+    devices,
+    parts,
+)
 from tonus.config.schema.lab import Lab as LabConfig
 from tonus.config.schema.robot import Robot
 from tonus.config.schema.root import Config
 from tonus.sim.can.canopen.node import Node
 from tonus.sim.can.wire.faulty import FaultyChannel
+from tonus.sim.devices.cia402.drive import Cia402Drive
+from tonus.sim.devices.eds import sheet as sheets
+from tonus.sim.devices.eds.drive import EdsDrive
 from tonus.sim.devices.epos4.drive import Epos4
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.devices.samples import Samples
@@ -42,9 +52,9 @@ class Timeline(Protocol):
 class Hardware:
     """The devices of a lab, and the buses they are on."""
 
-    drives: list[Epos4]
+    drives: list[Cia402Drive]
     cells: list[ForceCell]
-    awaited: list[Epos4]
+    awaited: list[Cia402Drive]
     """drives that have to be enabled before the script begins: those emulated here"""
     channels: dict[str, FaultyChannel] = field(default_factory=dict)
     nodes: dict[tuple[str, int], Node] = field(default_factory=dict)
@@ -65,17 +75,7 @@ def build(
     lab, bus = config.lab, config.fieldbus
     buses = bus.buses if isinstance(bus, SeveralBuses) else (bus,)
     node_ids, amplifiers = _numbers(config.robot, buses)
-    drives = [
-        Epos4(
-            axis,
-            node_id,
-            timeline.samples,
-            timeline,
-            lab.drive,
-            holding_brake=lab.plant.holding_brake,
-        )
-        for axis, node_id in enumerate(node_ids)
-    ]
+    drives = [_drive(timeline, config, axis, node_id) for axis, node_id in enumerate(node_ids)]
     cells: Cells = {}
     for places, node_id in amplifiers:
         noise = lab.noise.force_cell
@@ -96,8 +96,38 @@ def build(
             built.segments[each.interface] = segment
     on_a_bus = [node.device for node in built.nodes.values()]
     on_a_bus += [slave.device for one in built.segments.values() for slave in one.slaves]
-    built.awaited = [device for device in on_a_bus if isinstance(device, Epos4)]
+    built.awaited = [device for device in on_a_bus if isinstance(device, Cia402Drive)]
     return built
+
+
+def _drive(timeline: Timeline, config: Config, axis: int, node_id: int) -> Cia402Drive:
+    """The drive of an axis, from its profile's EDS or by a model of ours. Raises `LabError`."""
+    lab, bus = config.lab, config.fieldbus
+    assert lab is not None
+    profile = bus.profile(axis)
+    samples, stage, brake = timeline.samples, lab.drive, lab.plant.holding_brake
+    if profile.eds is not None:
+        sheet = sheets.read(profile.eds.name, profile.eds.text, node_id)
+        on_can = not any(axis in devices(each)[0] for each in parts(bus) if each.kind == "ethercat")
+        motor = config.robot.drive_trains[axis].motor
+        feed = profile.scaling.position == "0x6092"
+        return EdsDrive(
+            axis,
+            sheet,
+            motor,
+            samples,
+            timeline,
+            stage,
+            holding_brake=brake,
+            on_can=on_can,
+            feed=feed,
+        )
+    if profile.emulated_as is None:
+        raise LabError(
+            f"fieldbus: the lab cannot emulate the {profile.name} of axis {axis}: its profile has "
+            "no eds; add eds: FILE, the drive's electronic data sheet"
+        )
+    return Epos4(axis, node_id, samples, timeline, stage, holding_brake=brake)
 
 
 def _numbers(
@@ -143,7 +173,7 @@ def _add_channels(
             rewired=rewired,
         )
         built.channels[spec.name] = channel
-        devices: list[tuple[int, Epos4 | ForceCell]] = [
+        devices: list[tuple[int, Cia402Drive | ForceCell]] = [
             *((drive.node_id, built.drives[drive.axis]) for drive in spec.drives),
             *((cell.node_id, cells[cell.cells]) for cell in spec.force_cells),
         ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from tonus.sim.devices.epos4.drive import Epos4
+from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.devices.samples import Samples
 
@@ -14,7 +14,7 @@ class Devices(Protocol):
     """The part of a lab that the port needs."""
 
     @property
-    def drives(self) -> list[Epos4]: ...
+    def drives(self) -> list[Cia402Drive]: ...
     @property
     def cells(self) -> list[ForceCell]: ...
     @property

@@ -19,7 +19,7 @@ from tonus.config.faults import KINDS, FaultKind
 from tonus.config.schema.base import Section
 from tonus.config.schema.faults import ClearFaults, Fault
 from tonus.config.schema.robot_faults import OfRobot
-from tonus.sim.devices.epos4.drive import Epos4
+from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.errors import LabError
 from tonus.sim.ethercat import verbs
@@ -141,7 +141,7 @@ class Door:
             "plugged": node.plugged,
             "nmt": node.state.name,
         }
-        if isinstance(device, Epos4):
+        if isinstance(device, Cia402Drive):
             told |= {
                 "device": f"axis {device.axis}",
                 "state": device.state.name,
@@ -166,7 +166,7 @@ class Door:
             return [*(lab.channels if on_can else ()), *(lab.segments if on_ethercat else ())]
         wanted: type[Any] = object
         if kind.name in _OF_DRIVES:
-            wanted = Epos4
+            wanted = Cia402Drive
         elif kind.name in _OF_CELLS:
             wanted = ForceCell
         places = [(*place, node.device) for place, node in lab.nodes.items() if on_can]

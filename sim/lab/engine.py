@@ -21,7 +21,7 @@ from tonus.sim.can.canopen.node import Node
 from tonus.sim.can.wire.channel import NEVER
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.can.wire.latency import Latency
-from tonus.sim.devices.epos4.drive import Epos4
+from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.devices.samples import Samples
 from tonus.sim.devices.timers import Callback
@@ -122,7 +122,7 @@ class Lab:
         self.nodes: dict[tuple[str, int], Node] = built.nodes
         self.segments: dict[str, Segment] = built.segments
         """EtherCAT segments, by the name of the master's interface"""
-        self.drives: list[Epos4] = built.drives
+        self.drives: list[Cia402Drive] = built.drives
         self.cells: list[ForceCell] = built.cells
         self._bitrate = built.bitrate
         self._awaited = built.awaited

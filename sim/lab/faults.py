@@ -26,8 +26,7 @@ from tonus.config.schema.robot_faults import OfRobot
 from tonus.sim.can.canopen.node import Node
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.can.wire.frame_faults import FrameFault
-from tonus.sim.devices.epos4.drive import Epos4
-from tonus.sim.devices.epos4.errors import ERRORS
+from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.devices.timers import Timers
 from tonus.sim.errors import LabError
@@ -116,9 +115,10 @@ class Faults:
     def _check_node(self, fault: _OF_NODE) -> None:
         node = self._node(fault.channel, fault.node)
         what = f"fault {fault.kind}: node {fault.node} on {fault.channel}"
-        if isinstance(fault, DriveError | DriveInput) and not isinstance(node.device, Epos4):
+        device = node.device
+        if isinstance(fault, DriveError | DriveInput) and not isinstance(device, Cia402Drive):
             raise LabError(f"{what} is not a drive")
-        if isinstance(fault, DriveError) and fault.code not in ERRORS:
+        if isinstance(fault, DriveError) and fault.code not in getattr(device, "errors", ()):
             raise LabError(f"fault {fault.kind}: a drive has no error 0x{fault.code:04X}")
         if isinstance(fault, DriveInput) and not hasattr(node.device, "set_input"):
             raise LabError(f"{what} has no input {fault.input}")

@@ -17,8 +17,8 @@ import numpy as np
 from tests.fuzz.shots import LOAD, Shot, Storm, Targets
 from tests.lab_bench import Bench
 from tonus.sim.can.canopen.node import Nmt
+from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.cia402.states import State
-from tonus.sim.devices.epos4.drive import Epos4
 
 DRIVE, CELL = 0x00020192, 0x00020194
 CHECK_EVERY = 1000
@@ -156,7 +156,7 @@ class LabUnderFire:
                 raise FallenError(f"{name}: boot-ups {booted}, expected {expected}")
         for (channel, number), node in bench.lab.nodes.items():
             where = f"{channel}/{number}"
-            kind = DRIVE if isinstance(node.device, Epos4) else CELL
+            kind = DRIVE if isinstance(node.device, Cia402Drive) else CELL
             if bench.upload(channel, number, 0x1000, 0) != struct.pack("<I", kind):
                 raise FallenError(f"{where} does not say what it is")
             if node.state is not Nmt.PRE_OPERATIONAL:

@@ -53,6 +53,7 @@ class Stage:
         self.cause = False
         self.cleared = 0
         self.allowed = True
+        self.quick_stop = 6
 
     def power(self, on: bool) -> None:
         self.on, self.braking = on, False
@@ -74,6 +75,9 @@ class Stage:
 
     def disable_ramp(self) -> bool:
         return self.ramps
+
+    def quick_stop_option(self) -> int:
+        return self.quick_stop
 
 
 def machine_in(state: State, ramps: bool = False) -> tuple[Machine, Stage]:

@@ -21,6 +21,8 @@ _TYPES = {
     Kind.U32: 0x7,
     Kind.REAL32: 0x8,
     Kind.STRING: 0x9,
+    Kind.REAL64: 0x11,
+    Kind.I64: 0x15,
     Kind.U64: 0x1B,
 }
 _MANDATORY = (0x1000, 0x1001, 0x1018)
@@ -38,7 +40,7 @@ def eds(
     device, objects = node.device, node.device.objects
     number = objects.number
     vendor = number(0x1018, 1)
-    name = objects.find(0x1008, 0).value
+    name = objects.find(0x1008, 0).value if (0x1008, 0) in objects.entries else "drive"
     lines = [
         *_section(
             "FileInfo",

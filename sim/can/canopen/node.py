@@ -20,8 +20,8 @@ from tonus.sim.can.canopen.sdo_server import SdoServer
 from tonus.sim.can.wire.channel import Narrow, Notice, Wide
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.can.wire.frame import REMOTE, Frame
+from tonus.sim.devices.cia402.errors import CAN_PASSIVE, HEARTBEAT_LOST, PDO_LENGTH
 from tonus.sim.devices.device import Device
-from tonus.sim.devices.epos4.errors import CAN_PASSIVE, HEARTBEAT_LOST, PDO_LENGTH
 from tonus.sim.devices.objects import Entry, Kind
 from tonus.sim.devices.timers import Timers
 from tonus.sim.errors import LabError
@@ -109,12 +109,16 @@ class Node:
         device.on_error = self._emergency
 
     def _add_objects(self) -> None:
-        add, node = self.device.objects.add, self.node_id
-        self.device.objects.names |= {
+        objects, node = self.device.objects, self.node_id
+        objects.names = {
             _CONSUMER: "Consumer heartbeat time",
             _ON_ERROR: "Error behavior",
             0x1200: "SDO server parameter",
-        }
+        } | objects.names
+
+        def add(index: int, subindex: int, entry: Entry) -> None:
+            if (index, subindex) not in objects.entries:  # a data sheet's own stays
+                objects.add(index, subindex, entry)
 
         def relative(name: str, base: int) -> Entry:
             return Entry(name, Kind.U32, "ro", base + node, relative=True)
@@ -125,7 +129,8 @@ class Node:
             name = f"Consumer {number} heartbeat time"
             add(_CONSUMER, number, Entry(name, Kind.U32, "rw", 0, 0, 0x7FFFFF))
         add(_PRODUCER, 0, Entry("Producer heartbeat time", Kind.U16, "rw", 0))
-        add(_ON_ERROR, 1, Entry("Communication error", Kind.U8, "rw", 0, 0, 2))
+        if self.device.error_behaviour:
+            add(_ON_ERROR, 1, Entry("Communication error", Kind.U8, "rw", 0, 0, 2))
         add(0x1200, 1, relative("COB-ID SDO client to server", SDO_REQUEST))
         add(0x1200, 2, relative("COB-ID SDO server to client", SDO_ANSWER))
 
@@ -364,7 +369,7 @@ class Node:
             return
         watch.active = False
         self.device.fail(HEARTBEAT_LOST)
-        behaviour = self.device.objects.number(_ON_ERROR, 1)
+        behaviour = self.device.objects.number(_ON_ERROR, 1) if self.device.error_behaviour else 0
         if behaviour == 0 and self.state is Nmt.OPERATIONAL:
             self._enter(Nmt.PRE_OPERATIONAL)
         elif behaviour == 2:

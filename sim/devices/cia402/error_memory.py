@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tonus.sim.devices.epos4.errors import ERRORS, Recovery
-from tonus.sim.devices.epos4.objects import HISTORY
+from tonus.sim.devices.cia402.errors import ErrorTable, Recovery
 from tonus.sim.devices.objects import RANGE, AbortError, ObjectDictionary
 
 
@@ -13,28 +12,36 @@ class ErrorMemory:
     """Works on the entries of a dictionary. ``present``: codes whose fault is not reset yet;
     ``warning``: whether one of those that only warn is."""
 
-    def __init__(self, objects: ObjectDictionary, cleared: Callable[[], None]) -> None:
+    def __init__(
+        self, objects: ObjectDictionary, errors: ErrorTable, cleared: Callable[[], None]
+    ) -> None:
         """``cleared`` is called when somebody has cleared the history."""
         self.present: set[int] = set()
+        self._errors = errors
         self._waiting: set[int] = set()  # for something to happen before they can be reset
         self._cleared = cleared
         self._code = objects.find(0x603F, 0)
         self._register = objects.find(0x1001, 0)
         self._count = objects.find(0x1003, 0)
-        self._history = [objects.find(0x1003, number) for number in range(1, HISTORY + 1)]
+        self._history = [
+            objects.find(index, number)
+            for index, number in sorted(objects.entries)
+            if index == 0x1003 and number
+        ]
         self._count.write = self._clear_history
 
     @property
     def warning(self) -> bool:
-        return any(ERRORS[code].reaction == "W" for code in self.present)
+        return any(self._errors[code].reaction == "W" for code in self.present)
 
     def push(self, code: int) -> int:
         """Remember an error, newest first; the error register as it is now."""
-        error = ERRORS[code]
-        for place in range(HISTORY - 1, 0, -1):
+        error = self._errors[code]
+        for place in range(len(self._history) - 1, 0, -1):
             self._history[place].value = self._history[place - 1].value
-        self._history[0].value = code | error.register << 16
-        self._count.value = min(int(self._count.value) + 1, HISTORY)
+        if self._history:
+            self._history[0].value = code | error.register << 16
+        self._count.value = min(int(self._count.value) + 1, len(self._history))
         self.present.add(code)
         self._waiting.add(code)
         self._show()
@@ -45,20 +52,22 @@ class ErrorMemory:
     def _show(self) -> None:
         register = 0
         for code in self.present:
-            register |= ERRORS[code].register
+            register |= self._errors[code].register
         self._register.value = register
 
     def needs(self, recovery: Recovery) -> bool:
         """Whether an error waits for this before it can be reset."""
-        return any(ERRORS[code].recovery is recovery for code in self._waiting)
+        return any(self._errors[code].recovery is recovery for code in self._waiting)
 
     def recovered(self, recovery: Recovery) -> None:
         """What these errors waited for has happened; a fault reset will do now."""
-        self._waiting = {code for code in self._waiting if ERRORS[code].recovery is not recovery}
+        self._waiting = {
+            code for code in self._waiting if self._errors[code].recovery is not recovery
+        }
 
     def clear(self) -> None:
         """No error remains but what needs the history cleared; the history stays."""
-        self.present = {c for c in self.present if ERRORS[c].recovery is Recovery.HISTORY}
+        self.present = {c for c in self.present if self._errors[c].recovery is Recovery.HISTORY}
         self._waiting = set()
         self._code.value = 0
         self._show()
@@ -76,6 +85,6 @@ class ErrorMemory:
             raise AbortError(RANGE)
         for entry in self._history:
             entry.value = 0
-        self.present = {c for c in self.present if ERRORS[c].recovery is not Recovery.HISTORY}
+        self.present = {c for c in self.present if self._errors[c].recovery is not Recovery.HISTORY}
         self._show()
         self._cleared()

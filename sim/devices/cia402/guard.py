@@ -10,15 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tonus.config.schema.lab import PowerStage
+from tonus.sim.devices.cia402.errors import OVERHEATED, OVERVOLTAGE, UNDERVOLTAGE, Codes
 from tonus.sim.devices.cia402.servo import PERIOD_NS, Servo
 from tonus.sim.devices.cia402.thermal import Thermal
-from tonus.sim.devices.epos4.errors import (
-    MOTOR_OVERHEATED,
-    OVERHEATED,
-    OVERVOLTAGE,
-    SOFTWARE_LIMIT,
-    UNDERVOLTAGE,
-)
 from tonus.sim.devices.samples import Measured
 from tonus.sim.devices.timers import Timers
 
@@ -38,6 +32,7 @@ class Guard:
         plant: Measured,
         timers: Timers,
         stage: PowerStage,
+        codes: Codes,
         fail: Callable[[int], None],
         changed: Callable[[], None],
         following: Callable[[], bool],
@@ -49,6 +44,7 @@ class Guard:
         self._plant = plant
         self._timers = timers
         self._stage = stage
+        self._codes = codes
         self._fail = fail
         self._changed = changed
         self._following = following
@@ -92,7 +88,7 @@ class Guard:
             UNDERVOLTAGE: self.supply < low + stage.undervoltage_recovery,
             OVERVOLTAGE: self.supply > high - stage.overvoltage_recovery,
             OVERHEATED: self.temperature > hot - stage.thermal_recovery,
-            MOTOR_OVERHEATED: self.motor.hot,
+            self._codes.motor_overheated: self.motor.hot,
         }
         return not any(out[code] for code in present & out.keys())
 
@@ -124,7 +120,7 @@ class Guard:
             most = min(most, self._stage.continuous_current)
         low, high = -most, most
         speed = float(self._plant.motor_rate[self._axis])
-        top = self._top.number * self._servo.velocity_unit
+        top = self._top.number * self._servo.motor_speed_unit
         if abs(speed) > _BAND * top:
             # As its speed loop would: so much current as the distance to the limit is worth.
             gain = self._servo.value(0x30A2, 1) * 1e-6
@@ -156,7 +152,7 @@ class Guard:
         self.motor, self.power_stage = Thermal(), Thermal()
 
     def _again(self, now_ns: int, run: int) -> None:
-        top = self._top.number * self._servo.velocity_unit
+        top = self._top.number * self._servo.motor_speed_unit
         fast = abs(float(self._plant.motor_rate[self._axis])) > _NEAR * top
         # The slow watch of all drives falls on the same instants, so that the lab wakes once.
         at_ns = now_ns + PERIOD_NS if fast else (now_ns // _SLOW_NS + 1) * _SLOW_NS
@@ -180,4 +176,4 @@ class Guard:
         servo.measure()
         beyond = servo.position > high and servo.speed > 0.0
         if beyond or (servo.position < low and servo.speed < 0.0):
-            self._fail(SOFTWARE_LIMIT)
+            self._fail(self._codes.software_limit)

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from tonus.sim.devices.cia402.errors import FOLLOWING
 from tonus.sim.devices.cia402.motion import FOLLOWS_COMMAND, HALT, TARGET_REACHED, UNLIMITED
 from tonus.sim.devices.cia402.profile import Trapezoid
 from tonus.sim.devices.cia402.servo import PERIOD, PERIOD_NS, Servo
-from tonus.sim.devices.epos4.errors import FOLLOWING, SOFTWARE_LIMIT
 
 NEW_SET_POINT = 0x0010
 IMMEDIATELY = 0x0020
@@ -27,10 +27,12 @@ Fail = Callable[[int], None]
 class _Watched:
     """What the two position modes watch: following error (0x6065) and software limits (0x607D)."""
 
-    def __init__(self, servo: Servo, fail: Fail) -> None:
+    def __init__(self, servo: Servo, fail: Fail, software_limit: int) -> None:
+        """``software_limit`` is the code of that error."""
         self.bits = 0
         self._servo = servo
         self._fail = fail
+        self._software_limit = software_limit
 
     def _lost(self, demand: float) -> bool:
         """Raises the following error; with 0x6066 fixed at 0 it trips at once."""
@@ -46,7 +48,7 @@ class _Watched:
         low, high = self._servo.value(0x607D, 1), self._servo.value(0x607D, 2)
         if low == high == 0 or low <= target <= high:
             return False
-        self._fail(SOFTWARE_LIMIT)
+        self._fail(self._software_limit)
         return True
 
 
@@ -62,8 +64,8 @@ class ProfilePosition(_Watched):
     """Bit 4 takes a set-point over; one more may wait behind the one on its way. Relative targets
     count from the last set-point. Endless: at profile speed in the target's direction."""
 
-    def __init__(self, servo: Servo, fail: Fail) -> None:
-        super().__init__(servo, fail)
+    def __init__(self, servo: Servo, fail: Fail, software_limit: int) -> None:
+        super().__init__(servo, fail, software_limit)
         self._profile = Trapezoid()
 
     def start(self, word: int) -> None:
@@ -216,9 +218,11 @@ class Interpolation:
 class CyclicPosition(_Watched):
     """0x607A plus 0x60B0 is the demanded position; 0x60B1 and 0x60B2 are fed forward."""
 
-    def __init__(self, servo: Servo, fail: Fail, ampere: Callable[[int], float]) -> None:
+    def __init__(
+        self, servo: Servo, fail: Fail, software_limit: int, ampere: Callable[[int], float]
+    ) -> None:
         """``ampere`` turns per mille of the rated torque into a current."""
-        super().__init__(servo, fail)
+        super().__init__(servo, fail, software_limit)
         self._ampere = ampere
         self.interpolation = Interpolation()
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from tonus.sim.devices.cia402.profile import Trapezoid
-from tonus.sim.devices.cia402.servo import PERIOD, PERIOD_NS, RPM, Servo
+from tonus.sim.devices.cia402.servo import PERIOD, PERIOD_NS, Servo
 from tonus.sim.devices.samples import Measured
 from tonus.sim.devices.timers import Timers
 
@@ -47,7 +47,7 @@ class Braking:
         del word
         value = self._servo.value
         self._profile.place(0.0, self._servo.speed)
-        self._deceleration = value(self.ramp) * RPM * self._servo.per_radian
+        self._deceleration = self._servo.deceleration(value(self.ramp))
         window = value(0x30E0, 1)
         unit = self._servo.velocity_unit * self._servo.per_radian
         self._window = float("inf") if window == UNLIMITED else window * unit

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tonus.config.schema.lab import PowerStage
+from tonus.sim.devices.cia402.errors import Codes
 from tonus.sim.devices.cia402.guard import Guard
 from tonus.sim.devices.cia402.holding_brake import HoldingBrake
 from tonus.sim.devices.cia402.homing import Homing
@@ -42,6 +43,7 @@ class Output:
         timers: Timers,
         stage: PowerStage,
         terminals: Terminals,
+        codes: Codes,
         *,
         holding_brake: bool,
         fail: Callable[[int], None],
@@ -57,16 +59,16 @@ class Output:
         self._changed = changed
         self.servo = servo = Servo(axis, objects, samples)
         self.guard = Guard(
-            axis, servo, plant, timers, stage, fail, self._allowed, lambda: self.following
+            axis, servo, plant, timers, stage, codes, fail, self._allowed, lambda: self.following
         )
         self._motion = Motion(servo, plant, timers, changed)
         self.braking = Braking(servo, standstill)
         self._brake = HoldingBrake(axis, objects, plant, timers, fitted=holding_brake)
-        position = CyclicPosition(servo, fail, self._ampere)
+        position = CyclicPosition(servo, fail, codes.software_limit, self._ampere)
         velocity = CyclicVelocity(servo, self._ampere)
         self.lines = (position.interpolation, velocity.interpolation)
         self._tasks: dict[int, Task] = {
-            PROFILE_POSITION: ProfilePosition(servo, fail),
+            PROFILE_POSITION: ProfilePosition(servo, fail, codes.software_limit),
             PROFILE_VELOCITY: ProfileVelocity(servo),
             HOMING: Homing(servo, terminals, referenced),
             CYCLIC_POSITION: position,
@@ -162,9 +164,13 @@ class Output:
         if self._driving:
             self._motion.stop()
             self._drive()
-        else:
+        elif mode in self._tasks:
             self._limited = False
             self._motion.run(self._tasks[mode], self.word)
+        else:  # no mode is chosen yet
+            self._limited = False
+            self._motion.stop()
+            self._plant.current_reference[self._axis] = 0.0
         self._changed()
 
     def ramp_down(self) -> None:

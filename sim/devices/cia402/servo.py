@@ -39,8 +39,8 @@ class Servo:
         self.limit = 0.0
         """A, what may flow now"""
         self.limited = False
-        self.velocity_unit = RPM
-        """rad/s for one unit of 0x60A9"""
+        self.velocity_unit = self.motor_speed_unit = self.acceleration_unit = RPM
+        """rad/s for one unit of a velocity and of 0x6080, rad/s2 for one of an acceleration"""
         self.position = 0
         self.speed = 0.0
         self.position_demand = 0.0
@@ -55,7 +55,11 @@ class Servo:
 
     def ramp(self, index: int) -> float:
         """An acceleration object, within 0x60C5, in increments/s2."""
-        return min(self.value(index), self.value(0x60C5)) * RPM * self.per_radian
+        return self.deceleration(min(self.value(index), self.value(0x60C5)))
+
+    def deceleration(self, value: int) -> float:
+        """An acceleration in increments/s2."""
+        return value * self.acceleration_unit * self.per_radian
 
     @property
     def current(self) -> float:

@@ -66,6 +66,9 @@ class Actions(Protocol):
     def disable_ramp(self) -> bool:
         """0x605C: the same for disable operation."""
 
+    def quick_stop_option(self) -> int:
+        """0x605A: 0 power off; 1 to 4 brake, then power off; 5 to 8 brake and stay."""
+
 
 _S, _C = State, Command
 _DIRECT: dict[tuple[State, Command], State] = {
@@ -87,6 +90,8 @@ _BRAKED: dict[tuple[State, Command], State] = {
     (_S.OPERATION_ENABLED, _C.SWITCH_ON): _S.SWITCHED_ON,  # 5
     (_S.OPERATION_ENABLED, _C.SHUTDOWN): _S.READY,  # 8
 }
+_CUT, _STAYS = 0, 5
+"""Options of 0x605A."""
 POWERED = frozenset({_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FAULT_REACTION_ACTIVE})
 """States in which the power stage may be on."""
 
@@ -141,7 +146,8 @@ class Machine:
             if _DIRECT[key] is State.OPERATION_ENABLED and not self._actions.may_enable():
                 return
             self._braking = None
-            self._enter(_DIRECT[key])
+            cut = wanted is Command.QUICK_STOP and self._actions.quick_stop_option() == _CUT
+            self._enter(State.SWITCH_ON_DISABLED if cut else _DIRECT[key])
 
     def _enter(self, state: State) -> None:
         self.state = state
@@ -160,6 +166,8 @@ class Machine:
         elif self._braking is not None:
             state, self._braking = self._braking, None
             self._enter(state)
+        elif self.state is State.QUICK_STOP_ACTIVE and self._actions.quick_stop_option() < _STAYS:
+            self._enter(State.SWITCH_ON_DISABLED)  # 12
 
     def fault(self, *, ramp: bool) -> None:
         """Transition 13; ``ramp`` if the drive may brake before its power goes."""

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from tonus.sim.devices.epos4.objects import UNUSED
 from tonus.sim.devices.objects import ObjectDictionary
 
+UNUSED = 255
 INPUTS = 8
 """Digital inputs 1 to 4, then high-speed inputs 1 to 4, as in 0x3142."""
 OUTPUTS = 3

@@ -5,43 +5,34 @@ Reactions: "D" power off at once; "A" as 0x6007 says; "F" as 0x605E says; "W" on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import Enum
+from tonus.sim.devices.cia402.errors import (
+    CAN_PASSIVE,
+    FOLLOWING,
+    HEARTBEAT_LOST,
+    OVERHEATED,
+    OVERVOLTAGE,
+    PDO_LENGTH,
+    PDO_TIMEOUT,
+    UNDERVOLTAGE,
+    Codes,
+    Error,
+    Recovery,
+)
 
-OVERVOLTAGE = 0x3210
-UNDERVOLTAGE = 0x3220
-OVERHEATED = 0x4210
 MOTOR_OVERHEATED = 0x4380
 CORRUPT_PARAMETERS = 0x6380
-CAN_PASSIVE = 0x8120
-HEARTBEAT_LOST = 0x8130
-PDO_LENGTH = 0x8210
-PDO_TIMEOUT = 0x8250
-FOLLOWING = 0x8611
 NEGATIVE_LIMIT = 0x8A80
 POSITIVE_LIMIT = 0x8A81
 SOFTWARE_LIMIT = 0x8A82
 TORQUE_OFF = 0x8A88
 OVERLOADED = 0xFF01
-
-
-class Recovery(Enum):
-    """What a fault reset needs first."""
-
-    NONE = "nothing"
-    IN_RANGE = "the value back in its range"
-    COMMUNICATION = "NMT reset communication"
-    DEVICE = "a reset of the device"
-    HISTORY = "the history cleared"
-
-
-@dataclass(frozen=True)
-class Error:
-    register: int
-    reaction: str
-    recovery: Recovery = Recovery.NONE
-    loses_position: bool = False
-    """resetting it clears the position"""
+CODES = Codes(
+    motor_overheated=MOTOR_OVERHEATED,
+    software_limit=SOFTWARE_LIMIT,
+    negative_limit=NEGATIVE_LIMIT,
+    positive_limit=POSITIVE_LIMIT,
+    torque_off=TORQUE_OFF,
+)
 
 
 def _group(register: int, reaction: str, *codes: int) -> dict[int, Error]:

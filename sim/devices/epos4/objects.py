@@ -5,6 +5,7 @@ Communication objects (0x1005, 0x1014 and up) belong to the bus and are added by
 
 from __future__ import annotations
 
+from tonus.sim.devices.cia402.terminals import UNUSED
 from tonus.sim.devices.device import PdoDefault
 from tonus.sim.devices.epos4 import axis_objects as axis
 from tonus.sim.devices.epos4 import profile_objects as profile
@@ -17,7 +18,6 @@ DEVICE_TYPE = 0x00020192
 HISTORY = 5
 BIT_RATES = (0, 1, 2, 3, 4, 6, 7, 9)
 """Codes of 0x2001: 1000, 800, 500, 250, 125, 50 and 20 kbit/s; 9: detect"""
-UNUSED = 255
 INPUT_FUNCTIONS = (0, 1, 2, *range(16, 29), UNUSED)
 _FIRST_SERIAL = 0x50080000
 

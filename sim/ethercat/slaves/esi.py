@@ -26,7 +26,9 @@ _TYPES = {
     DataKind.I8: "SINT",
     DataKind.I16: "INT",
     DataKind.I32: "DINT",
+    DataKind.I64: "LINT",
     DataKind.REAL32: "REAL",
+    DataKind.REAL64: "LREAL",
 }
 _MANAGER_NAMES = ("MBoxOut", "MBoxIn", "Outputs", "Inputs")
 _VENDORS = {0x000000FB: "maxon motor ag", 0x0000FFFF: "Tonus lab"}

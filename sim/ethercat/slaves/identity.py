@@ -47,6 +47,30 @@ EPOS4 = Kind(
 """Places and limits of the maker's device description (that of the Micro 24/5: the 50/8's is not
 public)."""
 
+_DRIVE = replace(
+    EPOS4,
+    receive_mailbox=0x1000,
+    send_mailbox=0x1080,
+    mailbox_bytes=128,
+    outputs=0x1100,
+    inputs=0x1180,
+    longest_pdo=64,
+)
+"""Of a drive made from its EDS, which says nothing about the slave controller."""
+
+
+def drive(name: str, vendor: int, product: int, revision: int, longest_mapping: int) -> Kind:
+    """A drive made from its EDS."""
+    return replace(
+        _DRIVE,
+        name=name,
+        vendor=vendor,
+        product=product,
+        revision=revision,
+        longest_mapping=longest_mapping,
+    )
+
+
 _AMPLIFIER = Kind(
     name="force amplifier",
     group="Sensors",

@@ -17,6 +17,8 @@ _DATA_TYPES = {
     Kind.U16: 0x0006,
     Kind.U32: 0x0007,
     Kind.REAL32: 0x0008,
+    Kind.REAL64: 0x0011,
+    Kind.I64: 0x0015,
     Kind.STRING: 0x0009,
     Kind.U64: 0x001B,
 }
