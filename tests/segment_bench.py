@@ -32,8 +32,10 @@ _FAULT: TypeAdapter[Any] = TypeAdapter(Fault)
 class SegmentBench:
     """``between`` may change a frame's answer on its way back; ``frames`` counts those sent."""
 
-    def __init__(self, overrides: dict[str, Any] | None = None) -> None:
-        self.config: Config = load("config/ethercat.yaml", overrides=overrides)[0]
+    def __init__(
+        self, overrides: dict[str, Any] | None = None, name: str = "config/ethercat.yaml"
+    ) -> None:
+        self.config: Config = load(name, overrides=overrides)[0]
         self.lab = Lab(
             self.config,
             load("config/ethercat.yaml", scenario="hold")[1].lab,

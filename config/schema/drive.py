@@ -266,6 +266,9 @@ class DriveProfile(Device):
     master_timeout_ms: Count | None = None
     """heartbeat consumer 0x1016: the drive leaves Operation Enabled when the daemon is silent;
     null: as `tolerance` has it (`tonus.config.timeouts`)"""
+    watches_master: bool = True
+    """it has a heartbeat consumer, 0x1016; false: on CANopen nothing stops it without the daemon,
+    which `tonus check` takes in a lab only"""
     heartbeat_margin_ms: NonNegative = 0.0
     """the drive's consumer must wait at least this much longer than the producer's period"""
     on_communication_error: Annotated[int, Field(ge=0, le=2)] | None

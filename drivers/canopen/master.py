@@ -239,6 +239,8 @@ class CanopenFieldbus:
 
     def _drive_role(self, axis: int, profile: DriveProfile) -> Role:
         settings = drives.settings(self._config.robot.drive_trains[axis], profile)
+        tolerance = self._config.tolerance
+        watch_ms = master_timeout_ms(self._bus, profile, tolerance) if profile.watches_master else 0
         behaviour = profile.on_communication_error
         if behaviour is not None:
             why = "behaviour on a communication error"
@@ -249,7 +251,7 @@ class CanopenFieldbus:
             profile.tpdo,
             settings,
             drive=True,
-            consumer_ms=master_timeout_ms(self._bus, profile, self._config.tolerance),
+            consumer_ms=watch_ms,
             errors=Errors(profile),
             finish=lambda access: self._exchange.read_scale(axis, access, profile),
         )

@@ -8,6 +8,7 @@ from tonus.sim.can.canopen.eds import eds
 from tonus.sim.can.canopen.node import Node
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.devices.device import Device
+from tonus.sim.devices.eds.drive import EdsDrive
 from tonus.sim.devices.epos4.drive import Epos4
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.errors import LabError
@@ -29,7 +30,11 @@ def sheets(config: Config) -> dict[str, str]:
         "force_cell.eds": (ForceCell((0,), 1, lab.samples, noise, lab), _CELL_RATES),
         "force_cell_4.eds": (ForceCell((0, 1, 2, 3), 1, lab.samples, noise, lab), _CELL_RATES),
     }
-    found = {}
+    found = {
+        node.device.sheet.name: eds(node, node.device.sheet.name, _CELL_RATES)
+        for node in lab.nodes.values()
+        if isinstance(node.device, EdsDrive)
+    }
     for name, (device, rates) in devices.items():
         node = Node(device, 1, FaultyChannel("can", 1_000_000, _QUEUE, 0), lab)
         found[name] = eds(node, name, rates)

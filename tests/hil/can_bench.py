@@ -1,4 +1,4 @@
-"""Daemon's half and lab's half of config/can.yaml on one virtual loop."""
+"""Daemon's half and lab's half of a CANopen configuration on one virtual loop."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 import can
 
 from tests.unit.fake_can import Tap
-from tonus.config import load
+from tonus.config import Config, load
 from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.timing.clock import VirtualTimeLoop
@@ -21,14 +21,16 @@ PERIOD_S = CONFIG.control.rates.period
 class Bench:
     """The fieldbus and the lab; ``tick`` is the next one."""
 
-    def __init__(self, open_bus: Callable[[str], can.BusABC] | None = None) -> None:
+    def __init__(
+        self, open_bus: Callable[[str], can.BusABC] | None = None, config: Config = CONFIG
+    ) -> None:
         loop = asyncio.get_running_loop()
         assert isinstance(loop, VirtualTimeLoop)
-        self.lab = Lab(CONFIG, SCENARIO.lab, seed=1, clock=loop.now_ns)
-        self.image = ProcessImage(8)
+        self.lab = Lab(config, SCENARIO.lab, seed=1, clock=loop.now_ns)
+        self.image = ProcessImage(config.robot.cables)
         tap = Tap()
         self.frames = tap.seen
-        self.fieldbus = CanopenFieldbus(CONFIG, self.image, tap, open_bus=open_bus)
+        self.fieldbus = CanopenFieldbus(config, self.image, tap, open_bus=open_bus)
         self.tick = 0
 
     async def ticks(self, count: int) -> None:
@@ -42,11 +44,12 @@ class Bench:
 def on_lab(
     script: Callable[[Bench], Awaitable[None]],
     open_bus: Callable[[str], can.BusABC] | None = None,
+    config: Config = CONFIG,
 ) -> Bench:
     """Play a script on a bench of its own, in virtual time."""
 
     async def work() -> Bench:
-        bench = Bench(open_bus)
+        bench = Bench(open_bus, config)
         bench.lab.open()
         try:
             await script(bench)

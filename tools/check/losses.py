@@ -96,6 +96,15 @@ def _heartbeats(config: Config, bus: CanopenBus) -> Iterator[Finding]:
     needed = f"{tolerance.lost.heartbeat} lost and {tolerance.jitter_ms} ms of jitter need"
     least = least_master_timeout_ms(bus, tolerance)
     for key, profile in bus.every_profile.items():
+        if not profile.watches_master:
+            yield Finding(
+                "heartbeat",
+                config.lab is not None,
+                f"{key}.watches_master",
+                f"{profile.name} has no heartbeat consumer: nothing stops it without the daemon",
+                "use a drive that has 0x1016, or EtherCAT",
+            )
+            continue
         waits = master_timeout_ms(bus, profile, tolerance)
         yield Finding(
             "heartbeat",

@@ -28,6 +28,7 @@ from tonus.drivers.canopen.process_data import drive_encoder
 from tonus.drivers.cia301.pdo import Mapping, PdoError
 from tonus.drivers.devices import drive, force_cell
 from tonus.tools.check.controller import check_controller
+from tonus.tools.check.data_sheets import check_data_sheets
 from tonus.tools.check.ethercat import check_ethercat
 from tonus.tools.check.finding import Finding
 from tonus.tools.check.losses import check_losses
@@ -62,6 +63,7 @@ def check(config: Config, scenario: Scenario, *, timed: bool = False) -> list[Fi
         for channel in bus.channels:
             findings += _load(bus, channel, config.control.rates.period_us)
             findings += _identifiers(bus, channel)
+    findings += check_data_sheets(config)
     findings += check_losses(config)
     findings += _faults(config, scenario)
     findings += mechanics(config, scenario)
