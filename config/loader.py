@@ -52,9 +52,9 @@ def load(
 ) -> tuple[Config, Scenario]:
     """Read a configuration and the scenario it names, or the one named here.
 
-    ``path`` may also be the bare name of a configuration that comes with the package, and
-    ``scenario`` a path to a YAML file. One rule for relative paths: those in a file start from that
-    file's folder, those given here from the working directory. ``overrides`` maps dotted keys
+    ``path`` may also be the name of a shipped configuration, and ``scenario`` a path to a YAML
+    file. Relative paths in a file start from that file's folder, those given here from the working
+    directory. ``overrides`` maps dotted keys
     ("control.controller") to values, for tests and command-line options. Raises `ConfigError`.
     """
     document = read(*locate(path))

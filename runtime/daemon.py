@@ -164,7 +164,7 @@ class Daemon:
         return not self._halted
 
     def _verdict(self) -> str:
-        """What became of the scenario when nothing went wrong; a fault that nobody reported."""
+        """The outcome of the scenario: completed, stopped, or the fault."""
         sequence = self.cycle.sequence
         if sequence.fault is not Fault.NONE:
             return describe(self._config, sequence.fault, sequence.where, sequence.reason)

@@ -16,4 +16,4 @@ class SchedulingError(DaemonError):
 
 
 class ControllerError(DaemonError):
-    """A controller of somebody else's cannot be imported, made or used."""
+    """A controller outside the package cannot be imported, made or used."""

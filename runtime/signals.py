@@ -52,7 +52,7 @@ class Bound(IntEnum):
 
 
 class Consistency(IntEnum):
-    """Whether what the estimator is told fits together."""
+    """Whether the measurements of the estimator agree."""
 
     GOOD = 0
     CABLES = 1

@@ -1,7 +1,7 @@
-"""What can go wrong with the lab itself, as one line a person can act on."""
+"""The error of the lab."""
 
 from __future__ import annotations
 
 
 class LabError(Exception):
-    """The lab cannot be built or cannot start."""
+    """The lab cannot be built, cannot start, or refuses a fault; one line with the remedy."""

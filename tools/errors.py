@@ -1,4 +1,4 @@
-"""What a person can mend: the command line prints it as one line and exits with code 2."""
+"""The error of the tools: the command line prints it as one line and exits with code 2."""
 
 from __future__ import annotations
 

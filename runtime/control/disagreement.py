@@ -1,5 +1,5 @@
-"""Tracker poses that are not believed: one is an outlier; many in a row that say the same are
-right, or the tracker has been moved, and either way somebody must hear of it."""
+"""Refused tracker poses: one is an outlier; many in a row that agree are right, or the tracker has
+been moved. Both cases are reported."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class Disagreement:
-    """The refused poses since the last believed one."""
+    """The refused poses since the last accepted one."""
 
     def __init__(self, settings: Settings, tracker: Tracker) -> None:
         self._settings = settings
@@ -31,7 +31,7 @@ class Disagreement:
         self.end()
 
     def end(self) -> None:
-        """A pose was believed."""
+        """A pose was accepted."""
         self.shift = np.zeros(6)
         """m and rad, mean difference between the refused poses and the estimate"""
         self.poses = 0
@@ -42,7 +42,7 @@ class Disagreement:
         self.poses = 0
 
     def add(self, shift: Array) -> None:
-        """One more refused pose, so far from what was expected (Welford's running moments)."""
+        """Add a refused pose with its distance ``shift`` from the estimate (Welford's moments)."""
         if not self.poses:
             self.shift, self._squares = np.zeros(6), np.zeros(6)
         self.poses += 1
@@ -63,7 +63,7 @@ class Disagreement:
 
     @property
     def learnable(self) -> bool:
-        """Lasting, of one opinion, and near enough to be an error of the cables."""
+        """Lasting, consistent with each other, and near enough to be an error of the cables."""
         if not self.lasting or self.distance > self._settings.relearn_limit:
             return False
         return bool((self._squares <= self.poses * self._narrow**2).all())

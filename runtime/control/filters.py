@@ -23,7 +23,7 @@ def _biquad(value: Array, b: Array, a: Array, first: Array, second: Array, out: 
 class ButterworthBank:
     """The paper's filter (section 3.4), causal, on ``channels`` signals at once.
 
-    Its price is delay: at low frequency sqrt(2)/(2 pi f_c), 4.5 ms at 50 Hz. That is why the
+    It delays: at low frequency sqrt(2)/(2 pi f_c), 4.5 ms at 50 Hz. That is why the
     inner tension loop and the estimator read the unfiltered cells, and only the law, the envelope
     and the contact channel read this; `delay` is what those account for.
     """
@@ -37,7 +37,7 @@ class ButterworthBank:
         self.value = np.zeros(channels)
 
     def reset(self, value: Array) -> None:
-        """Settle at ``value``, as if it had been the input for ever."""
+        """Settle at ``value``, as after a constant input."""
         self.value[:] = value
         self._first[:] = (1.0 - self._b[0]) * value
         self._second[:] = (self._b[2] - self._a[2]) * value

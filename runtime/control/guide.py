@@ -1,6 +1,6 @@
-"""The reference the platform follows through a run: off the cradle to home, along the scenario at a
-rate that HOLD and the envelope may slow to nothing, and back down after a stop. Nothing jumps: a
-scenario chosen in HOLD begins, once started, with the way home."""
+"""The trajectory player: the reference from the cradle to home, along the scenario with a time
+scaling that HOLD and the envelope may reduce to zero, and back down after a stop. The reference is
+continuous: a scenario selected in HOLD begins with the motion to home."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ class Guide:
         """s of scenario time"""
         self.desired: Sample = (position, np.zeros(3), np.zeros(3))
         self.push = np.zeros(3)
-        """N, force the scenario asks for at the contact port"""
+        """N, desired contact force of the scenario"""
 
     @property
     def standing(self) -> bool:
-        """The reference is at rest, wherever that is."""
+        """The reference is at rest."""
         return self._rate == 0.0
 
     def select(self, number: int) -> None:

@@ -7,12 +7,12 @@ why that cannot reach half a per cent. Here
     rate_ref = (u . v + lead l/EA dT_ref/dt) / r
 
 so that the damping acts neither on the platform, whose motion the drums follow, nor on a change of
-tension that is asked for: a cable of length l needs its drum to turn by l/(EA r) for each newton.
-Without this lead a damped loop lags, and the loop round it has no phase left (docs/control.md). It
-is filtered, and bounded so that a jump of T_ref gives no blow. M is what the drive itself will take
-on the desired motion: the drum's inertia and friction, and the gearbox's loss, which helps to hold
-a cable that runs out. It follows the desired motion and never the measured one: friction fed back
-by its own measured rate drives what it should cancel. Drum rate and tension are taken unfiltered: a
+commanded tension: a cable of length l needs its drum to turn by l/(EA r) for each newton. Without
+this lead a damped loop lags, and the outer loop has no phase margin (docs/control.md). It is
+filtered, and bounded so that a jump of T_ref causes no torque peak. M is the torque that the drive
+needs for the desired motion: the drum's inertia and friction, and the gearbox's loss, which helps
+to hold a cable that is reeled out. It uses the desired motion and never the measured one: friction
+compensated by its measured rate is positive feedback. Drum rate and tension are taken unfiltered: a
 filter's delay would cost the phase margin that `tonus.tools.margins.tension_loop` computes.
 """
 

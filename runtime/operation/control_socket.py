@@ -255,7 +255,7 @@ class ControlSocket:
             return None
 
     def _admit(self, connection: socket.socket) -> SocketClient | None:
-        """Let one in that may operate this daemon; another is told so, and let go."""
+        """Accept a client that may operate this daemon; refuse and disconnect any other."""
         connection.setblocking(False)
         heard, who = self._peers.heard(connection)
         client = SocketClient(connection, who, self._look, self._settings)

@@ -34,7 +34,7 @@ class Commander(Protocol):
 
     @property
     def interrupted(self) -> bool:
-        """Somebody asked for a stop."""
+        """A stop was requested."""
         ...
 
     @property

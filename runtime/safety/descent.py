@@ -1,8 +1,8 @@
-"""A stop with the cables that are left: what each is asked for, and what no plan may do.
+"""The descent: a stop with the remaining cables, their tension references and their bounds.
 
-The wrench is the weight and a damper of every motion, forces long before moments: letting the
-platform turn gives the least speed (docs/stop.md). A slack cable cannot pull: its drum follows the
-platform and closes the gap slowly. What a given-up one still pulls counts as a load.
+The wrench is the weight and a damper of every motion; forces have priority over moments, because a
+platform that may turn stays slower (docs/stop.md). A slack cable cannot pull: its drum follows the
+platform and slowly removes the slack. The tension of an excluded cable counts as a load.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """The Dynamic Safety Envelope: eq. (4) and (14), predicted over a horizon and graded.
 
 Green leaves the run untouched. Amber: a bound is predicted to be met within the horizon, so the
-stiffness cap comes down and the reference slows, to a stop if need be, at once; and back only when
-the bound has receded by a band, and slowly. Without that hysteresis the softer platform lets go, is
-stiffened, presses again, and so on. Red: a bound is met, and the state machine stops the robot.
+stiffness cap falls and the reference slows, if necessary to standstill, at once; both return slowly
+and only when the distance to the bound has grown by a band. Without that hysteresis the platform
+oscillates between soft and stiff. Red: a bound is met, and the state machine stops the robot.
 
-The order is law, cap, limiter: the law raises the stiffness with force, the cap lowers it near the
-contact limit, and the cap wins.
+The order is law, cap, limiter: the law raises the stiffness with force, the cap limits it near the
+contact limit.
 """
 
 from __future__ import annotations

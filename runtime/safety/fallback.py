@@ -1,5 +1,5 @@
-"""What follows when control itself raises: the cycle's passive fallback tick by tick, until no drum
-turns any more, and the drives disabled only then."""
+"""The reaction to an exception in control: the cycle's passive fallback in each tick until no drum
+turns, then the drives are disabled."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Fallback:
         self._anchor = np.full(len(config.robot.geometry.frame), np.nan)
         self._began = self._since = 0
         self._disabling: int | None = None
-        """tick in which the drives were told to disable"""
+        """tick of the command to disable the drives"""
         self.active = self.over = False
 
     def begin(self, reason: str, tick: int) -> None:

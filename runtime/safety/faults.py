@@ -1,4 +1,4 @@
-"""The faults found since the last reset: the first is the reason, all decide what is left."""
+"""The faults found since the last reset: the first is the reason, all decide the usable cables."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _HELD = frozenset({Fault.DRIVE_LOST, Fault.DRIVE_FAULT, Fault.IMPLAUSIBLE_DRIVE,
 
 
 class Faults:
-    """What was found, where, and which cables are given up for it."""
+    """The faults with their places, and the cables excluded by them."""
 
     def __init__(self, robot: Robot) -> None:
         self.found = np.zeros((len(Fault), robot.cells + 1), dtype=bool)
@@ -80,20 +80,20 @@ class Faults:
 
     @property
     def drums_trusted(self) -> NDArray[np.bool_]:
-        """(n,) whose encoder still says how the drum turns."""
+        """(n,) drums with a usable encoder."""
         return self.without(_ENCODER_UNKNOWN)
 
     @property
     def torn(self) -> NDArray[np.bool_]:
-        """(n,) whose cable is taken to be torn: reeled in, it would only be wound on."""
+        """(n,) drums whose cable counts as torn: they must not reel in."""
         return ~self.without(frozenset({Fault.CABLE_TORN}))
 
     @property
     def let_go(self) -> NDArray[np.bool_]:
-        """(n,) given-up cables whose drum turns freely, so that they soon pull no more."""
+        """(n,) excluded cables whose drum turns freely: their tension falls to zero."""
         return self.failed & self.without(_HELD)
 
     @property
     def cells_trusted(self) -> NDArray[np.bool_]:
-        """(n,) whose cell still says how the cable pulls."""
+        """(n,) cables with a usable cell."""
         return self.without(_CELL_UNKNOWN)

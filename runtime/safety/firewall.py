@@ -62,7 +62,7 @@ class Part:
         return result
 
     def failed(self, error: Exception) -> None:
-        """Count it; the first, second, fourth, eighth ... is told."""
+        """Count it; the first, second, fourth, eighth ... is reported."""
         self.first = self.first or error
         self.failures += 1
         self._row += 1
@@ -78,7 +78,7 @@ class Part:
             self._events.append(BusEvent("part_off", self.name, text))
 
     def take_events(self) -> list[BusEvent]:
-        """What has been told since the last call."""
+        """Events since the last call."""
         if not self._events:
             return []
         events, self._events = self._events, []

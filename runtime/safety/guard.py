@@ -1,18 +1,18 @@
-"""What every drum keeps to by itself while the robot stops, whatever pose, cells and plan say.
+"""Bounds of each drum during a stop, from its own encoder alone.
 
-The *passive* stop asks no more of a drum than its own rate v (m/s, reeling in positive):
+The *passive* stop uses only the drum's own rate v (m/s, reeling in positive):
 
     F = T_0 - d v,  |F| <= F_max
 
 With the storage function V = kinetic + strain + weight - T_0 (sum of reeled-in lengths), which has
 a lower bound since no cable can be shorter than nothing, V' = -d sum v^2 - friction <= 0 for any
 subset of cables, torn, slipped or wrong: no cable's torque depends on another's measurement. The
-rate is a period and a half old; d must stay below m_drum / (3 periods) for the sampled loop to take
-energy out (`tests/property/test_any_passive_stop.py` holds both).
+rate is a period and a half old; d must stay below m_drum / (3 periods) for the sampled loop to
+remove energy (`tests/property/test_any_passive_stop.py` verifies both).
 
-A *descent* plans forces, and the guard bounds what a wrong plan can do: reeling in beyond
-``reel_in`` and reeling out beyond ``reel_out`` is braked, and a drum puts in no more energy beyond
-T_0 than its tank holds, which only what it takes out may fill.
+A *descent* plans forces, and the guard bounds the effect of a wrong plan: reeling in faster than
+``reel_in`` and reeling out faster than ``reel_out`` is braked, and a drum adds no more energy
+beyond T_0 than its tank holds; only absorbed energy fills the tank.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _bounded(
 
 
 class Guard:
-    """One tick of every drum's own bounds. Torques in N m at the drum, rates in rad/s."""
+    """The bounds of every drum in one tick. Torques in N m at the drum, rates in rad/s."""
 
     def __init__(self, robot: Robot, settings: Stop, period: float) -> None:
         s = settings

@@ -1,22 +1,22 @@
 """Which cable contradicts the others: torn, slack, slipped, jammed, or measured wrongly.
 
-Residuals of each cable, none of which a sound one shows:
+Residuals of each cable; they are small for an intact cable:
 
 - *jump*: its length, elongation included, leaves in one tick what the estimate predicts of it. A
   torn cable's elongation vanishes with its tension; a slip on the drum or of the encoder moves its
   length. The others' innovations stay within their noise, since a platform has mass.
 - *tension error*: its tension does not follow its reference: drum jammed, friction, motor weak or
   reversed, or a cell of wrong gain.
-- *torque*: its drum does not turn as torque and tension would have it; what is left unexplained
-  comes from an observer of the drum's momentum (De Luca and Mattone, ICRA 2005). A drum that speeds
-  up or stops in one tick as no torque could make it has jammed, or its encoder has slipped.
-- *travel*: its drum does not turn at all where the platform's motion would turn it. Friction may
-  do that for some millimetres, so it only tells which cable it is when lengths contradict.
-- *drift*: its innovation has a mean: what is wrong grows slowly, and is blamed on the cable whose
-  mean stands out. Where none does, the cables contradict each other, and none is blamed.
+- *torque*: its drum's motion does not match torque and tension; an observer of the drum's momentum
+  gives the unexplained torque (De Luca and Mattone, ICRA 2005). A drum that speeds up or stops in
+  one tick faster than any torque allows has jammed, or its encoder has slipped.
+- *travel*: its drum does not turn although the platform's motion would turn it. Friction may cause
+  that for some millimetres, so it only identifies the cable when lengths contradict each other.
+- *drift*: its innovation has a mean: an error grows slowly, and the fault is that of the cable
+  whose mean stands out. If none does, the cables contradict each other, and no cable is named.
 
-In a descent a slack cable's drum reels in towards the platform: where it has wound on more than the
-way to the platform, the cable is torn. And a load cell whose reading repeats to the last bit while
+In a descent a slack cable's drum reels in towards the platform: if it has reeled in more than the
+distance to the platform, the cable is torn. A load cell whose reading repeats to the last bit while
 its reference moves is frozen.
 """
 
@@ -247,9 +247,9 @@ class Isolation:
         return fault, place
 
     def disobedient(self, *, descending: bool) -> tuple[Fault, int]:
-        """The first drum that does not turn as its torque has it, whatever the estimate is. While
-        ``descending`` drums work at their limits, where losses are least known; then a slack cable
-        may turn out to be torn, and a cell frozen."""
+        """The first drum whose motion does not match its torque, independent of the estimate. While
+        ``descending`` drums work at their limits, where losses are least certain; then a slack
+        cable may be torn, and a cell frozen."""
         s = self._settings
         if descending and self._overwound.any():
             return Fault.CABLE_TORN, int(self._overwound.argmax())

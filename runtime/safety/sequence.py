@@ -172,7 +172,7 @@ class Sequence:
             self._lowest = min(self._lowest, self.height)
 
     def abandon(self, reason: str, tick: int) -> None:
-        """Control raised for ``reason``: nothing is followed any more, the daemon ends the run."""
+        """Control raised for ``reason``: no further event is handled, the daemon ends the run."""
         self.faults.add(Fault.CONTROL_FAILED, -1)
         self.reason = reason
         self.state = State.SAFE_STOP if self.state in ARMED else State.FAULT
@@ -242,7 +242,7 @@ class Sequence:
 
     @property
     def descending(self) -> bool:
-        """A stop without all cables: weight and damping only, no place to keep."""
+        """A stop without all cables: weight and damping only, no position is held."""
         return self.stop_mode is StopMode.DESCENT
 
     @property

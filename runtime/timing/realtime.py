@@ -1,4 +1,4 @@
-"""Real-time hygiene of a process: each item granted or refused, and said so."""
+"""Real-time settings of a process: each is granted or refused, and reported."""
 
 from __future__ import annotations
 

@@ -67,14 +67,14 @@ class TrackerFeed:
 
 
 class Lab:
-    """One robot in software, on the buses that ``config`` names.
+    """The lab: emulated devices on the buses of ``config``, and the model of the robot.
 
-    ``clock`` gives ns; lab time is its time. ``truth`` is called with the truth record (a
+    ``clock`` returns ns; lab time is its time. ``truth`` is called with the truth record (a
     preallocated array of one, to be copied) and its time, once per millisecond from ``start_ns``.
-    The script's load and faults begin when all drives are first enabled. ``seed`` replaces the
-    configuration's. ``nodes`` (channel, node id) are the emulated ones, None: all; the axes of
-    drives that are elsewhere have no power here, and the script does not wait for them. Raises
-    `LabError` without a lab section or with a script that does not fit.
+    Load and faults of ``script`` begin when all drives are first enabled. ``seed`` replaces the
+    configuration's. ``nodes`` (channel, node id) are the emulated ones, None: all; axes whose
+    drives are not emulated have no power, and the script does not wait for them. Raises `LabError`
+    without a lab section or with a fault that is not possible in this lab.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Lab:
         self.clock = clock
         self.seed = seed
         self.now_ns = start_ns
-        """time up to which everything has happened"""
+        """time up to which the lab is simulated"""
         self.start_ns = start_ns
         self.plant = Plant(
             config.robot,
@@ -142,24 +142,26 @@ class Lab:
         for node in self.nodes.values():
             node.boot()
 
-    # -- doors -----------------------------------------------------------------------------------
+    # -- access ----------------------------------------------------------------------------------
 
     def open(self) -> None:
-        """Let buses of this process find the channels by name. Raises `LabError`."""
+        """Make the channels available to python-can in this process, by name. Raises `LabError`."""
         for name, channel in self.channels.items():
             registry.enter(name, registry.Door(self, channel, self._bitrate))
 
     def close(self) -> None:
+        """Remove the channels that `open` made available."""
         for name, channel in self.channels.items():
             door = registry.find(name)
             if door is not None and door.channel is channel:
                 registry.leave(name)
 
     def unplug(self, channel: str, node: int) -> None:
-        """Pull a node off its bus. Raises `LabError`."""
+        """Disconnect a node from its bus. Raises `LabError`."""
         self.inject(Unplug(kind="unplug", channel=channel, node=node))
 
     def replug(self, channel: str, node: int) -> None:
+        """Connect a node again. Raises `LabError`."""
         self.inject(Replug(kind="replug", channel=channel, node=node))
 
     def load(self, channel: str) -> float:
@@ -168,12 +170,12 @@ class Lab:
         return self.channels[channel].busy_ns / passed if passed else 0.0
 
     def measure_latency(self, *, on: bool = True) -> None:
-        """Begin, anew, or end to collect the frames' latencies; it costs a little with each."""
+        """Start (again) or end the measurement of the frames' latencies."""
         for channel in self.channels.values():
             channel.latency = Latency() if on else None
 
     def statistics(self) -> Statistics:
-        """What the channels have carried up to now."""
+        """Frames and load of the channels up to now."""
         return Statistics(
             time=(self.now_ns - self.start_ns) / _SECOND_NS,
             channels={
@@ -201,9 +203,9 @@ class Lab:
         heappush(self._timers, (at_ns, self._timer_count, callback))
 
     def next_event_ns(self) -> int:
-        """When next something happens that someone outside could notice; never later than that.
+        """A time (ns) not later than the next event that is visible outside the lab.
 
-        The truth record's millisecond does not count: it can be made up for.
+        The truth record's millisecond does not count: it can be computed later.
         """
         due = min(channel.next_ns() for channel in self._order) if self._order else NEVER
         if self._timers:
@@ -221,7 +223,8 @@ class Lab:
         return due
 
     def advance(self, to_ns: int) -> None:
-        """Let everything happen that is due by ``to_ns``."""
+        """Simulate up to ``to_ns``, in order of time over all channels; an earlier time does
+        nothing."""
         if to_ns <= self.now_ns:
             return
         channels = self._order
@@ -283,8 +286,8 @@ class Lab:
             self._inject_later(fault, now_ns)
 
     def extend_script(self, faults: Collection[Fault]) -> None:
-        """Let these faults happen as if the script had held them from the start. It must have
-        begun, and none of them be due yet. Raises `LabError`."""
+        """Add faults as if the script had contained them from the start. Raises `LabError` before
+        the script has begun, and for a fault that would be due already."""
         begun = self.script_start_ns
         if begun is None:
             raise LabError("the script has not begun: not every drive has been enabled")
@@ -296,7 +299,8 @@ class Lab:
             self._inject_later(fault, begun)
 
     def inject(self, fault: Fault) -> None:
-        """Make a fault happen now, or ``fault.at`` s from now. Raises `LabError`."""
+        """Inject a fault now, or ``fault.at`` s from now. Raises `LabError` if it is not possible
+        in this lab."""
         self._faults.check(fault)
         if fault.at:
             self._inject_later(fault, self.now_ns)
@@ -308,9 +312,10 @@ class Lab:
         self.call_at(at_ns, lambda _: self._faults.inject(fault))
 
     def robot_places(self, kind: str, *, axis: bool, cell: bool) -> list[str]:
-        """Where a kind of fault of the robot can happen; see `tonus.sim.lab.robot_faults`."""
+        """Axes or cells where a kind of fault of the robot is possible; see
+        `tonus.sim.lab.robot_faults`."""
         return self._robot_faults.places(kind, axis=axis, cell=cell)
 
     def faults(self) -> list[ActiveFault]:
-        """The lasting faults at work, oldest first."""
+        """The active faults, oldest first."""
         return self._faults.active()

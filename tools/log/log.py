@@ -44,7 +44,10 @@ class Event:
 
 
 class Log:
-    """Topics of one file as structured arrays, decoded when they are first asked for."""
+    """Topics of one file as structured arrays, decoded at their first use.
+
+    ``log[topic]`` raises `ToolError` for an unknown topic. docs/log.md lists topics and fields.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -70,7 +73,7 @@ class Log:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What the recorder was told about the run: versions, seed, host."""
+        """Metadata of the run: versions, seed, host."""
         return self._framing.metadata.get("tonus", {})
 
     @property
@@ -109,7 +112,8 @@ class Log:
 
     @property
     def damage(self) -> str | None:
-        """What is missing, None for a whole file. Content is judged when it is decoded."""
+        """What is missing, None for a complete file. Damage inside a chunk is found when it is
+        decoded."""
         told = [self._damage] if self._damage else []
         return "; ".join([*told, *self.remarks]) or None
 
@@ -165,8 +169,8 @@ class Log:
             self._columns[name] = self._trimmed(found.pop(name).column())
 
     def batches(self, topics: Sequence[str]) -> Iterator[dict[str, Column]]:
-        """The same a chunk at a time, for logs that memory does not hold: what is new of each
-        topic, in order of time within a batch."""
+        """Messages chunk by chunk, for logs larger than the memory; in order of time within a
+        batch. Raises `ToolError` for an unknown topic."""
         names = self._known(topics)
         for parts in self._runs(names):
             yield {name: self._decode(name, parts.get(name, [])) for name in names}
@@ -192,9 +196,9 @@ class Log:
         self._columns = dict(columns)
 
     def join(self, *topics: str) -> NDArray[np.void]:
-        """One record a tick (n,) with a member for each topic, named by its last part, and the
-        ``tick``: of each topic the latest message that the tick could know. Ticks before every
-        topic has spoken are left out."""
+        """One record per tick (n,) with ``tick`` and a member for each topic, named by its last
+        part: the latest message of the topic at that tick. Ticks before the first message of any
+        topic are left out."""
         self.load(["/tonus/timing", *topics])
         now = self.times("/tonus/timing")
         rows = {topic: np.searchsorted(self.times(topic), now, "right") - 1 for topic in topics}
@@ -210,6 +214,7 @@ class Log:
         return result
 
     def events(self) -> list[Event]:
+        """The events (docs/events.md) in order of time; empty without any."""
         if EVENTS not in self or self[EVENTS].dtype.names is None:
             return []
         rows = self[EVENTS]

@@ -64,7 +64,12 @@ _DISARMED = frozenset({State.OFF, State.STANDBY, State.FAULT})
 
 
 def run(order: Order) -> Result:
-    """Run to the end. Raises `DriverError` when a bus cannot be brought up."""
+    """Carry out a run to its end.
+
+    Raises `ToolError` for an order that cannot be carried out, `LabError` for a lab that cannot be
+    built, `DriverError` when a bus cannot be brought up. A fault during the run raises nothing: it
+    is in `Result.outcome`.
+    """
     wireless = any(isinstance(bus, DirectBus) for bus in parts(order.config.fieldbus))
     if wireless and not order.virtual:
         raise ToolError("the direct fieldbus has no wires: it needs --virtual and a lab")

@@ -17,7 +17,8 @@ from tonus.runtime.timing.scheduler import Pacing
 
 @dataclass(frozen=True)
 class Order:
-    """What is to be run, and how."""
+    """The input of `run`: what to run and how. ``say`` gets each line of progress; ``seed``
+    determines the lab's noise; ``live``: a status line on the terminal."""
 
     config: Config
     scenario: Scenario
@@ -27,22 +28,22 @@ class Order:
     say: Progress
     live: bool = True
     start_ns: int = 0
-    """on the loop's clock, no tick before; so that runs of unlike bring-up can be compared"""
+    """on the loop's clock: no tick before this time, to align runs with different bring-up"""
     pacing: Callable[[], Pacing] | None = None
-    """instead of the usual one: what a test lets the ticks wait for"""
+    """replaces the pacing of the ticks, for tests"""
     serve: bool = False
     """wait for commands at the control socket, instead of playing the scenario by a script"""
     others: tuple[Scenario, ...] = ()
-    """what an operator may choose instead of `scenario`"""
+    """scenarios that an operator may select instead of `scenario`"""
     socket: Path | None = None
-    """of control, instead of the configuration's"""
+    """path of the control socket, instead of the configuration's"""
     link: bool = False
-    """let ``latest`` beside the folder ``out`` point to it once the run has started"""
+    """make the link ``latest`` beside the folder ``out`` point to it once the run has started"""
 
 
 @dataclass
 class Result:
-    """What a run came to, beside its log."""
+    """The outcome of a run and the path of its log."""
 
     outcome: Outcome
     log: Path
@@ -51,9 +52,9 @@ class Result:
     steal_percent: float | None = None
     grants: list[Grant] = field(default_factory=list)
     unrecorded: str = ""
-    """why the recording ended before the run, in words"""
+    """reason why the recording ended before the run; empty: it did not"""
     latencies: Latencies | None = None
 
     def realtime_factor(self, period: float) -> float:
-        """Run time over wall time."""
+        """Robot time over wall time; ``period`` of a tick in s."""
         return self.outcome.ticks * period / self.seconds if self.seconds else 0.0

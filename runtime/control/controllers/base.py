@@ -1,4 +1,4 @@
-"""What a controller sees and what it gives back."""
+"""The interface of a controller: its input of one tick, and the base class."""
 
 from __future__ import annotations
 
@@ -26,7 +26,12 @@ _FEEDBACK = ("stiffness", "force", "wrench", "tensions")
 
 @dataclass
 class Motion:
-    """Desired against estimated motion of one tick; vectors (3,), base frame."""
+    """Desired and estimated motion of one tick; vectors (3,) in the base frame, z up.
+
+    Positions in m, velocities in m/s and rad/s, ``desired_acceleration`` in m/s2; ``quaternion``
+    (4,), w x y z, turns platform coordinates into base coordinates. ``error`` and ``error_rate``
+    (3,) are desired minus estimated position (m) and velocity (m/s).
+    """
 
     desired_position: Array
     desired_velocity: Array
@@ -36,7 +41,7 @@ class Motion:
     velocity: Array
     angular_velocity: Array
     external: Array
-    """N, estimated force on the platform that cables and gravity do not explain"""
+    """N, estimated external force: neither of the cables nor of gravity"""
     contact: float
     """N, at the contact port"""
     shortfall: Array
@@ -46,7 +51,7 @@ class Motion:
     winding: Array
     """(n,) m/s, rate at which they shorten"""
     push: Array
-    """N, force the scenario asks for at the contact port"""
+    """N, desired contact force of the scenario"""
 
     def __post_init__(self) -> None:
         self.error = self.desired_position - self.position
@@ -54,24 +59,31 @@ class Motion:
 
 
 class Controller(ABC):
-    """Stiffness first, then the wrench at the stiffness that envelope and limiter let through."""
+    """Base class of a controller: in each tick `stiffness`, then `wrench` or `tensions`.
+
+    The envelope and the limiter may reduce the result of `stiffness`; the other methods get the
+    reduced value. A subclass has to define `stiffness` (N/m). It may replace `force` (3,) N,
+    `wrench` (6,) N and N m, or `tensions` (n,) N; it states `linear_laws` if it changes the
+    feedback. The outputs have to be finite: an exception or another shape leads to the fault
+    CONTROL_FAILED, a value that is not finite to NOT_FINITE. See docs/control.md.
+    """
 
     follows_platform = True
-    """whether the drums are damped against the rate of the platform's motion, so that it may be
-    pushed, or of the desired one, so that it is held"""
+    """whether the drums are damped against the measured rate of the platform, so that a person may
+    push it, or against the desired rate"""
 
     tone = 1.0
-    """share of the pretension that the tensions are drawn towards at rest"""
+    """share of the pretension that the tensions tend to at rest: baseline co-contraction"""
 
     def __init__(self, robot: Robot, control: Control, damping_ratio: float | None = None) -> None:
         """``damping_ratio``: the controller's own; None for the one under impedance."""
         self._robot, self._control = robot, control
         self.damping_ratio = damping_ratio or control.impedance.damping_ratio
         self.resting_stiffness = control.stiffness.base
-        """N/m, at which cables are not tightened beyond the pretension; a constant stiffness is its
-        own, or a stiff baseline would pay for co-contraction that it does not ask for"""
+        """N/m, at which cables are not tightened beyond the pretension; for a constant stiffness
+        that stiffness, so that it gets no co-contraction that it does not command"""
         self.terms = LawTerms()
-        """what the law added, where there is a law"""
+        """relative increases of the stiffness by the law; zero without a law"""
         impedance = control.impedance
         self._rotational = (impedance.rotational_stiffness, impedance.rotational_damping)
         self._weight = np.array([0.0, 0.0, robot.platform.mass * robot.gravity])
@@ -82,19 +94,19 @@ class Controller(ABC):
         return self._control.tension_loop
 
     def reset(self) -> None:  # noqa: B027
-        """Forget the past, before motion starts."""
+        """Clear all states, before motion starts."""
 
     def applied(self, tensions: Array, active: float) -> None:  # noqa: B027
         """The tension references (n,) of a tick, ``active`` s into ACTIVE, negative outside it."""
 
     def linear_laws(self) -> tuple[LinearLaw, ...]:
-        """The feedback at the ends of the controller's range, for its margins: every class that
-        changes the feedback says it anew. Empty: it cannot be said."""
+        """The feedback at the ends of the controller's range, for its margins. A class that
+        changes the feedback has to override this. Empty: there is no linear law."""
         return ()
 
     def stated_laws(self) -> tuple[LinearLaw, ...]:
-        """`linear_laws`, if they are this class' own. Raises `NoLinearLawError`: a class that
-        changes the feedback of the one it comes from has not the margins of that one."""
+        """`linear_laws`, if they describe this class. Raises `NoLinearLawError` for a class that
+        changes the feedback of its base class and does not override them."""
         for kind in type(self).__mro__:
             if "linear_laws" in vars(kind):
                 break
@@ -106,23 +118,24 @@ class Controller(ABC):
         return laws
 
     def _spring(self, stiffness: float, integral: float = 0.0) -> LinearLaw:
-        """Of a spring with the damper that goes with it."""
+        """The law of a spring with its damper."""
         resistance = damping(self.damping_ratio, stiffness, self._robot.platform.mass)
         return LinearLaw(stiffness, resistance, integral)
 
     @abstractmethod
     def stiffness(self, motion: Motion) -> float:
-        """The stiffness (N/m) this controller would like now."""
+        """The stiffness (N/m) for this tick, before envelope and limiter."""
 
     def force(self, motion: Motion, stiffness: float) -> Array:
-        """Force (3,) without gravity and inertia, at the stiffness allowed: spring and damper,
-        F = K e + D de/dt with D = 2 zeta sqrt(K m)."""
+        """Force (3,) N without gravity and inertia, at the permitted ``stiffness`` (N/m): spring
+        and damper, F = K e + D de/dt with D = 2 zeta sqrt(K m)."""
         resistance = damping(self.damping_ratio, stiffness, self._robot.platform.mass)
         return np.asarray(spring(motion.error, motion.error_rate, stiffness, resistance))
 
     def wrench(self, motion: Motion, stiffness: float) -> Array:
-        """Wrench (6,) asked of the cables: the controller's force; inertia, weight and the push fed
-        forward; and a rotational spring that keeps the platform level."""
+        """Wrench (6,) N and N m for the cables, at the permitted ``stiffness`` (N/m): `force`, the
+        feed-forward of inertia, weight and desired contact force, and a rotational spring and
+        damper that keep the platform level."""
         forces = (self.force(motion, stiffness), self._weight, motion.push)
         return self._levelled(motion, forces, motion.desired_acceleration)
 
@@ -141,8 +154,8 @@ class Controller(ABC):
 
     def descent(self, motion: Motion) -> Array:
         """Wrench (6,) of a stop without all cables, the same for every controller: weight, a damper
-        of every motion, and down to the cradle by a soft, bounded spring. Sideways there is none:
-        it would have the cables that are left fight for a place they cannot keep."""
+        of every motion, and a soft, bounded spring down to the cradle. There is no spring
+        sideways: the remaining cables could not hold a position."""
         stop, weight = self._control.stop, self._weight[2]
         drag = spring(NOTHING, motion.error_rate, 0.0, stop.damping)
         sink = self._control.stiffness.minimum * float(motion.error[2])

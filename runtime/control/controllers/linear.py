@@ -13,7 +13,8 @@ class NoLinearLawError(DaemonError):
 
 @dataclass(frozen=True)
 class LinearLaw:
-    """Force on error, or tension on drums, at one end of a controller's range."""
+    """Linear feedback at one end of a controller's range, for its margins: force on position error,
+    or tension on drum angle."""
 
     stiffness: float = 0.0
     """N/m"""
@@ -24,6 +25,6 @@ class LinearLaw:
     cable: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """per cable: N/m, N s/m, N/(m s)"""
     contact: tuple[float, float] = (0.0, 0.0)
-    """on the contact force: -, 1/s"""
+    """gains on the contact force, proportional (no unit) and integral (1/s)"""
     body: float = 0.0
-    """N/m touched"""
+    """N/m, of the body in contact"""
