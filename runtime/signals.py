@@ -102,7 +102,7 @@ TABLE: tuple[Topic, ...] = (
         Field("fault_where", "int16", 0, "", "axis, cell or bound of the fault, -1 for none"),
         Field("state", "uint8", 0, "", "State"),
         Field("stop_mode", "uint8", 0, "", "StopMode, 0 but in SAFE_STOP"),
-        Field("failed", "uint8", Per.CABLE, "", "1 for a cable that is given up"),
+        Field("failed", "uint8", Per.CABLE, "", "1 for an excluded cable"),
         Field("operator", "uint8", 0, "", "operator command of this tick, 0 for none"),
         Field("select", "uint8", 0, "", "scenario chosen in this tick, its number plus 1; or 0"),
         Field("scenario", "uint8", 0, "", "number of the scenario in force"),
