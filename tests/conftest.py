@@ -1,8 +1,9 @@
 """Its place puts this folder on the import path: `loop` and `statue` serve tests of every kind.
 
-A test in real time that failed is tried again if the host took processor time from it meanwhile,
-by the count of its hypervisor. What fails each time, or without such an excuse, has failed; what
-passed at a later try is listed with the traceback of the earlier one.
+A test in real time that failed is tried again, twice at most, if the host stalled meanwhile, as
+measured beside it (`tests.stalls`). What fails without such a stall has failed, and so has a test
+in real time that skips itself once it runs; what passed at a later try is listed with the
+traceback and the stalls of the earlier one.
 """
 
 from __future__ import annotations
@@ -11,25 +12,47 @@ from collections.abc import Generator
 from functools import partial
 
 import pytest
+from _pytest._code.code import ExceptionRepr
 
+from tests import stalls
 from tonus.config.loader import HERE
-from tonus.runtime.timing.realtime import stolen_jiffies
 
 TRIES = 3
 OUT = HERE.parent / "out"
-STOLEN = pytest.StashKey[int]()
+BEGIN_NS = pytest.StashKey[int]()
+MEANWHILE = "stalls of the host meanwhile"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("realtime"):
-            excuse = partial(host_took_time, item)
+            excuse = partial(host_stalled, item)
             item.add_marker(pytest.mark.flaky(reruns=TRIES - 1, condition=excuse))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    item.stash[STOLEN] = stolen_jiffies()[0]
+    if item.get_closest_marker("realtime"):
+        stalls.watching()
+        item.stash[BEGIN_NS] = stalls.now_ns()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    if BEGIN_NS not in item.stash:
+        return report
+    if report.skipped and call.when == "call":
+        report.outcome = "failed"
+        report.longrepr = (
+            f"{item.nodeid} skipped itself once it ran: let it fail, and be tried again"
+        )
+    if report.failed and isinstance(report.longrepr, ExceptionRepr):
+        found = stalls.watching().since(item.stash[BEGIN_NS])
+        report.longrepr.addsection(MEANWHILE, "\n".join(map(str, found)) or "none")
+    return report
 
 
 @pytest.hookimpl(wrapper=True)
@@ -46,5 +69,5 @@ def _written() -> set[str]:
     return {each.name for each in OUT.iterdir()} if OUT.is_dir() else set()
 
 
-def host_took_time(item: pytest.Item) -> bool:
-    return stolen_jiffies()[0] > item.stash[STOLEN]
+def host_stalled(item: pytest.Item) -> bool:
+    return bool(stalls.watching().since(item.stash[BEGIN_NS]))

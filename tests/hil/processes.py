@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 import yaml
 from loop import QUICK
 
@@ -23,10 +21,7 @@ from tonus.tools.log import open as open_log
 
 TONUS = [sys.executable, "-m", "tonus.tools.cli"]
 RECORDING = ("tonus.tools.run.recorder_keeper", "tonus.tools.run.recorder_process")
-STEAL_PERCENT = 1.0
-"""As `tonus run` says it of a run."""
 _STEP_S = 0.02
-_ATTEMPTS = 3
 
 
 def configuration(folder: Path, port: int) -> Path:
@@ -53,25 +48,6 @@ def wait_for(condition: Callable[[], bool], seconds: float = 120.0) -> None:
             return
         clock.pause(_STEP_S)
     raise AssertionError("it did not happen in time")
-
-
-def attempts(folder: Path) -> Iterator[Path]:
-    """Folders for a run and its repetitions, for as long as `taken_by_the_host` says that no
-    controller is to blame for its end. Skips on a host that always does it."""
-    for number in range(_ATTEMPTS):
-        yield folder / f"attempt{number}"
-    pytest.skip(f"the host ended each of {_ATTEMPTS} runs in a fault")
-
-
-def taken_by_the_host(out: Path) -> bool:
-    """A run ended in a fault after the host had taken ticks from it, or time from its lab: its
-    robot was left alone."""
-    path = out / "summary.json"
-    if not path.exists():
-        return False
-    summary = json.loads(path.read_text())
-    taken = summary["missed_by_host"] > 0 or summary["steal_percent"] >= STEAL_PERCENT
-    return summary["state"] == "FAULT" and taken
 
 
 class Running:
@@ -107,7 +83,7 @@ class Running:
         return self._reader
 
     def kill_part(self, module: str) -> bool:
-        """Whether a helper was killed: a starved host may have ended the run in a fault before."""
+        """Whether a helper was killed: a stalled host may have ended the run in a fault before."""
         try:
             os.kill(self.part(module), signal.SIGKILL)
         except ProcessLookupError:
@@ -143,7 +119,7 @@ class Running:
         return True
 
     def kill(self) -> bool:
-        """Whether it was killed: a starved host may have ended the run in a fault before."""
+        """Whether it was killed: a stalled host may have ended the run in a fault before."""
         self.process.kill()
         return self.process.wait() == -signal.SIGKILL
 
