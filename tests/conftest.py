@@ -8,8 +8,13 @@ traceback and the stalls of the earlier one.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Generator
 from functools import partial
+
+# Before numpy is imported, as in tonus.tools: a second thread for matrices of 6 x 8 only takes the
+# other worker's processor.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from _pytest._code.code import ExceptionRepr
