@@ -38,10 +38,10 @@ class Comparison:
         return "all" if self.own_us > max(_LATE_US, _CLEARLY * self.all_us) else "own"
 
     def __str__(self) -> str:
-        kept = "all stay" if self.better == "all" else "only the daemon's stays"
+        where = "all processors" if self.better == "all" else "the daemon's processor only"
         return (
-            f"another processor answers within {self.own_us:.0f} us while it may idle, "
-            f"{self.all_us:.0f} us while it may not: {kept} awake"
+            f"another processor answers within {self.own_us:.0f} us with idle states, "
+            f"{self.all_us:.0f} us without: disabled on {where}"
         )
 
 

@@ -19,7 +19,7 @@ from tonus.tools.folders import make_folder
 
 @click.group()
 def export() -> None:
-    """Write what other tools want to know of CONFIG."""
+    """Describe CONFIG for other tools, as DBC, EDS or ESI files."""
 
 
 @export.command()

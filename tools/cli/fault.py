@@ -55,7 +55,7 @@ class _Faults(click.Group):
 
 @click.group(cls=_Faults)
 def fault() -> None:
-    """Inject a fault into a running lab: what, where, and when from now.
+    """Inject a fault into a running lab, now or after a delay.
 
     `tonus fault list` lists the kinds, `tonus fault KIND --help` describes one.
     """

@@ -122,7 +122,8 @@ def _chosen(tuning: Tuning, controller: str) -> list[str]:
         return names
     if controller not in names:
         raise ToolError(
-            f"there is nothing to tune in {controller!r}; choose all, {TENSION} or one of {names}"
+            f"there is nothing to tune in {controller!r}; choose all, {TENSION} or one of "
+            f"{', '.join(names)}"
         )
     return [controller]
 

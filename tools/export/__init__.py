@@ -1,1 +1,1 @@
-"""What other tools want to know of a configuration, in their own formats."""
+"""Descriptions of a configuration for other tools, in their formats."""

@@ -72,7 +72,9 @@ def run(order: Order) -> Result:
     """
     wireless = any(isinstance(bus, DirectBus) for bus in parts(order.config.fieldbus))
     if wireless and not order.virtual:
-        raise ToolError("the direct fieldbus has no wires: it needs --virtual and a lab")
+        raise ToolError(
+            "the direct fieldbus needs virtual time and a lab: add --virtual and a lab: section"
+        )
     with ExitStack() as first:
         # Before anything of another daemon's could be touched.
         control = _control_socket(order)

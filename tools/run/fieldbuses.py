@@ -53,7 +53,9 @@ def build(
         return SeveralFieldbuses(config, image, part)
     if isinstance(bus, DirectBus):
         if lab is None:
-            raise ToolError("the direct fieldbus has no wires: it needs --virtual and a lab")
+            raise ToolError(
+                "the direct fieldbus needs virtual time and a lab: add --virtual and a lab: section"
+            )
         return DirectFieldbus(config, image, lab.direct, clock.loop_clock())
     if isinstance(bus, CanopenBus):
         return CanopenFieldbus(config, image, tap)

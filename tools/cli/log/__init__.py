@@ -17,7 +17,7 @@ from tonus.tools.cli.log.timing import timing
 
 @click.group()
 def log() -> None:
-    """Look into recorded runs."""
+    """Inspect, compare, replay and convert recorded runs."""
 
 
 for command in (compare, export, identify, info, layout, recover, replay, report, timing):
