@@ -37,6 +37,8 @@ CONSTANTS = {MODES_OF_OPERATION: CYCLIC_SYNCHRONOUS_TORQUE, TORQUE_OFFSET: 0}
 
 INT16_MAX = 0x7FFF
 PER_MILLE = 1000
+_ROUNDING = 1e-6
+"""So that a whole number of per mille that was computed is not one less."""
 RATED_CURRENT = 0x6075
 GEAR_RATIO = 0x6091
 _KINDS = {"write": Kind.STORE, "check": Kind.CHECK, "command": Kind.COMMAND}
@@ -116,7 +118,7 @@ class Scale:
             limit = math.floor(PER_MILLE * motor.current_limit / motor.nominal_current)
         else:
             most = motor.current_limit * motor.torque_constant
-            limit = math.floor(PER_MILLE * most / rated_torque)
+            limit = math.floor(PER_MILLE * most / rated_torque + _ROUNDING)
         rated = sign * (motor.rated_torque if rated_torque is None else rated_torque) * ratio
         per_revolution = motor.increments_per_revolution if counts is None else counts
         return Scale(

@@ -38,6 +38,8 @@ _INVALID = 1 << 31
 _EVENT = 255
 _PREDEFINED = {_RPDO: 0x200, _TPDO: 0x180}
 _CST_BIT = 9
+_ROUNDING = 1e-6
+"""So that a whole number that was computed is not one less."""
 _MODES = (0, 1, 3, 6, 8, 9, 10)
 _NEEDED = (
     (0x1001, 0, "error register"),
@@ -96,12 +98,13 @@ class EdsDrive(Cia402Drive):
         self._counted = 0x6092 if feed else 0x608F
         self._read_pdos(sheet)
         objects, core = _dictionaries(sheet, on_can=on_can)
+        usual = dictionary(0)
         self._set_up(core)
         counts = self._counts(core)
         samples.set_resolution(axis, counts)
         per_rpm = counts / 60.0
         for key in _RPM_BASED:
-            self._begin(core, key, core.find(*key).number * per_rpm, own=key in objects.entries)
+            self._begin(core, key, usual.number(*key) * per_rpm, own=key in objects.entries)
         super().__init__(
             axis,
             objects,
@@ -172,7 +175,9 @@ class EdsDrive(Cia402Drive):
         self._fill(core, (0x6092, 2), 1)
         nominal = self._nominal(core)
         for index in (0x6072, 0x6073):
-            self._fill(core, (index, 0), math.floor(1000 * motor.current_limit / nominal))
+            self._fill(
+                core, (index, 0), math.floor(1000 * motor.current_limit / nominal + _ROUNDING)
+            )
         self._fill(core, (0x6080, 0), core.find(0x6080, 0).high)
         self._fill(core, (0x60C5, 0), core.find(0x60C5, 0).high)
         self._choose_modes(core)
