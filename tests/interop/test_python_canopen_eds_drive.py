@@ -56,11 +56,14 @@ def test_it_is_configured_enabled_moved_faulted_and_reset(drive: BaseNode402, la
     drive.tpdo.read()
     drive.rpdo.read()
     assert [found.index for found in drive.tpdo[1].map] == [0x6041, 0x6064, 0x6077]
-    drive.rpdo[2].enabled = drive.tpdo[2].enabled = False
+    for pdo in (drive.rpdo[1], drive.tpdo[1]):
+        pdo.trans_type = 1
+        pdo.save()
     drive.sdo[0x1017].raw = 50
     drive.op_mode = CST
     assert drive.sdo[0x6061].raw == 10
     drive.setup_402_state_machine(read_pdos=False)
+    drive.network.sync.start(0.01)
     drive.rpdo[1].start(0.01)
     drive.nmt.state = "OPERATIONAL"
     assert drive.nmt.wait_for_heartbeat(PATIENCE_S) == "OPERATIONAL"
@@ -75,9 +78,10 @@ def test_it_is_configured_enabled_moved_faulted_and_reset(drive: BaseNode402, la
     assert eventually(lambda: drive.state == "FAULT")
     assert drive.sdo[0x603F].raw == 0x7305
     drive.reset_from_fault()
-    assert eventually(lambda: drive.state == "SWITCH ON DISABLED")
+    assert eventually(lambda: drive.state == "OPERATION ENABLED")  # it goes on to there by itself
     assert drive.sdo[0x603F].raw == 0
     drive.rpdo[1].stop()
+    drive.network.sync.stop()
     drive.nmt.send_command(0x81)
 
 
