@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from math import pi
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,7 +12,15 @@ import pytest
 import tonus
 from tonus.config import ConfigError, load
 from tonus.config.schema.bus import CanopenBus, EthercatBus
-from tonus.config.schema.drive import DriveProfile
+from tonus.config.schema.drive import (
+    UNIT_OF,
+    DriveError,
+    DriveOptions,
+    DriveProfile,
+    DriveSetting,
+    EthercatPart,
+    Scaling,
+)
 from tonus.drivers.devices.drive import Scale, read_scale, settings
 from tonus.drivers.errors import DriverError, SdoAbortError
 from tonus.tools.check.rules import check
@@ -182,3 +191,10 @@ def test_a_drive_without_heartbeat_consumer_is_for_a_lab_only() -> None:
 
 def test_the_public_name_is_the_profile_of_an_axis() -> None:
     assert isinstance(CAN.fieldbus.profile(0), tonus.DriveProfile)
+
+
+def test_every_key_of_a_profile_is_on_its_page() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "drive_profiles.md").read_text()
+    models = (DriveProfile, DriveSetting, Scaling, DriveOptions, DriveError, EthercatPart)
+    for key in {key for model in models for key in model.model_fields} | set(UNIT_OF):
+        assert f"`{key}`" in page, key
