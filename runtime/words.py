@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tonus.config.schema.bus import CanopenBus, parts
+from tonus.config.schema.bus import parts
 from tonus.config.schema.root import Config
 from tonus.runtime.safety.faults import PASSIVE
 from tonus.runtime.states import Fault, StopMode
@@ -86,30 +86,17 @@ def describe(config: Config, fault: Fault, where: int, detail: str = "") -> str:
 
 def axis_name(config: Config, axis: int) -> str:
     """Channel, node and axis of a drive."""
+    name = f"axis {axis}"
     for bus in parts(config.fieldbus):
-        if isinstance(bus, CanopenBus):
-            for channel in bus.channels:
-                for drive in channel.drives:
-                    if drive.axis == axis:
-                        return f"{channel.name}/{drive.node_id} (axis {axis})"
-            continue
-        for number, slave in enumerate(bus.slaves, start=1):
-            if slave.axis == axis:
-                return f"{bus.interface}/{number} (axis {axis})"
-    return f"axis {axis}"
+        if axis in bus.axis_places:
+            return f"{bus.axis_places[axis]} ({name})"
+    return name
 
 
 def cell_name(config: Config, cell: int) -> str:
     """Channel, node and cell of a force sensor."""
     name = "contact cell" if cell == config.robot.contact_cell else f"cell {cell}"
     for bus in parts(config.fieldbus):
-        if isinstance(bus, CanopenBus):
-            for channel in bus.channels:
-                for node in channel.force_cells:
-                    if cell in node.cells:
-                        return f"{channel.name}/{node.node_id} ({name})"
-            continue
-        for number, slave in enumerate(bus.slaves, start=1):
-            if cell in slave.cells:
-                return f"{bus.interface}/{number} ({name})"
+        if cell in bus.cell_places:
+            return f"{bus.cell_places[cell]} ({name})"
     return name

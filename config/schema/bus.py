@@ -155,6 +155,25 @@ class CanopenBus(_Drives):
         drives = (drive for channel in self.channels for drive in channel.drives)
         return {drive.axis: drive.profile for drive in drives if drive.profile is not None}
 
+    @property
+    def axis_places(self) -> dict[int, str]:
+        """Channel and node of each axis' drive."""
+        return {
+            drive.axis: f"{channel.name}/{drive.node_id}"
+            for channel in self.channels
+            for drive in channel.drives
+        }
+
+    @property
+    def cell_places(self) -> dict[int, str]:
+        """Channel and node of each cell's amplifier."""
+        return {
+            cell: f"{channel.name}/{node.node_id}"
+            for channel in self.channels
+            for node in channel.force_cells
+            for cell in node.cells
+        }
+
     @model_validator(mode="after")
     def _one_scale_for_all_cells(self) -> CanopenBus:
         several = any(len(node.cells) > 1 for c in self.channels for node in c.force_cells)
@@ -299,6 +318,24 @@ class EthercatBus(_Drives):
     def every_profile(self) -> dict[str, DriveProfile]:
         """By the place in the configuration, as they are on EtherCAT."""
         return {key: each.on_ethercat for key, each in super().every_profile.items()}
+
+    @property
+    def axis_places(self) -> dict[int, str]:
+        """Interface and number, from 1, of each axis' drive."""
+        return {
+            slave.axis: f"{self.interface}/{number}"
+            for number, slave in enumerate(self.slaves, start=1)
+            if slave.axis is not None
+        }
+
+    @property
+    def cell_places(self) -> dict[int, str]:
+        """Interface and number, from 1, of each cell's amplifier."""
+        return {
+            cell: f"{self.interface}/{number}"
+            for number, slave in enumerate(self.slaves, start=1)
+            for cell in slave.cells
+        }
 
     def identity(self, slave: Slave) -> Identity | None:
         """What a slave has to be."""

@@ -77,7 +77,7 @@ class CanopenFieldbus:
         self._open_bus = open_bus or self._open_with_python_can
         self._clock = clock
         self._events = EventLog()
-        places = {d.axis: f"{c.name}/{d.node_id}" for c in bus.channels for d in c.drives}
+        places = bus.axis_places
         self._exchange = Exchange(
             config.robot,
             bus.force_cell,
