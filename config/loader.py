@@ -57,7 +57,7 @@ def load(
     directory. ``overrides`` maps dotted keys
     ("control.controller") to values, for tests and command-line options. Raises `ConfigError`.
     """
-    document = read(*locate(path))
+    document = _configuration(path)
     for key, value in (overrides or {}).items():
         _override(document, key, value)
     config = _validate(document, Config)
@@ -73,7 +73,7 @@ def load(
 
 def load_catalogue(path: str | Path) -> list[Scenario]:
     """Every scenario that a configuration lets an operator choose from. Raises `ConfigError`."""
-    document = read(*locate(path))
+    document = _configuration(path)
     names = _validate(document, Config).operation.scenarios
     if names is None:
         return [load_scenario(name) for name in scenario_names()]
@@ -83,6 +83,20 @@ def load_catalogue(path: str | Path) -> list[Scenario]:
         place = document.place(key)
         found.append(_scenario(name, *place, dotted(key), base=document.folder(key)))
     return found
+
+
+def _configuration(path: str | Path) -> Document:
+    """A configuration's document. Under ``set`` it may give values of its own, by dotted keys, to
+    what it includes. Raises `ConfigError`."""
+    document = read(*locate(path))
+    changes = document.data.pop("set", {}) if isinstance(document.data, dict) else {}
+    if not isinstance(changes, dict):
+        problem = "is no mapping"
+        raise ConfigError(*document.place(("set",)), "set", problem, "write key: value below it")
+    for key, value in changes.items():
+        path_of = _override(document, key, value, *document.place(("set", key)))
+        document.places[path_of] = document.place(("set", key))
+    return document
 
 
 def load_plausible() -> Plausible:
@@ -188,8 +202,11 @@ def _complete(file: Path) -> bool:
     return "\nfieldbus:" in file.read_text(encoding="utf-8")
 
 
-def _override(document: Document, key: str, value: Any) -> None:
-    """Set one value; what is not there to hold it is an error at that place."""
+def _override(
+    document: Document, key: str, value: Any, stated: str = "", stated_line: int = 0
+) -> Key:
+    """Set one value; what is not there to hold it is an error at that place, or where the change is
+    ``stated`` (a file and a line)."""
     *parents, last = key.split(".")
     place = document.data
     path: Key = ()
@@ -199,16 +216,17 @@ def _override(document: Document, key: str, value: Any) -> None:
         try:
             place = place[step]
         except (KeyError, IndexError, TypeError) as error:
-            file, line = document.place(path)
+            file, line = (stated, stated_line) if stated else document.place(path)
             problem = f"is not there, so {key} cannot be set"
             raise ConfigError(file, line, dotted(path), problem, "add it") from error
     if isinstance(place, dict):
         place[last] = value
-    elif isinstance(place, list) and last.isdecimal() and int(last) < len(place):
+        return (*path, last)
+    if isinstance(place, list) and last.isdecimal() and int(last) < len(place):
         place[int(last)] = value
-    else:
-        file, line = document.place(path)
-        raise ConfigError(file, line, key, "is not there and cannot be set", "correct its spelling")
+        return (*path, int(last))
+    file, line = (stated, stated_line) if stated else document.place(path)
+    raise ConfigError(file, line, key, "is not there and cannot be set", "correct its spelling")
 
 
 def _validate(document: Document, model: type[Model]) -> Model:
