@@ -55,7 +55,7 @@ def _osqp() -> Solve:
 
     def solve(p: Array, q: Array, low: Array, high: Array) -> Array:
         solver.update(Px=p[rows, columns], q=q, l=low, u=high)
-        return np.asarray(solver.solve().x)
+        return np.asarray(solver.solve(raise_error=False).x)
 
     return solve
 

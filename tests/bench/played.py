@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,26 +94,39 @@ def play(
     """
     with _folders() as (runtime, out):
         command = [sys.executable, "-m", "tonus.tools.cli", "run", CONFIG, "--scenario", SCENARIO]
-        daemon = subprocess.Popen(
-            [*command, "--duration", str(seconds), "--out", str(out), "--json"],
-            env={**os.environ, "TONUS_RUNTIME_DIR": str(runtime)},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
+        command += ["--duration", str(seconds), "--out", str(out), "--json"]
+        daemon = started(command, {"TONUS_RUNTIME_DIR": str(runtime)})
         try:
             if meanwhile is not None:
                 meanwhile(daemon, runtime, out)
-            words, _ = daemon.communicate(timeout=seconds + 120.0)
+            summary = summary_of(daemon, seconds + 120.0)
         finally:
             daemon.kill()
             daemon.wait()
-        try:
-            summary = json.loads(words)
-        except ValueError as error:
-            raise RuntimeError(f"no run: {words.strip()[-400:]}") from error
         faults = () if daemon.returncode == 0 else (str(summary["reason"]),)
         return Played.of(out / "run.mcap", period_us, faults)
+
+
+def started(command: list[str], environment: dict[str, str]) -> subprocess.Popen[str]:
+    """Standard error apart: with a cold cache it names what is compiled."""
+    return subprocess.Popen(
+        command,
+        env=os.environ | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def summary_of(daemon: subprocess.Popen[str], timeout: float) -> dict[str, Any]:
+    """What it prints within ``timeout`` s. Raises RuntimeError with the end of its standard error
+    if that is no summary."""
+    printed, told = daemon.communicate(timeout=timeout)
+    try:
+        summary: dict[str, Any] = json.loads(printed)
+    except ValueError as error:
+        raise RuntimeError(f"no run: {(told or printed).strip()[-400:]}") from error
+    return summary
 
 
 @contextmanager

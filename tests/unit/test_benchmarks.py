@@ -11,6 +11,7 @@ import pytest
 
 from tests.bench.__main__ import PARTS
 from tests.bench.measure import Figure
+from tests.bench.played import started, summary_of
 
 SHORT: dict[str, dict[str, Any]] = {
     "control": {},
@@ -51,3 +52,20 @@ def test_a_part_runs_to_its_end(
     # Where the host allows no veth pair there is no round trip to be measured.
     assert figures or part.__name__ == "ethercat"
     assert all(each.value >= 0.0 for each in figures)
+
+
+def test_a_cold_cache_stops_no_benchmark() -> None:
+    """It ended with `no run`: what is compiled is told between the lines of the summary."""
+    code = (
+        "import sys\n"
+        "print('{', flush=True)\n"
+        "print('compiling: tonus.runtime', file=sys.stderr, flush=True)\n"
+        "print('\"ticks\": 7}')"
+    )
+    assert summary_of(started([sys.executable, "-c", code], {}), 60.0) == {"ticks": 7}
+
+
+def test_a_benchmark_without_a_run_ends_with_the_daemons_reason() -> None:
+    daemon = started([sys.executable, "-c", "raise SystemExit('the host refuses')"], {})
+    with pytest.raises(RuntimeError, match="no run: the host refuses"):
+        summary_of(daemon, 60.0)
