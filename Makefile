@@ -37,13 +37,17 @@ lint: setup
 check-types: setup
 	$(BIN)/mypy
 
+# A file's tests share runs. By number of tests, as pytest-xdist would order them, the files of few
+# long tests would come last, and one worker wait for the other.
+PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
+
 test: lint check-types
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime and not long"
+	$(BIN)/python -m pytest $(PARALLEL) -m "not realtime and not long"
 	$(BIN)/python -m pytest -m "realtime and not long"
 
 # What `make test` has no time for: whole runs once more on other buses, axes and controllers.
 test-long: setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "long and not realtime"
+	$(BIN)/python -m pytest $(PARALLEL) -m "long and not realtime"
 	$(BIN)/python -m pytest -m "long and realtime"
 
 bench: setup

@@ -23,12 +23,15 @@ from tests import stalls
 from tonus.config.loader import HERE
 
 TRIES = 3
+LONG = {"test_short_forms.py", "test_tune.py", "test_tutorials.py", "test_wheel.py"}
+"""files at the end of the alphabet that take long: first, so that no worker has to wait for them"""
 OUT = HERE.parent / "out"
 BEGIN_NS = pytest.StashKey[int]()
 MEANWHILE = "stalls of the host meanwhile"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.path.name not in LONG)
     for item in items:
         if item.get_closest_marker("realtime"):
             excuse = partial(host_stalled, item)

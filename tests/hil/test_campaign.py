@@ -112,7 +112,7 @@ def test_without_a_fault_no_bound_is_broken(controller: str, name: str) -> None:
 
 def test_the_command_goes_on_where_it_was_left(tmp_path: Path) -> None:
     def command(*options: str) -> subprocess.CompletedProcess[str]:
-        line = [sys.executable, "-m", "tonus.tools.cli", "campaign", "faults", "--bus", "can"]
+        line = [sys.executable, "-m", "tonus.tools.cli", "campaign", "faults", "--bus", "direct"]
         line += ["--out", str(tmp_path), "--minimise", "0", *options]
         return subprocess.run(line, capture_output=True, text=True, check=False)
 

@@ -17,7 +17,7 @@ from tonus.sim.devices.tracker import Tracker
 from tonus.tools.log import Log
 from tonus.tools.run.composer import Result
 
-FIRST_S, APART_S = 2.6, 0.1373
+FIRST_S, APART_S = 2.6, 0.0687
 """after the drives were enabled: in ACTIVE; apart by no multiple of any period"""
 LOSSES = 40
 DURATION_S = FIRST_S + LOSSES * APART_S - 2.0

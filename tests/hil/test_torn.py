@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 
 from tests.torn import CABLES, Place, Torn
@@ -11,14 +13,19 @@ TENSION = 1.2 * 200.0
 """N: `tension` of config/bounds.yaml, of T_max"""
 
 
+@cache
+def robot(home: Place) -> Torn:
+    """Brought up once for all cases there: each is forked from it."""
+    return Torn(home)
+
+
 @pytest.mark.parametrize(
     "home", [(0.0, 0.0, 0.0), (-0.15, -0.15, -0.06), (0.15, 0.0, 0.0)], ids=str
 )
 def test_no_torn_cable_throws_the_platform(home: Place) -> None:
     bounds = load_bounds()
-    robot = Torn(home)
     for cable in range(CABLES):
-        (case,) = robot.cases(cable, ("rest",))
+        (case,) = robot(home).cases(cable, ("rest",))
         assert case.peak_speed <= bounds.speed, case
         assert case.peak_tension <= TENSION, case
         assert case.where == cable, case
@@ -33,7 +40,7 @@ def test_no_torn_cable_throws_the_platform(home: Place) -> None:
 def test_a_second_cable_torn_in_the_descent_is_named_and_throws_nothing(
     first: int, second: int
 ) -> None:
-    case = Torn((0.0, 0.0, 0.0)).again(first, second, after=0.3)
+    case = robot((0.0, 0.0, 0.0)).again(first, second, after=0.3)
     assert case.named, case
     assert case.given_up == tuple(sorted((first, second))), case
     assert case.peak_speed <= load_bounds().speed, case

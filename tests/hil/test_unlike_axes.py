@@ -127,7 +127,7 @@ def _same_motion(one: Log, other: Log) -> None:
 def test_other_winches_on_four_axes_play_it_to_its_end_within_bounds(
     scenario: str, tmp_path: Path
 ) -> None:
-    config, played = load("config/unlike_axes.yaml", scenario)
+    config, played = load("config/unlike_axes.yaml", scenario, QUICK)
     result, log = virtual(config, played, tmp_path, seed=4)
     assert result.outcome.state is State.STANDBY, result.outcome.reason
     assert result.outcome.fault is Fault.NONE, "isolation finds nothing"
