@@ -92,8 +92,7 @@ def test_the_lines_lie_on_the_oscillator_at_the_frequencies_of_the_push() -> Non
 
 
 def test_one_frequency_alone_cannot_tell_mass_from_stiffness() -> None:
-    response = pushed((0.6,), 1)
-    assert response is None or response.fit.half_width[0] > MASS
+    assert pushed((0.6,), 1) is None
 
 
 @pytest.mark.parametrize("rows", [100, 400, 2000])

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from statue import CABLES, CONFIG, CONTROL, Statue
 
 from tonus.drivers.process_image import AxisCommand, ProcessImage
+from tonus.runtime.control.controllers.base import Controller
 from tonus.runtime.safety.sequence import FEWEST
 from tonus.runtime.states import Fault, Operator, State, StopMode
 
 STALE = CONTROL.freshness.stale_stop_ticks
 RADIUS = CONFIG.robot.drum.radius
 Spoil = Callable[[ProcessImage], None]
+Array = NDArray[np.float64]
 
 
 def defective(*cells: int) -> Spoil:
@@ -171,12 +175,25 @@ def test_no_fault_leads_back_to_a_better_stop() -> None:
     assert set(seen) == {StopMode.ON_PATH, StopMode.DESCENT, StopMode.PASSIVE}
 
 
-@pytest.mark.parametrize("fault", [Fault.NOT_FINITE])
-def test_a_value_that_is_not_a_number_is_a_passive_stop(fault: Fault) -> None:
+@pytest.mark.parametrize("row", range(6))
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_value_that_is_not_a_number_is_a_passive_stop(
+    row: int, value: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A single one of a controller's wrench, found where the drums' motion is computed from it."""
     statue = Statue().until(State.HOLD)
-    statue.cycle._finite = False
+    wrench = Controller.wrench
+
+    def spoilt(controller: Controller, *given: Any) -> Array:
+        values = wrench(controller, *given).copy()
+        values[row] = value
+        return values
+
+    monkeypatch.setattr(Controller, "wrench", spoilt)
     go_on(statue)
-    assert (statue.cycle.sequence.fault, mode(statue)) == (fault, StopMode.PASSIVE)
+    assert np.isfinite(statue.image.commands["torque"]).all()
+    go_on(statue)
+    assert (statue.cycle.sequence.fault, mode(statue)) == (Fault.NOT_FINITE, StopMode.PASSIVE)
     assert (statue.image.commands["command"] == AxisCommand.ENABLE).all()
     assert np.isfinite(statue.image.commands["torque"]).all()
 
