@@ -92,7 +92,7 @@ class Master(Section):
     drain_periods: Count
     """frames taken in one tick, in periods of a full bus: a flood must not hold the tick"""
     flood_frames: Count
-    """frames of nobody in one tick, so many ticks in a row, are a flood"""
+    """frames of no configured node in one tick, so many ticks in a row, are a flood"""
     flood_ticks: Count
     health_ticks: Count
     """how often a controller is asked for its error state"""
@@ -250,9 +250,9 @@ class DistributedClocks(Section):
     settle_ms: Count
     """time allowed for that"""
     limit_ns: Count
-    """a slave's clock further away than this is told"""
+    """a slave's clock further away than this is an event"""
     guard_us: NonNegative
-    """a frame that passes closer to SYNC0 than this is told"""
+    """a frame that passes closer to SYNC0 than this is an event"""
     proportional: Fraction
     """share of the phase error that one tick takes back"""
     integral: Fraction

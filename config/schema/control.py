@@ -1,4 +1,4 @@
-"""What the controller is told: filters, estimator, law, distribution, inner loop, envelope."""
+"""Control: filters, estimator, law, distribution, inner loop, envelope."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Filters(Section):
     force_cutoff_hz: Positive
     """second-order Butterworth on every load cell (paper, section 3.4)"""
     plausible_force: Positive
-    """N: a cell that reports more is not believed"""
+    """N: a cell that reports more is not used"""
     plausible_speed: Positive
-    """times the motor's nominal speed: an encoder that reports more is not believed"""
+    """times the motor's nominal speed: an encoder that reports more is not used"""
 
 
 class Estimator(Section):
@@ -45,7 +45,7 @@ class Estimator(Section):
     elongation_time: Positive
     """s over which elongations are averaged before they tell compliance from offset"""
     gate: Positive
-    """largest chi-square (of all lengths) of a tracker pose that is still believed"""
+    """largest chi-square (of all lengths) of a tracker pose that is still accepted"""
     refused_poses: Count
     """so many in a row beyond the gate are no outliers"""
     refused_spread: Positive
@@ -339,6 +339,6 @@ class Recording(Section):
     rotate_s: NonNegative = 0.0
     """a file that has recorded this much run time is followed by another; 0: never"""
     keep_free_mb: NonNegative = 0.0
-    """recording stops, and control goes on, when the disk has less room than this"""
+    """recording stops, and control continues, when the disk has less room than this"""
     keep_files: Annotated[int, Field(ge=0)] = 0
     """files of a run that rotation keeps, the oldest others are deleted; 0: all"""

@@ -59,7 +59,7 @@ class Identity(Section):
 
 
 class Device(Section):
-    """What every node of one kind is told at bring-up."""
+    """Settings of every node of one kind at bring-up."""
 
     identity: Identity | None = None
     """what 0x1018 must say; null: any device"""

@@ -85,7 +85,7 @@ class Plant(Section):
     """every motor has a brake that its drive opens (0x3158) and that is closed without power"""
     slack_at_start: tuple[NonNegative, NonNegative]
     """m: range from which every cable's slack in the cradle is drawn; loose enough to lie still,
-    short enough to be wound in during referencing"""
+    short enough to be reeled in during referencing"""
 
     @model_validator(mode="after")
     def _ordered(self) -> Plant:
@@ -307,7 +307,7 @@ class TrackerShift(Section):
 
 
 class LabScript(Section):
-    """What a scenario asks of the lab. It cannot be heard by the daemon."""
+    """What a scenario asks of the lab. The daemon does not see it."""
 
     load: Load | None = None
     displacement: Displacement | None = None

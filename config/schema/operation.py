@@ -25,9 +25,9 @@ class ControlSocket(Section):
     group: Name | None = None
     """group that the socket's file is given to; null: the daemon's own"""
     users: tuple[Name, ...] = ()
-    """heard beside root and the daemon's own user"""
+    """may send commands, beside root and the daemon's own user"""
     groups: tuple[Name, ...] = ()
-    """whose members are heard"""
+    """whose members may send commands"""
     clients: Count = 8
     """connections at a time; one more, and that which was silent longest is closed"""
     message_bytes: Annotated[int, Field(ge=64, le=65536)] = 1024

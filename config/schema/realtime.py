@@ -26,7 +26,7 @@ Processors = WholeNumber | tuple[WholeNumber, ...] | Literal["others"]
 
 
 class HostLimits(Section):
-    """What a host's figures are held against."""
+    """Limits for the measured figures of a host."""
 
     wakeup_good_us: Positive = 100.0
     """p99.9 of a bare wake-up for a period of 1 ms, in proportion for others"""

@@ -97,9 +97,10 @@ class Isolation(Section):
     torque_descent_ticks: Count
     """in a row, in a descent"""
     sample_doubt: Positive
-    """s of doubt when a sample was taken, beyond which it is not held against its torque"""
+    """s of uncertainty of the time of a sample, beyond which it is not compared with its torque"""
     unobserved_s: Positive
-    """s in which samples keep a drum from being held against its torque, until it is an event"""
+    """s in which samples do not allow a drum to be compared with its torque, until it is an
+    event"""
     acceleration: Positive
     """times what a drum's motor can give, at its current limit and without a cable"""
     overwound: Positive

@@ -58,8 +58,8 @@ class Path(Section):
 
 class Press(Section):
     """Goes up to a body and presses on it: min-jerk ``approach``, then the force grows over
-    ``fade`` to ``force`` and swings round it. The way goes on by force over ``stiffness``, which is
-    all a position controller is told about the body."""
+    ``fade`` to ``force`` and swings round it. The reference moves on by force over ``stiffness``,
+    the only thing a position controller is given of the body."""
 
     kind: Literal["press"]
     direction: Direction
@@ -75,7 +75,7 @@ class Press(Section):
     """N"""
     frequency: Positive = 0.5
     stiffness: Positive
-    """N/m, of the body as far as one knows it"""
+    """N/m, of the body, as estimated"""
 
     @model_validator(mode="after")
     def _pressing(self) -> Press:

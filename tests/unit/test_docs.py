@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tonus.tools.report import commands, events, states
+from tonus.tools.report import commands, configuration, events, states
 from tonus.tools.report.signals import markdown
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,3 +24,12 @@ def test_the_page_of_events_is_the_one_the_tables_print() -> None:
 
 def test_the_page_of_commands_is_the_one_the_commands_print() -> None:
     assert (ROOT / "docs" / "commands.md").read_text() == commands.markdown()
+    assert (ROOT / "docs" / "configuration.md").read_text() == configuration.markdown()
+
+
+def test_a_key_is_shown_with_the_limits_that_hold_for_it() -> None:
+    """Two that a schema loses behind a validator of ours, and a default."""
+    page = configuration.markdown()
+    assert "| `node_id` | whole number ≥ 1, ≤ 127 |  |  |" in page
+    assert "| `duration` | number > 0 |  | s in ACTIVE |" in page
+    assert "| `sign` | `1` or `-1` | `1` | which way the motor turns" in page
