@@ -56,7 +56,10 @@ def only(found: dict[str, Finding], rule: str) -> Finding:
     return found[rule]
 
 
-@pytest.mark.parametrize("name", ["can", "direct", "ethercat", "mixed", "robot", "unlike_axes"])
+@pytest.mark.parametrize(
+    "name",
+    ["can", "direct", "ethercat", "mixed", "robot", "seven", "six", "twelve", "unlike_axes"],
+)
 def test_what_is_shipped_passes(name: str) -> None:
     config, scenario = load(f"config/{name}.yaml")
     findings = check(config, scenario)
@@ -247,6 +250,15 @@ def test_a_fault_needs_its_node() -> None:
     data["lab"]["faults"] = [fault, {**fault, "channel": "can1"}]
     found = only(failed({}, Scenario.model_validate(data)), "faults")
     assert found.where.endswith("lab.faults.0")
+
+
+def test_a_robot_that_cannot_be_balanced_is_refused_with_pose_and_wrench() -> None:
+    """All anchors above: nothing pulls the light platform down against 25 N from below."""
+    raised = [(x, y, abs(z)) for x, y, z in CONFIG.robot.geometry.frame]
+    found = failed({"robot.geometry.frame": raised, "control.tension.min": 5.5}, SCENARIO)
+    text = found["workspace"].text
+    place, wrench = r"at \([-+\d., ]+\) m", r"to exert \([-+\d., ]+\) N, \([-+\d., ]+\) N m"
+    assert re.search(f"{place}.* {wrench}$", text), text
 
 
 def test_weaker_cables_fail_with_share_and_worst_pose() -> None:

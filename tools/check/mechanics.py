@@ -99,7 +99,7 @@ def _self_stress(robot: Robot, at: Poses) -> Finding:
     if not closed.any():
         text = (
             "none: gravity is the pretension, co-contraction raises no tension, K_eq is the "
-            "virtual spring's alone, and a lost cable drops the platform"
+            "virtual spring's alone, and no cable can make up for a lost one"
         )
     elif not closed.all():
         text = (
@@ -126,7 +126,9 @@ def _referencing(config: Config) -> Finding:
 
 
 def _wrench(wrench: Array) -> str:
-    force, moment = (", ".join(f"{value:+.1f}" for value in part) for part in np.split(wrench, 2))
+    # No zero is negative to a reader.
+    parts = np.split(np.round(wrench, 1) + 0.0, 2)
+    force, moment = (", ".join(f"{value:+.1f}" for value in part) for part in parts)
     return f"({force}) N, ({moment}) N m"
 
 
