@@ -23,6 +23,8 @@ from tests import stalls
 from tonus.config.loader import HERE
 
 TRIES = 3
+SHOWN = 5
+"""stalls, the longest"""
 LONG = {"test_short_forms.py", "test_tune.py", "test_tutorials.py", "test_wheel.py"}
 """files at the end of the alphabet that take long: first, so that no worker has to wait for them"""
 OUT = HERE.parent / "out"
@@ -59,7 +61,9 @@ def pytest_runtest_makereport(
         )
     if report.failed and isinstance(report.longrepr, ExceptionRepr):
         found = stalls.watching().since(item.stash[BEGIN_NS])
-        report.longrepr.addsection(MEANWHILE, "\n".join(map(str, found)) or "none")
+        longest = sorted(found, key=lambda stall: stall.begin_ns - stall.end_ns)[:SHOWN]
+        lines = [*map(str, longest), f"{len(found)} in all"]
+        report.longrepr.addsection(MEANWHILE, "\n".join(lines))
     return report
 
 
