@@ -7,6 +7,7 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
@@ -22,6 +23,8 @@ from tonus.tools.report.page import report
 from tonus.tools.run.composer import Order, run
 
 SECONDS = 10.0
+OVERRIDES: dict[str, Any] = {}
+"""of the configuration: none"""
 """of the run that the long log is made of"""
 CYCLES = 600_000
 SAMPLE = 100_000
@@ -32,7 +35,7 @@ PERIOD_NS = 1_000_000
 
 def log() -> list[Figure]:
     """Loading whole: every topic, every message."""
-    config, scenario = load("config/direct.yaml")
+    config, scenario = load("config/direct.yaml", overrides=OVERRIDES)
     scenario = scenario.model_copy(update={"duration": SECONDS})
     with tempfile.TemporaryDirectory() as folder:
         order = Order(config, scenario, Path(folder), 1, True, lambda _: None, live=False)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from tests.bench.measure import Figure
 from tonus.config import load
 from tonus.tools.run.composer import Order, run
 
 SECONDS = 10.0
+OVERRIDES: dict[str, Any] = {}
+"""of the configuration: none"""
 
 
 def whole() -> list[Figure]:
@@ -24,7 +27,7 @@ def whole() -> list[Figure]:
 
 
 def _virtual(path: str) -> Figure:
-    config, scenario = load(path)
+    config, scenario = load(path, overrides=OVERRIDES)
     scenario = scenario.model_copy(update={"duration": SECONDS})
     with tempfile.TemporaryDirectory() as folder:
         order = Order(config, scenario, Path(folder), 1, True, lambda _: None, live=False)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from loop import QUICK
 
 from tests.bench.__main__ import PARTS
 from tests.bench.measure import Figure
@@ -20,8 +21,8 @@ SHORT: dict[str, dict[str, Any]] = {
     "frames": {"FRAMES": 200},
     "segment": {"_ROUNDS": 1},
     "ethercat": {"TICKS": 50},
-    "whole": {"SECONDS": 0.2},
-    "log": {"SECONDS": 0.5, "CYCLES": 4000, "SAMPLE": 500},
+    "whole": {"SECONDS": 0.2, "OVERRIDES": QUICK},
+    "log": {"SECONDS": 0.5, "OVERRIDES": QUICK, "CYCLES": 4000, "SAMPLE": 500},
     "realtime": {"_SHORT_S": 1.0, "_SHORT_ROUNDS": 1},
 }
 """what each part has less of here"""

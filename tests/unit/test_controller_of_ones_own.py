@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loop import QUICK
 
 from tonus.config import ConfigError, load
 from tonus.runtime.control.controllers import CONTROLLERS, controller_class, make_controller
@@ -121,7 +122,12 @@ class Abstract(tonus.Controller):
 
 number = 3
 '''
-QUICK_RUN = "run config/direct.yaml --virtual --scenario hold --duration 1.5 --seed 1"
+QUICK_RUN = " ".join(
+    (
+        "run config/direct.yaml --virtual --scenario hold --duration 1.5 --seed 1",
+        *(f"--set {key}={value}" for key, value in QUICK.items()),
+    )
+)
 
 
 @pytest.fixture
@@ -408,4 +414,4 @@ def test_time_is_a_matter_of_real_time_only(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "of the period of 1000 us on this host" in line
     assert not out.exists()
-    assert tonus(f"{QUICK_RUN} {mean}", monkeypatch) == 0
+    assert tonus(f"{QUICK_RUN} --duration 0.1 {mean}", monkeypatch) == 0
