@@ -17,16 +17,19 @@ from tonus.drivers.cia301 import pdo
 from tonus.drivers.cia301.abort_codes import NO_SUCH_OBJECT
 from tonus.drivers.cia301.pdo import Direction
 from tonus.drivers.cia301.setting import ObjectAccess, Setting, apply
-from tonus.drivers.devices.cia402 import DISABLE_VOLTAGE, FAULT_RESET
+from tonus.drivers.devices.cia402 import DISABLE_VOLTAGE, FAULT_RESET, decode
 from tonus.drivers.devices.drive_errors import Errors, Reset
 from tonus.drivers.errors import DriverError, SdoAbortError
 from tonus.drivers.fieldbus import Progress
+from tonus.drivers.process_image import AxisState
 
 PDOS = 4
 """PDOs each way in the predefined connection set."""
 _ERROR_CODE = (0x603F, 0)
 _HISTORY = 0x1003
 _CONTROLWORD = (0x6040, 0)
+_STATUSWORD = (0x6041, 0)
+_GENERIC_ERROR = 0x1000
 
 
 class NodeError(DriverError):
@@ -111,8 +114,15 @@ class Node:
             await self.sdo.write(0x1016, 1, bytes(4))
 
     async def error_code(self) -> int:
-        """0x603F of a drive. Raises `SdoError`."""
-        return int.from_bytes(await self.sdo.read(*_ERROR_CODE), "little")
+        """0x603F of a drive, 0 for no fault. A drive need not have that object (CiA 402): then its
+        statusword tells of a fault, as the generic error. Raises `SdoError`."""
+        try:
+            return int.from_bytes(await self.sdo.read(*_ERROR_CODE), "little")
+        except SdoAbortError as error:
+            if error.code != NO_SUCH_OBJECT:
+                raise
+        state = decode(int.from_bytes(await self.sdo.read(*_STATUSWORD), "little"))
+        return _GENERIC_ERROR if state is AxisState.FAULT else 0
 
     async def _boot(self, reset: Command) -> None:
         boots = self.monitor.boots

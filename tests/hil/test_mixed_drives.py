@@ -78,6 +78,19 @@ def test_a_fault_is_reported_in_the_words_of_its_drives_profile_and_reset() -> N
     on_lab(script, config=MIXED)
 
 
+def test_a_drive_without_0x603f_is_brought_up_out_of_a_fault() -> None:
+    async def script(bench: Bench) -> None:
+        said: list[str] = []
+        bench.lab.nodes["can1", 3].device.fail(0x7305)
+        await bench.fieldbus.start(said.append)
+        assert any("can1/3" in line and "0x1000 generic error" in line for line in said)
+        bench.image.commands["command"] = AxisCommand.ENABLE
+        await bench.ticks(30)
+        assert set(bench.image.axes["state"]) == {AxisState.OPERATION_ENABLED}
+
+    on_lab(script, config=with_sheet("servo_b.eds", **SERVO_B))
+
+
 def test_every_drive_stops_by_itself_when_the_daemon_is_killed() -> None:
     async def script(bench: Bench) -> None:
         await enabled(bench)
