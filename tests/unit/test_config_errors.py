@@ -298,6 +298,24 @@ CASES = [
         "controller", "control.controller", "should be 'bio'", "choose one of these",
     ),
     Broken(
+        "a value set that is not there",
+        Edit(CONFIG, "scenario:", "set: {control.no: 1}\nscenario:"),
+        CONFIG, "set:", "control.no", "is not a key here", "",
+    ),
+    Broken(
+        "a value set below nothing", Edit(CONFIG, "scenario:", "set: {contrl.pid: 1}\nscenario:"),
+        CONFIG, "set:", "contrl", "is not there, so contrl.pid cannot be set", "add it",
+    ),
+    Broken(
+        "a value set out of range",
+        Edit(CONFIG, "scenario:", "set: {robot.gravity: -1}\nscenario:"), CONFIG, "set:",
+        "robot.gravity", "greater than 0, not -1", "choose a larger value",
+    ),
+    Broken(
+        "changes as a list", Edit(CONFIG, "scenario:", "set: [1]\nscenario:"), CONFIG, "set:",
+        "set", "is no mapping", "write key: value below it",
+    ),
+    Broken(
         "two nodes for one axis", Edit(BUS, "{axis: 1,", "{axis: 0,"), BUS, "channels",
         "fieldbus.channels", "axis 0 has more than one node", "give it one",
     ),
@@ -402,6 +420,16 @@ def test_what_is_copied_is_good_until_it_is_broken(folder: Path) -> None:
     config, scenario = load(folder / CONFIG)
     assert config == load("config/can.yaml")[0]
     assert scenario.name == config.scenario
+
+
+def test_a_configuration_sets_values_of_what_it_includes_and_a_caller_has_the_last_word(
+    folder: Path,
+) -> None:
+    Edit(CONFIG, "scenario:", "set: {robot.gravity: 9.5, scenario: hold}\nscenario:")(folder)
+    config, scenario = load(folder / CONFIG)
+    assert (config.robot.gravity, scenario.name) == (9.5, "hold")
+    config, _ = load(folder / CONFIG, overrides={"robot.gravity": 9.7})
+    assert config.robot.gravity == 9.7
 
 
 def test_a_configuration_that_is_not_there_is_answered_with_one_that_is() -> None:
