@@ -22,4 +22,5 @@ def test_readers_stand_whatever_happened_to_a_log() -> None:
 
 def test_what_draws_and_compares_stands_too() -> None:
     ends = storm(4, 3, LONG, drawn=3)
-    assert ends["report: done"]
+    # A page of a damaged log is drawn too, and ends with 1.
+    assert ends["report: done"] + ends["report: failed"]
