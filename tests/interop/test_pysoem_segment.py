@@ -20,6 +20,8 @@ import pytest
 import yaml
 from door_client import ask, inject
 
+from tonus.config.document import read
+
 pysoem = pytest.importorskip("pysoem", reason="pysoem is not installed: the extra ethercat")
 pytestmark = pytest.mark.realtime
 
@@ -152,18 +154,7 @@ class Bench:
 def _renamed(near: str, far: str, ring: bool) -> str:
     """The shipped configuration on interfaces of this test's own."""
     folder = Path(__file__).resolve().parents[2] / "config"
-
-    class Loader(yaml.SafeLoader):
-        pass
-
-    def nested(loader: yaml.Loader, node: yaml.ScalarNode) -> Any:
-        path = folder / node.value
-        if not path.exists():
-            path = folder / "buses" / node.value
-        return yaml.load(path.read_text(), Loader)  # noqa: S506 - a safe loader
-
-    Loader.add_constructor("!include", nested)
-    data = yaml.load((folder / "ethercat.yaml").read_text(), Loader)  # noqa: S506
+    data = read(folder / "ethercat.yaml").data
     data["fieldbus"]["interface"] = near
     data["lab"]["ethercat"]["interface"] = far
     if ring:
