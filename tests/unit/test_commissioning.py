@@ -19,9 +19,7 @@ def step(number: int) -> str:
 @pytest.mark.parametrize("bit", [0, 1])
 def test_the_polarity_of_step_7_is_one_that_a_drive_has(bit: int) -> None:
     """A drive whose direction is wrong is turned round there; another subindex is read only."""
-    ((index, sub),) = re.findall(
-        r"set the axis polarity \(0x([0-9A-F]{4}):(\d+), bit 0\)", step(7)
-    )
+    ((index, sub),) = re.findall(r"set the axis polarity \(0x([0-9A-F]{4}):(\d+), bit 0\)", step(7))
     drive = OneDrive()
     drive.write(int(index, 16), int(sub), bit)
     assert drive.read(int(index, 16), int(sub)) == bit
