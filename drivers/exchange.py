@@ -35,8 +35,8 @@ AXIS = np.dtype(
         ("statusword", "i8"),
         ("error_code", "i8"),
         ("untrusted", "i8"),  # silent, restarted or not operational
-        ("sampled_ns", "i8"),  # when the SYNC that took the sample went out; 0: on a common clock
-        ("doubt_ns", "i8"),  # by how much later it may have
+        ("sampled_ns", "i8"),  # when the SYNC or SYNC0 took the sample; 0: not known
+        ("doubt_ns", "i8"),  # by how much that may be wrong
     ]
 )
 CELL = np.dtype(

@@ -16,8 +16,8 @@ AXIS_INPUT = np.dtype(
     [
         ("angle", "f8"),  # rad at the drum, incremental: zero is where the drive was switched on
         ("torque", "f8"),  # N m at the drum, the drive's own figure, before gearbox losses
-        ("sampled_ns", "i8"),  # when the SYNC that took the sample went out; 0: on a common clock
-        ("doubt_ns", "i8"),  # by how much later it may have gone out
+        ("sampled_ns", "i8"),  # when the SYNC or SYNC0 took the sample; 0: not known
+        ("doubt_ns", "i8"),  # by how much that may be wrong
         ("statusword", "u2"),
         ("error_code", "u2"),  # of the last EMCY, 0 for none
         ("age", "u2"),  # ticks since the measurement's own tick

@@ -116,9 +116,9 @@ TABLE: tuple[Topic, ...] = (
         _f8("torque_command", Per.CABLE, "N m", "commanded torque at the drum"),
         _f8("rate", Per.CABLE, "rad/s", "drum rate"),
         Field(
-            "sampled_ns", "int64", Per.CABLE, "ns", "when its SYNC went out; 0: on a common clock"
+            "sampled_ns", "int64", Per.CABLE, "ns", "when SYNC or SYNC0 took the sample; 0: unknown"
         ),
-        Field("doubt_ns", "int64", Per.CABLE, "ns", "by how much later it may have gone out"),
+        Field("doubt_ns", "int64", Per.CABLE, "ns", "by how much that may be wrong"),
         Field("age", "uint16", Per.CABLE, "ticks", "age of the measurement"),
         Field("statusword", "uint16", Per.CABLE, "", "CiA 402 statusword"),
         Field("error_code", "uint16", Per.CABLE, "", "error code of the last emergency"),

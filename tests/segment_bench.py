@@ -25,6 +25,8 @@ from tonus.sim.lab.engine import Lab
 
 Result = TypeVar("Result")
 PERIOD_NS = 1_000_000
+SYNC0_NS = 50_000
+"""after the start of a tick, as configured (`clocks.shift_us`)"""
 SEGMENT = "tonus0"
 _FAULT: TypeAdapter[Any] = TypeAdapter(Fault)
 

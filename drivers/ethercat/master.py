@@ -229,7 +229,7 @@ class EthercatFieldbus:
         if not self._ticking:
             self._begin_ticking(tick)
         if self._receive(self._sent_tick) and self._sent_tick is not None:
-            self._take_inputs(wire.inputs, self._sampled_in(tick, self._sent_tick))
+            self._take_inputs(wire.inputs, *self._sampled(tick, self._sent_tick))
         self._sent_tick = None
         found = wire.looked()
         if found is not None:
@@ -317,13 +317,16 @@ class EthercatFieldbus:
                 self._events.begin("frame_near_sync", where, text)
         return True
 
-    def _sampled_in(self, tick: int, sent: int) -> int:
+    def _sampled(self, tick: int, sent: int) -> tuple[int, int, int]:
+        """`Phase.sampled`; without a reference clock as if the frame had been on time."""
         reference_ns = self._wire.reference_ns if self._wire is not None else None
         if reference_ns is None:
-            return sent
-        return self._phase.sampled_in(reference_ns, tick, sent)
+            return sent, 0, 0
+        return self._phase.sampled(reference_ns, tick, sent)
 
-    def _take_inputs(self, inputs: list[bytes], sampled: int) -> None:
+    def _take_inputs(
+        self, inputs: list[bytes], sampled: int, sampled_ns: int, doubt_ns: int
+    ) -> None:
         exchange = self._exchange
         for decode, data in zip(self._decoders, inputs, strict=True):
             decode(data)
@@ -331,6 +334,8 @@ class EthercatFieldbus:
         for slave in self._axes:
             assert slave.axis is not None
             ticks[slave.axis] = sampled
+            exchange.sampled_ns[slave.axis] = sampled_ns
+            exchange.doubt_ns[slave.axis] = doubt_ns
         for cell in self._cell_rows:
             exchange.cell_tick[cell] = sampled
         codes = exchange.error_codes.tolist()

@@ -26,6 +26,8 @@ class Phase:
         self._known_ahead_ns: int | None = None
         self._pulses: deque[int] = deque(maxlen=_REMEMBERED)
         """SYNC0's number less the tick's: the least is that of a frame that was on time"""
+        self._continues = False
+        """the last sample's time is on the same clock as the next one's"""
 
     @property
     def known(self) -> bool:
@@ -40,6 +42,7 @@ class Phase:
         """What frames have told so far was told by other clocks."""
         self._known_ahead_ns = None
         self._pulses.clear()
+        self._continues = False
 
     def count_anew(self) -> None:
         """Ticks begin again, from another number."""
@@ -68,12 +71,17 @@ class Phase:
         late = due_ns + self._ahead_ns + self._shift_ns - self.sync0_ns
         return (late + period // 2) % period - period // 2
 
-    def sampled_in(self, reference_ns: int, tick: int, sent: int) -> int:
-        """The tick whose SYNC0 took the sample in the frame that tick ``sent`` published. It is
-        another one when the host held us up between the two: the frame then passed late."""
+    def sampled(self, reference_ns: int, tick: int, sent: int) -> tuple[int, int, int]:
+        """Of the sample in the frame that tick ``sent`` published: the tick whose SYNC0 took it,
+        before ``tick``; when that was by the reference clock, 0 for the first by another clock; and
+        by how much that may be wrong. It is another tick when the host delayed the frame."""
         pulse = (reference_ns - self.sync0_ns) // self._period_ns
         self._pulses.append(pulse - sent)
-        return min(pulse - min(self._pulses), tick - 1)
+        number = min(pulse - min(self._pulses), tick - 1)
+        time_ns = self.sync0_ns + pulse * self._period_ns if self._continues else 0
+        self._continues = True
+        doubtful = self.near_sync0_ns(reference_ns) is not None
+        return number, time_ns, self._period_ns if doubtful else 0
 
     def near_sync0_ns(self, reference_ns: int) -> int | None:
         """How long after SYNC0 a frame passed that passed together with it, so that it carries one

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
-from segment_bench import PERIOD_NS, SegmentBench, beside, run, until
+from segment_bench import PERIOD_NS, SYNC0_NS, SegmentBench, beside, run, until
 
 from tonus.drivers.ethercat.deterministic import DeterministicMaster
 from tonus.drivers.ethercat.frames import FIRST_DATAGRAM, Command
@@ -156,6 +157,45 @@ def test_a_frame_that_left_late_carries_a_later_sample_and_is_counted_so() -> No
         await bench.run(1)
         assert (bench.image.axes["age"] == 0).all()
         assert (bench.image.axes["state"] == AxisState.OPERATION_ENABLED).all()
+
+    run(main)
+
+
+def test_the_time_of_a_sample_is_that_of_the_sync0_before_its_frame() -> None:
+    """A frame that leaves a period late carries the next sample, two periods after the last one,
+    and the next frame on time the same again. Else a drum's rate would be twice what it is."""
+
+    async def main() -> None:
+        bench = await _enabled()
+        await bench.run(10)
+        held = bench.fieldbus._wire
+        assert isinstance(held, DeterministicMaster)
+        usual = held._frame_ns
+        times = []
+        for late in (0, 0, PERIOD_NS, 0, 0):
+            held._frame_ns = usual + late
+            await bench.run(1)
+            times.append(bench.image.axes["sampled_ns"].copy())
+            assert (bench.image.axes["age"] == 0).all()
+        held._frame_ns = usual
+        await bench.run(1)
+        times.append(bench.image.axes["sampled_ns"].copy())
+        steps = np.diff(times, axis=0) // PERIOD_NS
+        assert [set(step.tolist()) for step in steps] == [{1}, {1}, {2}, {0}, {1}]
+
+    run(main)
+
+
+def test_a_frame_close_to_sync0_leaves_the_time_of_its_sample_in_doubt() -> None:
+    async def main() -> None:
+        bench = await _enabled()
+        await bench.run(10)
+        held = bench.fieldbus._wire
+        assert isinstance(held, DeterministicMaster)
+        assert (bench.image.axes["doubt_ns"] == 0).all()
+        held._frame_ns = SYNC0_NS + 5_000
+        await bench.run(2)
+        assert (bench.image.axes["doubt_ns"] == PERIOD_NS).all()
 
     run(main)
 
