@@ -28,7 +28,7 @@ def test_the_page_of_commands_is_the_one_the_commands_print() -> None:
 
 
 def test_a_key_is_shown_with_the_limits_that_hold_for_it() -> None:
-    """Two that a schema loses behind a validator of ours, and a default."""
+    """Two behind a validator of ours, under names that no JSON schema has, and a default."""
     page = configuration.markdown()
     assert "| `node_id` | whole number ≥ 1, ≤ 127 |  |  |" in page
     assert "| `duration` | number > 0 |  | s in ACTIVE |" in page

@@ -45,6 +45,7 @@ _LIMITS = {
     "maximum": "≤ ",
     "le": "≤ ",
 }
+"""Of a schema; behind a validator of ours pydantic leaves its own names."""
 _HEXADECIMAL = 1_000_000
 """from here on: mapping words and identities"""
 _WORDS = {
@@ -92,17 +93,6 @@ def models(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
     return found
 
 
-def limits(annotation: Any, metadata: list[Any]) -> dict[str, float]:
-    """By the names of `annotated_types`: a schema loses those behind a validator of ours."""
-    found: dict[str, float] = {}
-    for argument in getattr(annotation, "__args__", ()):
-        found |= limits(argument, list(getattr(argument, "__metadata__", ())))
-    for each in metadata:
-        found |= {name: getattr(each, name) for name in _LIMITS if hasattr(each, name)}
-        found |= limits(None, list(getattr(each, "metadata", ())))
-    return found
-
-
 class _Page:
     def __init__(self, *roots: type[BaseModel]) -> None:
         self._sections: dict[str, Schema] = {}
@@ -125,10 +115,8 @@ class _Page:
                 yield _plain(model.__doc__) + "\n"
             yield "| key | type | default | meaning |\n|---|---|---|---|"
             for key, each in schema["properties"].items():
-                field = model.model_fields[key]
-                bounds = limits(field.annotation, field.metadata)
                 default = self._default(each, required=key in schema.get("required", ()))
-                yield _row(f"`{key}`", self._type(each, bounds), default, texts.get(key, ""))
+                yield _row(f"`{key}`", self._type(each), default, texts.get(key, ""))
             yield ""
 
     def _default(self, schema: Schema, *, required: bool) -> str:
@@ -141,40 +129,39 @@ class _Page:
             return "of its keys"
         return f"`{json.dumps(value)}`"
 
-    def _type(self, schema: Schema, bounds: dict[str, float]) -> str:
+    def _type(self, schema: Schema) -> str:
         if "$ref" in schema:
             name = schema["$ref"].rsplit("/", 1)[1]
             target = self._sections[name]
             if "properties" in target:
                 return f"[{name}](#{name.lower()})"
-            return self._type(target, bounds)
+            return self._type(target)
         if "const" in schema:
             return f"`{schema['const']}`"
         if "enum" in schema:
             return " or ".join(f"`{value}`" for value in schema["enum"])
         for several in ("anyOf", "oneOf", "allOf"):
             if several in schema:
-                kinds = dict.fromkeys(self._type(each, bounds) for each in schema[several])
+                kinds = dict.fromkeys(self._type(each) for each in schema[several])
                 return " or ".join(kinds)
         kind = schema.get("type")
         if kind == "array":
-            return self._array(schema, bounds)
+            return self._array(schema)
         if kind == "object":
             values = schema.get("additionalProperties")
-            return f"section of {self._type(values, {})}" if isinstance(values, dict) else "section"
+            return f"section of {self._type(values)}" if isinstance(values, dict) else "section"
         if kind not in ("number", "integer"):
             return _WORDS.get(str(kind), str(kind or "value"))
-        found = bounds | {name: schema[name] for name in _LIMITS if name in schema}
-        signs = dict.fromkeys(f"{_LIMITS[name]}{_number(found[name])}" for name in found)
-        return " ".join(filter(None, (_WORDS[kind], ", ".join(sorted(signs, reverse=True)))))
+        found = [f"{_LIMITS[name]}{_number(schema[name])}" for name in _LIMITS if name in schema]
+        return " ".join(filter(None, (_WORDS[kind], ", ".join(found))))
 
-    def _array(self, schema: Schema, bounds: dict[str, float]) -> str:
+    def _array(self, schema: Schema) -> str:
         if "prefixItems" in schema:
-            kinds = dict.fromkeys(self._type(each, bounds) for each in schema["prefixItems"])
+            kinds = dict.fromkeys(self._type(each) for each in schema["prefixItems"])
             return f"list of {len(schema['prefixItems'])}: {', '.join(kinds)}"
         low, high = schema.get("minItems"), schema.get("maxItems")
         count = f"{low} to {high} " if low and high else f"{low} or more " if low else ""
-        return f"list of {count}{self._type(schema.get('items', {}), bounds)}"
+        return f"list of {count}{self._type(schema.get('items', {}))}"
 
 
 def _number(value: float) -> str:
