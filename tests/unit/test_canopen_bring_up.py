@@ -184,6 +184,14 @@ def test_a_fault_that_stays_is_told_with_what_would_clear_it() -> None:
     assert words[:3] == [b"\x00\x00", b"\x80\x00", b"\x00\x00"]
 
 
+def test_the_fault_of_a_drive_without_an_error_code_is_seen_in_its_statusword() -> None:
+    """CiA 402: 0x603F is optional."""
+    robot = Robot()
+    del robot.nodes[4].objects[0x603F, 0]
+    robot.nodes[4].stuck[0x6041, 0] = b"\x08\x00"
+    assert "can1/4 (drive of axis 3): its fault stays: 0x1000" in failure(robot)
+
+
 def test_a_defect_that_only_a_reset_of_the_device_clears_gets_one() -> None:
     robot = Robot()
     node = robot.nodes[2]

@@ -466,3 +466,14 @@ def test_what_an_operator_may_choose_is_checked(own: Path) -> None:
     missing = CliRunner().invoke(command, [str(own)]).exception
     assert isinstance(missing, ConfigError)
     assert "scenes.yaml:1" in str(missing)
+
+
+def test_cables_that_lift_the_platform_out_of_its_cradle_while_referencing_are_refused() -> None:
+    """On the suspended robot every cable pulls up: 117.7 N of weight against 2.85 N of lift for
+    each newton of even tension."""
+    overrides = {"control.tension.referencing": 42.0, "control.tension.pre": 45.0}
+    config, scenario = load("config/six.yaml", overrides=overrides)
+    found = {each.rule: each for each in check(config, scenario) if not each.ok}
+    assert "referencing" in found
+    assert "42 N in every cable lift with 119" in found["referencing"].text
+    assert found["referencing"].where == "control.tension.referencing"
