@@ -23,8 +23,8 @@ _PERIOD_S = 0.001
 _LEAST_NS = 2_000_000
 """A measurement is fresh for three ticks of 1 ms (config/control.yaml), so that a shorter stall
 stops no robot; the watcher may sleep through one of them."""
-_WRITTEN_S = 0.02
-"""in which a watcher that the host has let go writes what it has seen"""
+_WATCHES, _REFUSED = b"+", b"-"
+"""what a watcher answers"""
 _KERNEL = Path("/proc/sys/kernel")
 _THROTTLED_WITHIN = 0.1
 """of a pause: a watcher may sleep when it begins, and be one of several to go on"""
@@ -51,22 +51,31 @@ class Watch:
             subprocess.Popen(
                 [sys.executable, "-S", __file__, str(processor), str(self.path)],
                 stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
             )
             for processor in processors
         ]
+        self.refused = self._answers().count(_REFUSED)
+        """watchers without SCHED_FIFO, which measure nothing"""
 
     def since(self, begin_ns: int) -> list[Stall]:
         """Stalls that were not over at ``begin_ns``; see `now_ns`."""
-        time.sleep(_WRITTEN_S)
+        self._answers()
         lines = self.path.read_text(encoding="ascii").splitlines()
         stalls = (Stall(*map(int, line.split())) for line in lines)
         return [stall for stall in stalls if stall.end_ns > begin_ns and not throttled(stall)]
 
-    def close(self) -> None:
+    def _answers(self) -> list[bytes]:
+        """Of every watcher, once it has written what it has seen until now."""
         for process in self.processes:
             assert process.stdin is not None
-            process.stdin.close()
-            process.wait()
+            process.stdin.write(b"?")
+            process.stdin.flush()
+        return [process.stdout.read(1) for process in self.processes if process.stdout]
+
+    def close(self) -> None:
+        for process in self.processes:
+            process.communicate()
         self._file.close()
 
 
@@ -97,21 +106,26 @@ def now_ns() -> int:
 
 
 def _watch(processor: int, path: str) -> None:
-    """Write each stall in a line, until standard input ends."""
+    """Write each stall in a line, and answer each byte on standard input, until that ends."""
     os.sched_setaffinity(0, {processor})
+    answer = _WATCHES
     try:
         highest = os.sched_get_priority_max(os.SCHED_FIFO)
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(highest))
     except PermissionError:
-        return
+        answer = _REFUSED
+    pause_s = _PERIOD_S if answer == _WATCHES else None
     with Path(path).open("a", encoding="ascii", buffering=1) as file:
         while True:
             due_ns = time.monotonic_ns() + round(1e9 * _PERIOD_S)
-            if select.select([0], [], [], _PERIOD_S)[0]:
-                return
+            asked = select.select([0], [], [], pause_s)[0]
             now = time.monotonic_ns()
-            if now - due_ns >= _LEAST_NS:
+            if answer == _WATCHES and now - due_ns >= _LEAST_NS:
                 file.write(f"{due_ns} {now} {processor}\n")
+            if asked:
+                if not os.read(0, 1):
+                    return
+                os.write(1, answer)
 
 
 if __name__ == "__main__":

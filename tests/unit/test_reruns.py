@@ -107,7 +107,8 @@ def test_a_test_in_real_time_that_skips_itself_has_failed(pytester: pytest.Pytes
 def test_a_stall_is_measured() -> None:
     """Of a watcher that stands still for a while; more the host may add."""
     with closing(Watch(sorted(os.sched_getaffinity(0))[:1])) as watch:
-        clock.pause(0.5)
+        if watch.refused:
+            pytest.skip("the host refuses SCHED_FIFO, without which no stall is measured")
         (watcher,) = watch.processes
         begin_ns = stalls.now_ns()
         watcher.send_signal(signal.SIGSTOP)
