@@ -19,6 +19,8 @@ from tonus.runtime.states import Operator, State
 TICKS_AFTER_START = 50
 _TRACKER_DIVISOR = 8
 _DELAY_TICKS = 10
+_STEP_S = 0.1
+"""of each step of bringing up, a whole one's kernels and branches without its length"""
 _UNSEEN = {
     "length_jump": 1e9,
     "tension_error": 1e9,
@@ -47,8 +49,14 @@ def rehearse(config: Config, scenario: Scenario) -> bool:
 
 def _rehearse(config: Config, scenario: Scenario) -> bool:
     _watch(config)
+    steps = ("tare_s", "referencing_settle_s", "pretension_s", "lift_s")
+    brief = dict.fromkeys(steps, _STEP_S)
+    # As many poses as make a reference.
+    poses = config.control.sequence.referencing_poses + 1
+    brief["referencing_average_s"] = poses * _TRACKER_DIVISOR * config.control.rates.period
     # This robot's drums do not turn, which neither the envelope nor the isolation would let pass.
     changes = {
+        "sequence": config.control.sequence.model_copy(update=brief),
         "envelope": config.control.envelope.model_copy(update={"enabled": False}),
         "isolation": config.control.isolation.model_copy(update=_UNSEEN),
     }
@@ -58,14 +66,7 @@ def _rehearse(config: Config, scenario: Scenario) -> bool:
     image.axes["age"] = image.cells["age"] = 0
     image.tracker["position"] = config.robot.rest
     image.tracker["delay"] = _DELAY_TICKS * config.control.rates.period
-    sequence = config.control.sequence
-    longest = 2.0 * (
-        sequence.tare_s
-        + sequence.referencing_settle_s
-        + sequence.referencing_average_s
-        + sequence.pretension_s
-        + sequence.lift_s
-    )
+    longest = 2.0 * sum(brief.values())
     left = TICKS_AFTER_START
     for tick in range(int(longest / config.control.rates.period)):
         state = cycle.sequence.state

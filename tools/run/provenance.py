@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import platform
 from collections.abc import Sequence
@@ -56,6 +57,7 @@ def host() -> dict[str, str]:
     }
 
 
+@functools.cache
 def _environment() -> bytes:
     """Every installed distribution with its version, as pip takes them."""
     found = {each.metadata["Name"].lower(): each.version for each in distributions()}
