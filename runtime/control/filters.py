@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy import signal
 
 Array = NDArray[np.float64]
 
@@ -29,6 +28,10 @@ class ButterworthBank:
     """
 
     def __init__(self, channels: int, cutoff_hz: float, rate_hz: float) -> None:
+        from scipy import (
+            signal,  # most of a second, for which commands without a filter need not wait
+        )
+
         self._b, self._a = signal.butter(2, cutoff_hz, fs=rate_hz)
         self._first = np.zeros(channels)
         self._second = np.zeros(channels)

@@ -17,6 +17,7 @@ from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.runtime.daemon import Daemon
 from tonus.runtime.operation.operator import Console
+from tonus.runtime.operation.verbs import VERBS, Verb
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.signals import Grade
 from tonus.runtime.states import (
@@ -38,30 +39,6 @@ _LINE = 400
 _OF_A_SCRIPT = (Operator.STOP, Operator.ESTOP)
 _SCRIPTED = ("a script runs this daemon", "stop it, and start the daemon with --serve")
 _SPARE = "give one JSON object with op, and name for a scenario"
-
-
-@dataclass(frozen=True)
-class Verb:
-    """One thing to ask."""
-
-    name: str
-    about: str
-    operator: Operator = Operator.NONE
-
-
-VERBS: dict[str, Verb] = {
-    verb.name: verb
-    for verb in (
-        Verb("status", "what the daemon does now; no event, everything else is one"),
-        Verb("arm", "STANDBY to HOLD, through referencing and pretension", Operator.ARM),
-        Verb("start", "play the scenario, or go on with it", Operator.START),
-        Verb("hold", "pause the scenario where it is", Operator.HOLD),
-        Verb("stop", "controlled stop, back to STANDBY", Operator.STOP),
-        Verb("estop", "disable every drive in the same tick", Operator.ESTOP),
-        Verb("reset", "leave FAULT once its cause is corrected", Operator.RESET),
-        Verb("scenario", "choose what START plays, by `name`; in HOLD or disarmed"),
-    )
-}
 
 STATUS: dict[str, tuple[str, str]] = {
     "config": ("string", "name of the configuration"),

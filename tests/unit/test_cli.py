@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tonus.tools.cli.main import main
+import tonus.tools
+from tonus.tools.cli.log import LINES
+from tonus.tools.cli.main import COMMANDS, main
+
+TOOLS = Path(tonus.tools.__file__).parent
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -101,3 +106,32 @@ def test_the_summary_alone_is_printed_as_json(
     assert summary == json.loads((tmp_path / "summary.json").read_text())
     assert summary["state"] == "STANDBY"
     assert summary["realtime_factor"] > 0.0
+
+
+@pytest.mark.parametrize(
+    "typed", ["--help", "log --help", "ctl --help", "ctl estop", "log info /dev/null"]
+)
+def test_a_light_command_waits_for_no_heavy_library(typed: str, tmp_path: Path) -> None:
+    """An emergency stop took two seconds of imports before it was sent."""
+    code = f"""
+import sys
+sys.argv = ["tonus", *{typed.split()}]
+from tonus.tools.cli.entry import main
+try:
+    main()
+finally:
+    heavy = {{"numba", "scipy", "matplotlib", "pyarrow", "clarabel"}} & set(sys.modules)
+    assert not heavy, heavy
+"""
+    environment = {**os.environ, "TONUS_RUNTIME_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert "AssertionError" not in done.stderr
+
+
+@pytest.mark.parametrize(("folder", "lines"), [("", COMMANDS), ("log", LINES)])
+def test_every_command_has_its_line_in_the_list(folder: str, lines: dict[str, str]) -> None:
+    there = {path.stem for path in (TOOLS / "cli" / folder).glob("*.py")}
+    assert set(lines) <= there | {"log"}
+    assert all(line[0].isupper() and line.endswith(".") for line in lines.values())

@@ -19,9 +19,10 @@ from operated import Client, Operated, told
 from tonus.config.schema.operation import ControlSocket as Settings
 from tonus.drivers.process_image import AxisState, ProcessImage
 from tonus.runtime.operation import control_socket
-from tonus.runtime.operation.control_door import STATUS, VERBS
+from tonus.runtime.operation.control_door import STATUS
 from tonus.runtime.operation.control_socket import ControlSocket, ControlSocketError, Peers
 from tonus.runtime.operation.operator import Script
+from tonus.runtime.operation.verbs import VERBS
 from tonus.runtime.signals import Grade
 from tonus.runtime.states import Event, Fault, Operator, State
 

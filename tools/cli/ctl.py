@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from tonus.runtime.operation.control_door import VERBS
+from tonus.runtime.operation.verbs import VERBS
 from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.tools import output

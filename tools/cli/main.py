@@ -16,46 +16,40 @@ from importlib import import_module
 import click
 
 from tonus.tools import output
+from tonus.tools.cli.lazy import LazyGroup
 
-COMMANDS = (
-    "run",
-    "ctl",
-    "lab",
-    "fault",
-    "check",
-    "doctor",
-    "workspace",
-    "tune",
-    "log",
-    "paper",
-    "campaign",
-    "export",
-    "init",
-)
-"""Each is the object of its name in the module of its name."""
+COMMANDS = {
+    "run": "Run the robot, or its lab: bring up, play a scenario, record.",
+    "ctl": "Command a running daemon.",
+    "lab": "Start the lab by itself: drives, load cells and tracker.",
+    "fault": "Inject a fault into a running lab.",
+    "check": "Validate a configuration: bus load, workspace, margins.",
+    "doctor": "Measure whether this host can keep the period.",
+    "workspace": "Map where the robot holds which forces.",
+    "tune": "Tune controllers, or design the tension loop.",
+    "log": "Inspect, compare, replay and convert recorded runs.",
+    "paper": "Play the paper's stages and judge them.",
+    "campaign": "Play faults at random, each episode judged by the truth.",
+    "export": "Describe a configuration for other tools: DBC, EDS, ESI.",
+    "init": "Write a complete, commented configuration to start from.",
+}
 
 
-class _Commands(click.Group):
-    """Imports a command when it is asked for, so that a light one is not kept waiting by others."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        del ctx
-        return list(COMMANDS)
+class _Commands(LazyGroup):
+    """Commands whose kernels may have to be compiled, which is then shown."""
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        del ctx
-        if cmd_name not in COMMANDS:
+        if cmd_name not in self.lines:
             return None
         with _loading():
             compiling = import_module("tonus.tools.cli.compiling")
             compiling.keep_somewhere()
-            command = getattr(import_module(f"tonus.tools.cli.{cmd_name}"), cmd_name)
+            command = super().get_command(ctx, cmd_name)
             compiling.tell()
-        assert isinstance(command, click.Command)
         return command
 
 
-@click.group(cls=_Commands)
+@click.group(cls=_Commands, package="tonus.tools.cli", lines=COMMANDS)
 @click.version_option(package_name="tonus")
 def tonus() -> None:
     """Control software of a cable-driven parallel robot, and its lab in software."""
@@ -64,8 +58,6 @@ def tonus() -> None:
 def main() -> None:
     """One command, from its words to the process's exit code."""
     output.install()
-    with _loading():
-        from tonus.tools.cli.failures import explained
     code: object = 1
     try:
         # Outside its standalone mode click returns the code of an Exit instead of leaving with it.
@@ -75,6 +67,8 @@ def main() -> None:
     except KeyboardInterrupt:
         pass
     except Exception as error:  # noqa: BLE001  # what has no explanation is raised again
+        with _loading():  # seldom needed, and it loads every room
+            from tonus.tools.cli.failures import explained
         text, code = explained(error)
         if text:
             click.echo(text, err=True)

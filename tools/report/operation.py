@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import sys
 
-from tonus.runtime.operation.control_door import STATUS, VERBS
+from tonus.runtime.operation.control_door import STATUS
+from tonus.runtime.operation.verbs import VERBS
 
 
 def tables() -> str:

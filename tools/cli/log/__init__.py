@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import click
 
-from tonus.tools.cli.log.compare import compare
-from tonus.tools.cli.log.export import export
-from tonus.tools.cli.log.identify import identify
-from tonus.tools.cli.log.info import info
-from tonus.tools.cli.log.layout import layout
-from tonus.tools.cli.log.recover import recover
-from tonus.tools.cli.log.replay import replay
-from tonus.tools.cli.log.report import report
-from tonus.tools.cli.log.timing import timing
+from tonus.tools.cli.lazy import LazyGroup
+
+LINES = {
+    "compare": "Compare runs by the indicators of the paper.",
+    "export": "Write a table for each topic, or the bus frames.",
+    "identify": "Identify masses, cables, drums and the closed loop.",
+    "info": "Print time, states, faults, topics and gaps.",
+    "layout": "Write a layout for a viewer of logs.",
+    "recover": "Save what a damaged log still holds.",
+    "replay": "Compute a run again, and compare bit for bit.",
+    "report": "Write a run as one HTML page.",
+    "timing": "Judge a run's timing by its budget.",
+}
 
 
-@click.group()
+@click.group(cls=LazyGroup, package=__name__, lines=LINES)
 def log() -> None:
     """Inspect, compare, replay and convert recorded runs."""
-
-
-for command in (compare, export, identify, info, layout, recover, replay, report, timing):
-    log.add_command(command)
