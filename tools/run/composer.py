@@ -26,18 +26,15 @@ from tonus.runtime.operation.notify import Notifier
 from tonus.runtime.operation.operator import Console, Script
 from tonus.runtime.operation.rehearsal import rehearse
 from tonus.runtime.recording.recorder import Recorder
-from tonus.runtime.recording.ring import RingWriter
-from tonus.runtime.recording.taps import KEYFRAME_BYTES, EventRing, FrameRing, KeyframeRing, Level
+from tonus.runtime.recording.taps import KEYFRAME_BYTES, Level
 from tonus.runtime.recording.viewer import Scene
 from tonus.runtime.safety.firewall import Firewall
 from tonus.runtime.safety.guarded_tap import GuardedTap
-from tonus.runtime.signals import cycle_dtype, topics
 from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.latencies import Latencies
 from tonus.runtime.timing.realtime import Hygiene, compared, demand, settled, stolen_jiffies
 from tonus.runtime.timing.scheduler import Pacing, TimerPacing, VirtualPacing
-from tonus.runtime.topics import to_json
 from tonus.sim.lab.engine import Lab
 from tonus.tools import output
 from tonus.tools.cli.live import Live
@@ -52,14 +49,13 @@ from tonus.tools.run.lab_process import LabProcess, start_lab
 from tonus.tools.run.order import Order, Result
 from tonus.tools.run.recorder_process import RecorderProcess, start
 from tonus.tools.run.ring_directory import ring_directory
+from tonus.tools.run.rings import Rings
 from tonus.tools.run.run_folder import LOG, RunFolder
-from tonus.tools.run.truth import TruthRing
 
 __all__ = ["Order", "Result", "run"]
 
 DRAIN_S = 0.2
 """s of virtual time between two looks of the in-process recorder"""
-FRAMES_PER_TICK = 64
 _DISARMED = frozenset({State.OFF, State.STANDBY, State.FAULT})
 
 
@@ -124,7 +120,7 @@ class _Stage:
         step_ns = rates.status_divisor * rates.period_ns
         shown = order.live and not order.serve
         self._shown = (order.scenario.duration, step_ns) if shown else None
-        self._order, self._rings, self._cleanup = order, rings, cleanup
+        self._order, self._ring_folder, self._cleanup = order, rings, cleanup
         self._folder, self._log = folder, folder.path / LOG
         self._realtime = settled(config.realtime)
         patience = config.operation.self_test.patience_s
@@ -133,21 +129,13 @@ class _Stage:
             played, period = order.scenario, config.control.rates.period
             script = Script(played.duration, patience, played.operator, period)
         self._console = Console(script)
-        cables = config.robot.cables
-        self._image = ProcessImage(cables)
-        ticks = int(config.recording.ring_s / config.control.rates.period)
-        meta = {"kind": "record", "topics": to_json(topics(cables))}
-        size = cycle_dtype(cables).itemsize
-        self._cycles = RingWriter.create(rings / "cycle.ring", size, ticks, meta)
-        self._events = EventRing.open(rings / "events.ring")
-        self._keyframes = KeyframeRing.open(rings / "keyframes.ring")
+        self._image = ProcessImage(config.robot.cables)
+        self._rings = Rings(rings, config)
         self._firewall = Firewall(config.operation.firewall.failures)
+        frames = self._rings.frames
         self._tap: FrameTap | None = None
-        channels = fieldbuses.channels(config)
-        if config.recording.raw_frames and channels:
-            frames = FrameRing.open(rings / "frames.ring", channels, ticks * FRAMES_PER_TICK)
+        if frames is not None:
             self._tap = GuardedTap(frames, self._firewall.part("frame tap"))
-        self._ticks = ticks
         self._began = 0.0
         self._too_large = False
         self._hygiene: Hygiene | None = None
@@ -157,9 +145,11 @@ class _Stage:
     def virtual(self) -> Result:
         order = self._order
         live = Live(*self._shown) if self._shown else None
-        lines = EventLines(self._rings, journal=for_journal(os.environ)) if order.serve else None
+        lines = (
+            EventLines(self._ring_folder, journal=for_journal(os.environ)) if order.serve else None
+        )
         recorder = Recorder(
-            self._rings,
+            self._ring_folder,
             self._log,
             order.config.recording,
             self._metadata(),
@@ -257,13 +247,12 @@ class _Stage:
         order = self._order
         if order.config.lab is None:
             raise ToolError("virtual time needs a lab: section in the configuration")
-        truth = TruthRing(self._rings / "truth.ring", self._ticks, order.config.robot.cables)
         lab = Lab(
             order.config,
             order.scenario.lab,
             seed=order.seed,
             clock=clock.loop_clock(),
-            truth=truth.publish,
+            truth=self._rings.truth().publish,
         )
         try:
             lab.open()
@@ -276,7 +265,7 @@ class _Stage:
         if order.config.lab is None:
             return None
         config = order.config.model_copy(update={"realtime": self._realtime})
-        lab = start_lab(config, order.scenario, order.seed, self._rings, self._ticks)
+        lab = start_lab(config, order.scenario, order.seed, self._ring_folder, self._rings.ticks)
         self._cleanup.callback(lab.stop)
         return lab
 
@@ -295,7 +284,7 @@ class _Stage:
         realtime, health = self._realtime, doctor.latest(order.config, order.out)
         attachments = {"doctor.json": json.dumps(health, indent=2, sort_keys=True).encode()}
         recorder = start(
-            self._rings,
+            self._ring_folder,
             self._log,
             order.config.recording,
             self._metadata() | provenance.host() | doctor.metadata(health),
@@ -325,8 +314,8 @@ class _Stage:
             fieldbus,
             TrackerInput(image, source),
             self._console,
-            ring=self._cycles,
-            events=self._events.write,
+            ring=self._rings.cycles,
+            events=self._rings.events.write,
             stopwatch=stopwatch,
             keyframes=self._keep_state,
             others=order.others,
@@ -346,13 +335,13 @@ class _Stage:
 
     def _keep_state(self, stamp_ns: int, tick: int, state: bytes) -> None:
         """A keyframe; the first one that no ring has room for is told, and no other."""
-        if not self._keyframes.write(stamp_ns, tick, state) and not self._too_large:
+        if not self._rings.keyframes.write(stamp_ns, tick, state) and not self._too_large:
             self._too_large = True
             text = (
                 f"the controller's state has {len(state)} bytes, and {KEYFRAME_BYTES} is the "
                 "limit; a replay has to begin at an earlier keyframe or at the first tick"
             )
-            self._events.write(stamp_ns, tick, Level.WARNING, "keyframe_left_out", "", text)
+            self._rings.events.write(stamp_ns, tick, Level.WARNING, "keyframe_left_out", "", text)
 
     def _pacing(self) -> Pacing:
         """Of virtual time."""

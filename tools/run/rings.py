@@ -1,0 +1,40 @@
+"""The rings of one run, each a file: what daemon and lab write, and a recorder reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tonus.config.schema.root import Config
+from tonus.runtime.recording.ring import RingWriter
+from tonus.runtime.recording.taps import EventRing, FrameRing, KeyframeRing
+from tonus.runtime.signals import cycle_dtype, topics
+from tonus.runtime.topics import to_json
+from tonus.tools.run import fieldbuses
+from tonus.tools.run.truth import TruthRing
+
+FRAMES_PER_TICK = 64
+
+
+class Rings:
+    """Made in ``folder``, each for `recording.ring_s`."""
+
+    def __init__(self, folder: Path, config: Config) -> None:
+        cables = config.robot.cables
+        self._folder, self._cables = folder, cables
+        self.ticks = int(config.recording.ring_s / config.control.rates.period)
+        """records that the ring of cycles holds"""
+        meta = {"kind": "record", "topics": to_json(topics(cables))}
+        size = cycle_dtype(cables).itemsize
+        self.cycles = RingWriter.create(folder / "cycle.ring", size, self.ticks, meta)
+        self.events = EventRing.open(folder / "events.ring")
+        self.keyframes = KeyframeRing.open(folder / "keyframes.ring")
+        self.frames: FrameRing | None = None
+        """None where no frames are recorded, or there are none"""
+        channels = fieldbuses.channels(config)
+        if config.recording.raw_frames and channels:
+            capacity = self.ticks * FRAMES_PER_TICK
+            self.frames = FrameRing.open(folder / "frames.ring", channels, capacity)
+
+    def truth(self) -> TruthRing:
+        """A ring for the truth of a lab in this process."""
+        return TruthRing(self._folder / "truth.ring", self.ticks, self._cables)
