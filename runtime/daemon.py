@@ -95,7 +95,7 @@ class Daemon:
         if keyframes is not None:
             ticks = round(config.recording.keyframe_s / config.control.rates.period)
             self._keeper = KeyframeKeeper(self.cycle, keyframes, ticks)
-        self._due_ns = self._after_ns = 0
+        self._due_ns = self._after_ns = self._ticks = 0
         self._overruns = Overruns(config.realtime)
         self.latencies = Latencies()
         self._recovery: asyncio.Task[None] | None = None
@@ -104,6 +104,15 @@ class Daemon:
         self._halted = False
         """while the bus was brought up"""
         self._who = self._resetting_for = ""
+
+    def go_on(self, duration: float) -> None:
+        """Between two ticks: what is recorded from here on is a run of its own, whose scenario
+        lasts ``duration`` s. It begins with the last tick's record and a keyframe."""
+        self._duration = duration
+        record = self.cycle.record
+        self._ring.publish(record.data, self._due_ns)
+        if self._keeper is not None:
+            self._keeper.now(self._due_ns, int(record.timing.tick))
 
     def serve(self, name: str, action: Callable[[int], None], *, lasting: bool = False) -> None:
         """Call ``action`` with the due time (ns) after each tick, and now and then before the
@@ -124,25 +133,29 @@ class Daemon:
         Raises a `DriverError` when the bus cannot be brought up; a fault in operation is an
         outcome, not an exception.
         """
-        ticks, scheduler = 0, None
         try:
             if await self._bring_up(progress):
                 ready()
                 scheduler = self.scheduler = self._schedule(pacing(), start_ns)
                 try:
-                    ticks = await self._tick_until_done(scheduler)
+                    await self._tick_until_done(scheduler)
                 finally:
                     scheduler.close()
                     self._give_up_recovery()
         finally:
             await self._fieldbus.stop()
             sys.stderr.write(self.firewall.tracebacks())
-        sequence = self.cycle.sequence
+        return self.outcome
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run has ended, or would if it ended now."""
+        sequence, scheduler = self.cycle.sequence, self.scheduler
         return Outcome(
             sequence.state,
             sequence.fault,
             self._reporter.fault or self._verdict(),
-            ticks,
+            self._ticks,
             scheduler.misses if scheduler is not None else Misses(),
             self._overruns.stopped,
             self._commander.obstacle,
@@ -216,12 +229,10 @@ class Daemon:
         first_ns = (now_ns() // period_ns + 2) * period_ns
         return Scheduler(period_ns, max(first_ns, start_ns), pacing, self._stopwatch)
 
-    async def _tick_until_done(self, scheduler: Scheduler) -> int:
-        ticks = 0
+    async def _tick_until_done(self, scheduler: Scheduler) -> None:
         while not self._finished:
             self._tick(await scheduler.next(), scheduler)
-            ticks += 1
-        return ticks
+            self._ticks += 1
 
     @property
     def _finished(self) -> bool:

@@ -134,6 +134,10 @@ class Script(_Stoppable):
         """Give these commands in place of those left; what was due before now is left out."""
         self._commands = deque(each for each in commands if self._due(each) > self._ticks)
 
+    def last(self, duration: float) -> None:
+        """Let the scenario run for ``duration`` s in ACTIVE."""
+        self._duration = duration
+
     @property
     def armed_for(self) -> int:
         """Ticks since arming."""

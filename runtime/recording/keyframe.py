@@ -26,6 +26,8 @@ from tonus.runtime.errors import DaemonError
 from tonus.runtime.signals import CycleRecord
 
 VERSION = 1
+FROM_A_KEYFRAME = {"begins": "keyframe"}
+"""metadata of a log whose first record is not a run's first tick, but has a keyframe"""
 _CONSTANT = (BaseModel, FunctionType, clarabel.DefaultSolver)
 """Settings, functions, and a solver that starts from nothing each time."""
 _NUMBER = (int, float, np.generic)
@@ -60,8 +62,8 @@ class Keyframe:
         self._initial = _flat(owner)
 
     def take(self) -> bytes:
-        """What has changed since the owner was made."""
-        (data,) = filter(None, self.steps())
+        """What has changed since the owner was made. Raises `KeyframeError`."""
+        (data,) = filter(None, self._written(_Still(self._owner, self._kinds)))
         return data
 
     def steps(self) -> Iterator[bytes]:
@@ -73,9 +75,12 @@ class Keyframe:
             # Something new in mid-run: control goes on, and a replay begins at an earlier one.
             while True:
                 yield b""
+        yield b""
+        yield from self._written(still)
+
+    def _written(self, still: _Still) -> Iterator[bytes]:
         initial, rows, blobs, at = self._initial, {}, [], 0
         entries = _walk("", self._owner, still, {})
-        yield b""
         while some := list(islice(entries, ENTRIES_A_STEP)):
             for path, entry in some:
                 if initial.get(path) == entry:

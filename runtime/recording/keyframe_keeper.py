@@ -22,6 +22,12 @@ class KeyframeKeeper:
         self._due = 0
         self._kept: tuple[int, int, Iterator[bytes]] | None = None
 
+    def now(self, due_ns: int, tick: int) -> None:
+        """The whole keyframe at once, after ``tick``, where no tick waits for it. Raises
+        `KeyframeError`."""
+        self._kept, self._due = None, tick + self._ticks
+        self._sink(due_ns, tick, self._keyframe.take())
+
     def __call__(self, due_ns: int, tick: int) -> None:
         """At the end of each tick; the whole keyframe at once would overrun one."""
         if self._kept is None:

@@ -16,7 +16,8 @@ from tonus.config.schema.campaign import Study
 from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.episode import Episode, Group
 from tonus.tools.campaign.judge import Row, failed
-from tonus.tools.campaign.station import cause, die_with_parent, play_group
+from tonus.tools.campaign.station import cause, play_group
+from tonus.tools.forking import die_with_parent
 
 _CHUNK = 1 << 16
 _CRASHED = 70

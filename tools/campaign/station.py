@@ -7,7 +7,6 @@ comes to is one line of JSON in a pipe. A child that crashes or hangs is a row a
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import sys
@@ -19,11 +18,10 @@ from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.episode import Episode, Group
 from tonus.tools.campaign.judge import Row, failed, row_of
 from tonus.tools.campaign.play import Playing, describe
+from tonus.tools.forking import die_with_parent
 
 _AHEAD_S = 0.003
 """so long before an episode's first event it is forked; buses and devices work ahead of a tick"""
-_DIE_WITH_PARENT = 1
-"""PR_SET_PDEATHSIG"""
 _PATIENCE = 60
 """s of wall time to one of processor time"""
 Tell = Callable[[Row], None]
@@ -65,11 +63,6 @@ def watch(seconds: int) -> None:
         signal.signal(number, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.alarm(seconds * _PATIENCE if seconds else 0)
-
-
-def die_with_parent() -> None:
-    """No process of a campaign outlives the one that started it."""
-    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 
 
 class _Over(Exception):  # noqa: N818 - nothing is wrong: every episode has been forked

@@ -20,7 +20,7 @@ from tonus.config.schema.scenario import Scenario
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.errors import ControllerError
-from tonus.runtime.recording.keyframe import KeyframeError, restore
+from tonus.runtime.recording.keyframe import FROM_A_KEYFRAME, KeyframeError, restore
 from tonus.runtime.recording.messages import KEYFRAME_TOPIC
 from tonus.runtime.signals import TABLE, cycle_dtype
 from tonus.runtime.states import Fault, Operator
@@ -217,7 +217,8 @@ class _Replayer:
         self._image = ProcessImage(self._config.robot.cables)
         self._topics = [topic for topic in TABLE if topic.name in log]
         self._cycle: ControlCycle | None = None
-        self._next: int | None = 0
+        fresh = not FROM_A_KEYFRAME.items() <= log.metadata.items()
+        self._next: int | None = 0 if fresh else None
         """sequence number of the record that follows on the state; None: no state"""
         self._before = -1
         self._keyframes = {} if other else self._recorded_states()

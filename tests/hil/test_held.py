@@ -1,0 +1,143 @@
+"""A robot brought up once, from which runs start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from hil.runs import configured, virtual
+from mcap.reader import make_reader
+
+from tonus.config.schema.faults import CableCut, Unplug
+from tonus.runtime.states import Operator, State
+from tonus.tools.errors import ToolError
+from tonus.tools.log import open as open_log
+from tonus.tools.log.replay import replay
+from tonus.tools.run.held import HeldRobot
+
+BUSES = (
+    "config/can.yaml",
+    pytest.param("config/ethercat.yaml", marks=pytest.mark.long),
+    pytest.param("config/direct.yaml", marks=pytest.mark.long),
+)
+FAULTS = {
+    "config/can.yaml": {"kind": "unplug", "channel": "can1", "node": 3, "at": 3.0},
+    "config/ethercat.yaml": {"kind": "cable_cut", "axis": 2, "at": 3.0},
+    "config/direct.yaml": {"kind": "cable_cut", "axis": 2, "at": 3.0},
+}
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[HeldRobot]:
+    config, scenario = configured("config/can.yaml", duration=0.3)
+    with closing(HeldRobot(config, scenario)) as held:
+        yield held
+
+
+def messages(path: Path, from_ns: int) -> dict[str, list[tuple[int, bytes]]]:
+    """Time and bytes by topic; without keyframes, which two runs take at other times."""
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            if message.log_time >= from_ns and channel.topic != "/tonus/keyframe":
+                found.setdefault(channel.topic, []).append((message.log_time, message.data))
+    return found
+
+
+@pytest.mark.parametrize("path", BUSES)
+def test_a_run_from_a_held_robot_is_the_rest_of_one_from_off(path: str, tmp_path: Path) -> None:
+    """Bit for bit, frames, truth and events included, with a fault that only the second was told
+    of at its start; and it replays."""
+    config, plain = configured(path, duration=0.3)
+    _, struck = configured(path, duration=0.3, script={"faults": [FAULTS[path]]})
+    _, whole = virtual(config, struck, tmp_path / "whole")
+    with closing(HeldRobot(config, plain)) as held:
+        result = held.play(tmp_path / "rest", struck)
+    _, first, *_ = open_log(result.log).times("/tonus/state")
+    rest, expected = messages(result.log, first), messages(whole.path, first)
+    assert rest.keys() == expected.keys()
+    assert [topic for topic in rest if rest[topic] != expected[topic]] == []
+    again = replay(open_log(result.log))
+    assert again.ticks > 500
+    assert again.first is None
+
+
+def test_it_is_operated_tick_by_tick(robot: HeldRobot, tmp_path: Path) -> None:
+    with robot.operated(tmp_path) as run:
+        assert run.seen.state is State.HOLD
+        assert run.seen.time == 0.0
+        assert run.advance(0.1).state is State.HOLD  # nobody has said START
+        run.command(Operator.START)
+        assert run.advance(0.1).state is State.ACTIVE
+        assert run.seen.time == pytest.approx(0.2)
+        run.inject(Unplug(channel="can1", node=3))
+        seen = run.advance(0.05)
+        assert seen.fault == "DRIVE_LOST"
+        assert any(said.where == "can1/3" for said in seen.events)
+        assert 0.2 < min(said.time for said in seen.events) <= 0.25
+    log = open_log(tmp_path / "run.mcap")
+    assert len(log["/tonus/state"]) == 251  # the one before the first too
+    assert replay(log).first is None
+
+
+def test_what_one_run_does_the_next_does_not_see(robot: HeldRobot, tmp_path: Path) -> None:
+    records = []
+    for number, axis in enumerate((2, None, 2, None)):
+        with robot.operated(tmp_path / str(number)) as run:
+            if axis is not None:
+                run.inject(CableCut(axis=axis))
+            records.append(run.advance(0.02))
+    torn, whole, again, still = (each.record.tobytes() + each.truth.tobytes() for each in records)
+    assert torn == again != whole == still
+
+
+def test_a_run_comes_to_its_end_by_a_controlled_stop(robot: HeldRobot, tmp_path: Path) -> None:
+    with robot.operated(tmp_path) as run:
+        result = run.finish()
+    assert result.outcome.state is State.STANDBY
+    with pytest.raises(ToolError, match="the run is over"):
+        run.advance(0.1)
+
+
+def test_active_is_held_too(tmp_path: Path) -> None:
+    config, scenario = configured("config/direct.yaml", "sine_x", duration=0.3)
+    with (
+        closing(HeldRobot(config, scenario, at="ACTIVE")) as robot,
+        robot.operated(tmp_path) as run,
+    ):
+        assert run.seen.state is State.ACTIVE
+        first = run.seen.record["pose"]["desired_position"].copy()
+        assert (run.advance(0.2).record["pose"]["desired_position"] != first).any()
+
+
+def test_what_cannot_be_played_is_refused_and_the_robot_is_still_there(
+    robot: HeldRobot, tmp_path: Path
+) -> None:
+    _, other = configured(scenario="sine_x", duration=0.3)
+    with pytest.raises(ToolError, match="only faults, commands and duration may differ"):
+        robot.play(tmp_path, other)
+    for node, at, words in ((99, 9.0, "no node 99"), (3, 0.0, "are over")):
+        fault = {"kind": "unplug", "channel": "can1", "node": node, "at": at}
+        _, scenario = configured(duration=0.3, script={"faults": [fault]})
+        with pytest.raises(ToolError, match=words):
+            robot.play(tmp_path, scenario)
+    assert robot.play(tmp_path).outcome.state is State.STANDBY
+
+
+def test_a_fault_that_cannot_be_injected_is_refused_and_the_run_goes_on(
+    robot: HeldRobot, tmp_path: Path
+) -> None:
+    with robot.operated(tmp_path) as run:
+        with pytest.raises(ToolError, match="no node 99"):
+            run.inject(Unplug(channel="can1", node=99))
+        assert run.advance(0.01).state is State.HOLD
+
+
+def test_a_robot_that_does_not_come_up_says_why() -> None:
+    config, scenario = configured(
+        "config/direct.yaml", overrides={"control.sequence.tare_limit": 1e-6}
+    )
+    with pytest.raises(ToolError, match="did not reach HOLD: "):
+        HeldRobot(config, scenario)
