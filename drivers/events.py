@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
 from tonus.drivers.fieldbus import BusEvent
@@ -110,7 +110,9 @@ EVENTS: dict[str, Meaning] = {
 class EventLog:
     """Collects events in the tick without letting a flood grow memory or the log."""
 
-    def __init__(self) -> None:
+    def __init__(self, own: Mapping[str, Meaning] | None = None) -> None:
+        """``own``: names beside `EVENTS` that this driver reports."""
+        self._meanings = EVENTS | dict(own or {})
         self._pending: list[BusEvent] = []
         self._dropped = 0
         self._counts: dict[Hashable, int] = {}
@@ -118,7 +120,7 @@ class EventLog:
 
     def add(self, name: str, where: str, text: str) -> None:
         if len(self._pending) < CAPACITY:
-            reaction = EVENTS[name].reaction
+            reaction = self._meanings[name].reaction
             self._pending.append(BusEvent(name, where, f"{text}; {reaction}" if reaction else text))
         else:
             self._dropped += 1

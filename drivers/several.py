@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import EthercatBus, SeveralBuses, devices
+from tonus.config.schema.bus import FieldbusSection, SeveralBuses
 from tonus.config.schema.root import Config
 from tonus.drivers.errors import DriverError
 from tonus.drivers.fieldbus import BusEvent, Fieldbus, Progress
@@ -21,6 +21,7 @@ Build = Callable[[Config, ProcessImage], Fieldbus]
 
 @dataclass(frozen=True)
 class _Part:
+    bus: FieldbusSection
     fieldbus: Fieldbus
     axes: list[int]
     cells: list[int]
@@ -41,12 +42,12 @@ class SeveralFieldbuses:
         self.image = image
         self._parts = []
         # A segment's frame goes out after the others: in virtual time it passes later in the tick.
-        for bus in sorted(config.fieldbus.buses, key=lambda each: isinstance(each, EthercatBus)):
-            axes, cells = devices(bus)
+        for bus in sorted(config.fieldbus.buses, key=lambda each: each.sends_last):
+            axes, cells = bus.devices
             image_of_part = ProcessImage(config.robot.cables)
             part = build(config.model_copy(update={"fieldbus": bus}), image_of_part)
             part.image.commands["command"] = AxisCommand.DISABLE
-            self._parts.append(_Part(part, axes, cells))
+            self._parts.append(_Part(bus, part, axes, cells))
         self.channels: tuple[str, ...] = tuple(
             name for part in self._parts for name in part.fieldbus.channels
         )
@@ -99,8 +100,9 @@ class SeveralFieldbuses:
             raise errors[0]
 
     @property
-    def parts(self) -> Sequence[Fieldbus]:
-        return [part.fieldbus for part in self._parts]
+    def parts(self) -> list[tuple[FieldbusSection, Fieldbus]]:
+        """Each with its section."""
+        return [(part.bus, part.fieldbus) for part in self._parts]
 
 
 async def _stopped(fieldbuses: Sequence[Fieldbus]) -> list[BaseException]:

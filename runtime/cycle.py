@@ -13,10 +13,10 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import Tracker
 from tonus.config.schema.control import Control
 from tonus.config.schema.robot import Robot
 from tonus.config.schema.scenario import Reference
+from tonus.config.schema.tracker import Tracker
 from tonus.drivers.process_image import AxisCommand, ProcessImage
 from tonus.runtime.control.allocation import Allocation
 from tonus.runtime.control.controllers import Motion, make_controller

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from tonus.config.schema.bus import parts
 from tonus.config.schema.root import Config
 from tonus.runtime.safety.faults import PASSIVE
 from tonus.runtime.states import Fault, StopMode
@@ -87,16 +86,12 @@ def describe(config: Config, fault: Fault, where: int, detail: str = "") -> str:
 def axis_name(config: Config, axis: int) -> str:
     """Channel, node and axis of a drive."""
     name = f"axis {axis}"
-    for bus in parts(config.fieldbus):
-        if axis in bus.axis_places:
-            return f"{bus.axis_places[axis]} ({name})"
-    return name
+    place = config.fieldbus.axis_places.get(axis)
+    return f"{place} ({name})" if place else name
 
 
 def cell_name(config: Config, cell: int) -> str:
     """Channel, node and cell of a force sensor."""
     name = "contact cell" if cell == config.robot.contact_cell else f"cell {cell}"
-    for bus in parts(config.fieldbus):
-        if cell in bus.cell_places:
-            return f"{bus.cell_places[cell]} ({name})"
-    return name
+    place = config.fieldbus.cell_places.get(cell)
+    return f"{place} ({name})" if place else name

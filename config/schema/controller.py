@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
-from importlib.metadata import entry_points
 from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator
 from pydantic_core import PydanticCustomError
+
+from tonus.config.schema.outside import names_object, registered
 
 ENTRY_POINTS = "tonus.controllers"
 """the group in which an installed distribution registers its controllers"""
@@ -26,23 +26,12 @@ ControllerName = Literal[
 ]
 """the shipped ones"""
 SHIPPED: tuple[str, ...] = get_args(ControllerName)
-_CLASS = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
-
-
-def names_class(name: str) -> bool:
-    """Whether it is written as ``package.module:Class``."""
-    return _CLASS.fullmatch(name) is not None
-
-
-def registered() -> list[str]:
-    """Names of the entry points, sorted. Nothing is imported."""
-    return sorted({each.name for each in entry_points(group=ENTRY_POINTS)})
 
 
 def _known(name: str) -> str:
-    if name in SHIPPED or names_class(name):
+    if name in SHIPPED or names_object(name):
         return name
-    others = registered()
+    others = registered(ENTRY_POINTS)
     if name not in others:
         known = ", ".join(repr(each) for each in (*SHIPPED, *others))
         raise PydanticCustomError(

@@ -8,7 +8,7 @@ from pydantic import model_validator
 
 from tonus.config.errors import PlacedError
 from tonus.config.schema.base import Section
-from tonus.config.schema.bus import Bus, Tracker, check_devices
+from tonus.config.schema.bus import Bus, check_devices
 from tonus.config.schema.control import Control, Recording
 from tonus.config.schema.lab import Lab
 from tonus.config.schema.operation import Operation
@@ -16,6 +16,7 @@ from tonus.config.schema.place import RelaxedKey, with_defaults
 from tonus.config.schema.realtime import RealTime
 from tonus.config.schema.robot import Response, Robot
 from tonus.config.schema.tolerance import Tolerance
+from tonus.config.schema.tracker import Tracker
 
 
 class Config(Section):

@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import Tracker
 from tonus.config.schema.control import Estimator as Settings
+from tonus.config.schema.tracker import Tracker
 
 Array = NDArray[np.float64]
 

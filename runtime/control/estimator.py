@@ -26,10 +26,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import Tracker
 from tonus.config.schema.control import Control
 from tonus.config.schema.control import Estimator as Settings
 from tonus.config.schema.robot import Robot
+from tonus.config.schema.tracker import Tracker
 from tonus.runtime.control.compiled import (
     EXTERNAL,
     OFFSETS,

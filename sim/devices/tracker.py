@@ -25,8 +25,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import Tracker as TrackerConfig
 from tonus.config.schema.lab import Occlusion, TrackerNoise, TrackerShift
+from tonus.config.schema.tracker import Tracker as TrackerConfig
 from tonus.sim.plant.streams import Stream, generator
 
 DATAGRAM = struct.Struct("<4sHHIIq3d4df")

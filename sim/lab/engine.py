@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonus.config.schema.bus import FieldbusSection
 from tonus.config.schema.faults import Fault, Replug, Unplug
 from tonus.config.schema.lab import LabScript
 from tonus.config.schema.root import Config
@@ -123,7 +124,8 @@ class Lab:
         self.segments: dict[str, Segment] = built.segments
         """EtherCAT segments, by the name of the master's interface"""
         self.drives: list[Cia402Drive] = built.drives
-        self.cells: list[ForceCell] = built.cells
+        self.cells: list[ForceCell] = list(built.amplifiers.values())
+        self._ports = built.ports
         self._bitrate = built.bitrate
         self._awaited = built.awaited
         self._robot_faults = RobotFaults(config.robot, self.plant, self._tracker)
@@ -143,6 +145,10 @@ class Lab:
             node.boot()
 
     # -- access ----------------------------------------------------------------------------------
+
+    def port(self, bus: FieldbusSection) -> object:
+        """What the emulation of a bus left for its driver in this process; None for nothing."""
+        return next((port for theirs, port in self._ports if theirs == bus), None)
 
     def open(self) -> None:
         """Make the channels available to python-can in this process, by name. Raises `LabError`."""

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tonus.config.places import LAB_DOOR
-from tonus.config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
+from tonus.config.schema.bus import CanopenBus, EthercatBus
 from tonus.config.schema.root import Config
 from tonus.sim.can.bridge import Bridge
 from tonus.sim.can.packet import (
@@ -79,8 +79,7 @@ class _Server:
         self._pairs: list[str] = []  # made here, and removed at the end
         self._lab = lab
         self._clock = lab.clock
-        bus = config.fieldbus
-        self._buses = bus.buses if isinstance(bus, SeveralBuses) else (bus,)
+        self._buses = config.fieldbus.parts
         self._coalesce_ns = config.lab.bus.coalesce_us * 1000
         self._target = (config.tracker.address, config.tracker.port)
         self._loop = asyncio.get_running_loop()
@@ -111,11 +110,18 @@ class _Server:
             self._directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
             raise LabError(f"{self._directory} cannot be made: {error.strerror}") from error
+        openers: dict[str, Callable[[Any], None]] = {
+            "canopen": self._open_channels,
+            "direct": lambda _: None,
+            "ethercat": self._open_segment,
+        }
         for bus in self._buses:
-            if isinstance(bus, CanopenBus):
-                self._open_channels(bus)
-            elif isinstance(bus, EthercatBus):
-                self._open_segment(bus)
+            if bus.kind not in openers:
+                raise LabError(
+                    f"fieldbus.kind {bus.kind}: the lab emulates it in virtual time only; add "
+                    "--virtual"
+                )
+            openers[bus.kind](bus)
         door = self._directory / LAB_DOOR
         _remove_stale(door, socket.SOCK_DGRAM)
         self._door = DoorSocket(

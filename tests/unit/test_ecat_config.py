@@ -8,11 +8,10 @@ from typing import Any
 import pytest
 
 from tonus.config import ConfigError, load
-from tonus.config.schema.bus import EthercatBus
 from tonus.drivers.errors import BringUpError
 from tonus.drivers.ethercat.soem import SoemMaster
-from tonus.tools.check.ethercat import check_ethercat
 from tonus.tools.check.losses import check_losses
+from tonus.tools.fieldbus.registry import fieldbus_kind
 
 
 @pytest.mark.parametrize(
@@ -44,8 +43,8 @@ def test_a_device_on_two_buses_or_none_is_refused() -> None:
 
 def _failed(overrides: dict[str, Any]) -> set[str]:
     config, _ = load("config/ethercat.yaml", overrides=overrides)
-    assert isinstance(config.fieldbus, EthercatBus)
-    findings = [*check_ethercat(config, config.fieldbus), *check_losses(config)]
+    of_bus = fieldbus_kind(config.fieldbus).check(config, config.fieldbus)
+    findings = [*of_bus, *check_losses(config)]
     return {finding.rule for finding in findings if not finding.ok}
 
 

@@ -150,8 +150,7 @@ class _Draw:
 
     def _left(self) -> dict[str, Kind]:
         """The kinds that fit, less those left out at random; never none."""
-        study, bus = self._study, self._config.fieldbus.kind
-        name = {"canopen": "can"}.get(bus, bus)
+        study, name = self._study, self._config.fieldbus.faults
         phantom = self._base.lab.phantom is not None
         fit = {
             kind: spec

@@ -169,7 +169,7 @@ class Playing:
                 events=self._event,
                 stopwatch=clock.Stopwatch(running=False),
             )
-            pacing = fieldbuses.steering(fieldbus, lambda: _Turning(self._before_tick))
+            pacing = fieldbuses.steering(config, fieldbus, lambda: _Turning(self._before_tick))
             return await daemon.run(pacing, lambda _: None, lambda: None)
         finally:
             lab.close()

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from tonus.config.schema.bus import CanopenBus, EthercatBus, parts
+from tonus.config.schema.bus.base import numbers
 from tonus.config.schema.faults import Fault
 from tonus.config.schema.root import Config
 
@@ -79,20 +79,10 @@ def _strike(config: Config, fault: Any, at_ns: int, named: frozenset[str]) -> St
 
 def devices(config: Config, channel: str, node: int | None) -> tuple[set[int], set[int]]:
     """Axes and cells on a channel or segment, or of one of its nodes."""
-    axes: set[int] = set()
-    cells: set[int] = set()
-    for bus in parts(config.fieldbus):
-        if isinstance(bus, CanopenBus):
-            for each in bus.channels:
-                if each.name != channel:
-                    continue
-                axes |= {drive.axis for drive in each.drives if node in (None, drive.node_id)}
-                for amplifier in each.force_cells:
-                    if node in (None, amplifier.node_id):
-                        cells |= set(amplifier.cells)
-        elif isinstance(bus, EthercatBus) and bus.interface == channel:
-            for number, slave in enumerate(bus.slaves, start=1):
-                if node in (None, number):
-                    cells |= set(slave.cells)
-                    axes |= {slave.axis} if slave.axis is not None else set()
-    return axes, cells
+    found = [
+        each
+        for each in config.fieldbus.nodes()
+        if each.channel == channel and node in (None, each.number)
+    ]
+    axes, cells = numbers(found)
+    return set(axes), set(cells)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tonus.config import Config
-from tonus.config.schema.bus import DirectBus, parts
 from tonus.config.schema.drive import OPTION_OBJECTS, DriveProfile
 from tonus.sim.devices.eds.sheet import Sheet, read
 from tonus.sim.errors import LabError
@@ -19,11 +18,10 @@ Use = tuple[int, int, int, str]
 
 def check_data_sheets(config: Config) -> Iterator[Finding]:
     """One outcome for each profile with an EDS; nothing raises."""
-    bus = config.fieldbus
-    for each in (bus,) if isinstance(bus, DirectBus) else parts(bus):
+    for each in config.fieldbus.parts:
         for key, profile in each.every_profile.items():
             if profile.eds is not None:
-                problem = _problem(profile, on_can=each.kind == "canopen")
+                problem = _problem(profile, on_can=each.heartbeats)
                 yield Finding(
                     "data sheet",
                     not problem,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tonus.config import Config
-from tonus.config.schema.bus import CanopenBus, EthercatBus, devices, parts
+from tonus.config.schema.bus import CanopenBus, EthercatBus, FieldbusSection
 from tonus.config.schema.drive import Device, DriveProfile
 from tonus.config.timeouts import (
     least_master_timeout_ms,
@@ -23,20 +23,21 @@ LEAST_JITTER_TICKS = 2
 
 def check_losses(config: Config) -> Iterator[Finding]:
     """Every rule's outcome, in a fixed order; nothing raises."""
-    buses = parts(config.fieldbus)
+    buses = [bus for bus in config.fieldbus.parts if bus.lost_frames(config.tolerance.lost)]
     if buses:
         yield _jitter(config, buses)
         yield from _process_data(config, buses)
-    for bus in buses:
-        if devices(bus)[0]:
-            for key, profile in bus.every_profile.items():
-                yield _interpolation(key, profile)
-        rules = _watchdog(config, bus) if isinstance(bus, EthercatBus) else _heartbeats(config, bus)
-        yield from rules
     yield from _tracker(config)
 
 
-def _jitter(config: Config, buses: tuple[CanopenBus | EthercatBus, ...]) -> Finding:
+def check_interpolation(bus: FieldbusSection) -> Iterator[Finding]:
+    """Of each profile, that a drive goes on without one set-point; nothing raises."""
+    if bus.devices[0]:
+        for key, profile in bus.every_profile.items():
+            yield _interpolation(key, profile)
+
+
+def _jitter(config: Config, buses: list[FieldbusSection]) -> Finding:
     tick_ms = config.control.rates.period_us * 1e-3
     drives = (profile for bus in buses for profile in bus.every_profile.values())
     margin = max(profile.heartbeat_margin_ms for profile in drives)
@@ -51,15 +52,11 @@ def _jitter(config: Config, buses: tuple[CanopenBus | EthercatBus, ...]) -> Find
     )
 
 
-def _process_data(config: Config, buses: tuple[CanopenBus | EthercatBus, ...]) -> Iterator[Finding]:
+def _process_data(config: Config, buses: list[FieldbusSection]) -> Iterator[Finding]:
     tolerance, freshness = config.tolerance, config.control.freshness
-    lost = tolerance.lost
     kinds: dict[str, int] = {}
     for bus in buses:
-        if isinstance(bus, EthercatBus):
-            kinds["EtherCAT frames"] = lost.ethercat
-        else:
-            kinds |= {"SYNCs": lost.sync, "PDOs": lost.pdo}
+        kinds |= bus.lost_frames(tolerance.lost)
     most = max(kinds.values())
     least, fresh = tolerance.fresh_ticks(most), freshness.measurement_ticks
     told = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
@@ -91,7 +88,8 @@ def _interpolation(key: str, profile: DriveProfile) -> Finding:
     return Finding("interpolation", not set_to, f"{key}.interpolation_ms", text, "set it to 0")
 
 
-def _heartbeats(config: Config, bus: CanopenBus) -> Iterator[Finding]:
+def check_heartbeats(config: Config, bus: CanopenBus) -> Iterator[Finding]:
+    """That no lost heartbeat stops a drive or a node; nothing raises."""
     tolerance = config.tolerance
     needed = f"{tolerance.lost.heartbeat} lost and {tolerance.jitter_ms} ms of jitter need"
     least = least_master_timeout_ms(bus, tolerance)
@@ -115,7 +113,7 @@ def _heartbeats(config: Config, bus: CanopenBus) -> Iterator[Finding]:
             f"leave it out, or set it to at least {least}",
         )
     watched: list[Device] = []
-    axes, cells = devices(bus)
+    axes, cells = bus.devices
     if axes:
         watched += bus.every_profile.values()
     if cells:
@@ -133,7 +131,8 @@ def _heartbeats(config: Config, bus: CanopenBus) -> Iterator[Finding]:
         )
 
 
-def _watchdog(config: Config, bus: EthercatBus) -> Iterator[Finding]:
+def check_watchdog(config: Config, bus: EthercatBus) -> Iterator[Finding]:
+    """That no lost frame stops a slave; nothing raises."""
     tolerance, period_us = config.tolerance, config.control.rates.period_us
     waits = watchdog_ms(bus, tolerance, period_us)
     fresh_ms = config.control.freshness.measurement_ticks * period_us * 1e-3

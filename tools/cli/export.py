@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from tonus.config import Config, load
-from tonus.config.schema.bus import CanopenBus, EthercatBus, SeveralBuses
+from tonus.config.schema.bus import CanopenBus, EthercatBus, of_kind
 from tonus.sim.ethercat.slaves import esi as esi_file
 from tonus.sim.lab.data_sheets import sheets
 from tonus.tools.draft import write_whole
@@ -77,8 +77,7 @@ def esi(config: Path, out: Path) -> None:
     """Describe each kind of slave that CONFIG's lab emulates as an ESI file (ETG.2000)."""
     loaded, _ = load(config)
     bus = loaded.fieldbus
-    buses = bus.buses if isinstance(bus, SeveralBuses) else (bus,)
-    if not any(isinstance(each, EthercatBus) for each in buses):
+    if not of_kind(bus, EthercatBus):
         raise ToolError(
             f"{config}: fieldbus.kind is {bus.kind}, which has no slaves; "
             "give a configuration on ethercat, as config/ethercat.yaml"
@@ -96,12 +95,12 @@ def _write_all(out: Path, files: dict[str, str]) -> None:
 
 
 def _canopen(config: Config, path: Path) -> CanopenBus:
-    if not isinstance(config.fieldbus, CanopenBus):
+    if config.fieldbus.kind != "canopen":
         raise ToolError(
             f"{path}: fieldbus.kind is {config.fieldbus.kind}, which has no frames; "
             "give a configuration on canopen"
         )
-    return config.fieldbus
+    return of_kind(config.fieldbus, CanopenBus)[0]
 
 
 def _write(path: Path, text: str) -> None:

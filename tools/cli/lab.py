@@ -10,7 +10,7 @@ import click
 
 from tonus.config import load
 from tonus.config.places import runtime_dir
-from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.bus import CanopenBus, of_kind
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.runtime.timing import clock
@@ -41,12 +41,11 @@ def lab(config: Path, scenario: str | None, seed: int | None, nodes: str | None)
 
 def _chosen(config: Config, path: Path, nodes: str) -> frozenset[tuple[str, int]]:
     """What --nodes names. Raises `ToolError` for what is not there."""
-    if not isinstance(config.fieldbus, CanopenBus):
+    if config.fieldbus.kind != "canopen":
         raise ToolError(f"{path}: --nodes: fieldbus.kind is {config.fieldbus.kind}, without nodes")
     there: dict[str, set[tuple[str, int]]] = {}
-    for channel in config.fieldbus.channels:
-        node_ids = [drive.node_id for drive in channel.drives]
-        node_ids += [cell.node_id for cell in channel.force_cells]
+    for channel in of_kind(config.fieldbus, CanopenBus)[0].channels:
+        node_ids = [node.number for node in channel.nodes()]
         there[channel.name] = {(channel.name, node_id) for node_id in node_ids}
         for node_id in node_ids:
             there[f"{channel.name}/{node_id}"] = {(channel.name, node_id)}

@@ -8,12 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import DirectBus
 from tonus.config.schema.root import Config
-from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.devices.tracker import TrackerInput
-from tonus.drivers.direct import DirectFieldbus
-from tonus.drivers.fieldbus import Fieldbus
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Script
@@ -28,6 +24,7 @@ from tonus.sim.lab.truth import truth_dtype
 from tonus.tools.log.log import Event
 from tonus.tools.paper.case import Kind, Run
 from tonus.tools.paper.trial import Trial
+from tonus.tools.run import fieldbuses
 
 SLOW_TICKS = 10
 """A trial of stage 1 moves at 1 mm/s for minutes: one tick in so many is kept."""
@@ -99,12 +96,8 @@ class _Conduct:
         lab = Lab(
             config, run.case.scenario.lab, seed=run.seed, clock=clock.loop_clock(), truth=self._true
         )
-        fieldbus: Fieldbus
-        if isinstance(config.fieldbus, DirectBus):
-            fieldbus = DirectFieldbus(config, image, lab.direct, clock.loop_clock())
-        else:
-            lab.open()
-            fieldbus = CanopenFieldbus(config, image, None)
+        lab.open()
+        fieldbus = fieldbuses.build(config, image, lab)
         daemon = Daemon(
             config,
             run.case.scenario,

@@ -8,7 +8,6 @@ from typing import Any
 from pydantic import ValidationError
 
 from tonus.config import load
-from tonus.config.schema.bus import DirectBus
 from tonus.config.schema.protocol import Protocol, Robots
 from tonus.config.schema.root import Config
 from tonus.tools.errors import ToolError
@@ -52,7 +51,7 @@ def refuse(config: Config, name: str) -> None:
     """Raises `ToolError` for a configuration that a campaign cannot run on."""
     if config.lab is None:
         raise ToolError(f"{name}: has no lab section, and the protocol is run in the lab; add one")
-    if not isinstance(config.fieldbus, DirectBus):
+    if config.fieldbus.kind != "direct":
         raise ToolError(
             f"{name}: fieldbus: the campaign runs on the direct fieldbus and takes the sample on "
             "CAN by itself; use config/direct.yaml or include buses/direct.yaml"

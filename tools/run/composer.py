@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 
 from tonus.config.places import runtime_dir
-from tonus.config.schema.bus import DirectBus, parts
 from tonus.drivers.devices.tracker import TrackerInput, TrackerSource, UdpTracker
 from tonus.drivers.fieldbus import Fieldbus, FrameTap
 from tonus.drivers.process_image import ProcessImage
@@ -66,11 +65,12 @@ def run(order: Order) -> Result:
     built, `DriverError` when a bus cannot be brought up. A fault during the run raises nothing: it
     is in `Result.outcome`.
     """
-    wireless = any(isinstance(bus, DirectBus) for bus in parts(order.config.fieldbus))
-    if wireless and not order.virtual:
-        raise ToolError(
-            "the direct fieldbus needs virtual time and a lab: add --virtual and a lab: section"
-        )
+    for bus in order.config.fieldbus.parts:
+        if bus.virtual_only and not order.virtual:
+            raise ToolError(
+                f"the {bus.kind} fieldbus needs virtual time and a lab: add --virtual and a lab: "
+                "section"
+            )
     with ExitStack() as first:
         # Before anything of another daemon's could be touched.
         control = _control_socket(order)
@@ -168,7 +168,7 @@ class _Stage:
             with self._lab() as lab:
                 fieldbus = fieldbuses.build(order.config, self._image, lab, self._tap)
                 daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False))
-                pacing = fieldbuses.steering(fieldbus, order.pacing or self._pacing)
+                pacing = fieldbuses.steering(order.config, fieldbus, order.pacing or self._pacing)
                 # In this loop in virtual time only: a process of its own otherwise.
                 part = self._firewall.part("recorder")
                 draining = every(DRAIN_S, lambda: part(drain))
@@ -209,7 +209,7 @@ class _Stage:
             for grant in hygiene.grants:
                 order.say(str(grant))
             usual = order.pacing or partial(TimerPacing, early, spin)
-            pacing = fieldbuses.steering(fieldbus, usual)
+            pacing = fieldbuses.steering(order.config, fieldbus, usual)
             return await daemon.run(pacing, order.say, self._begin)
 
         before = stolen_jiffies()

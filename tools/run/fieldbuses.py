@@ -2,39 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import CanopenBus, DirectBus, EthercatBus, SeveralBuses, parts
 from tonus.config.schema.root import Config
-from tonus.drivers.canopen.master import CanopenFieldbus
-from tonus.drivers.direct import DirectFieldbus
-from tonus.drivers.ethercat.deterministic import DeterministicMaster
-from tonus.drivers.ethercat.master import EthercatFieldbus
-from tonus.drivers.ethercat.ring import injected_ring
-from tonus.drivers.ethercat.soem import SoemMaster
-from tonus.drivers.ethercat.wire import Wire
 from tonus.drivers.fieldbus import Fieldbus, FrameTap
 from tonus.drivers.process_image import ProcessImage
 from tonus.drivers.several import SeveralFieldbuses
-from tonus.runtime.timing import clock
-from tonus.runtime.timing.scheduler import Pacing
-from tonus.runtime.timing.steering import SteeredPacing
-from tonus.sim.ethercat.ring import Ring
 from tonus.sim.lab.engine import Lab
-from tonus.tools.errors import ToolError
+from tonus.tools.fieldbus.kind import MakePacing
+from tonus.tools.fieldbus.registry import fieldbus_kind
 
 
 def channels(config: Config) -> list[str]:
     """The CAN channels of a configuration, in the order in which their frames are numbered."""
-    return [
-        channel.name
-        for bus in parts(config.fieldbus)
-        if isinstance(bus, CanopenBus)
-        for channel in bus.channels
-    ]
+    return [name for bus in config.fieldbus.parts for name in bus.can_channels]
 
 
 def build(
@@ -43,40 +25,15 @@ def build(
     """``lab`` is one in this process and this loop, whose buses are then used. Raises `ToolError`
     and `DriverError`."""
     bus = config.fieldbus
-    if isinstance(bus, SeveralBuses):
-        names = channels(config)
+    if bus.parts == (bus,):
+        return fieldbus_kind(bus).build(config, image, lab, tap)
+    names = channels(config)
 
-        def part(theirs: Config, rows: ProcessImage) -> Fieldbus:
-            first = channels(theirs)
-            return build(theirs, rows, lab, _numbered(tap, names.index(first[0]) if first else 0))
+    def part(theirs: Config, rows: ProcessImage) -> Fieldbus:
+        first = channels(theirs)
+        return build(theirs, rows, lab, _numbered(tap, names.index(first[0]) if first else 0))
 
-        return SeveralFieldbuses(config, image, part)
-    if isinstance(bus, DirectBus):
-        if lab is None:
-            raise ToolError(
-                "the direct fieldbus needs virtual time and a lab: add --virtual and a lab: section"
-            )
-        return DirectFieldbus(config, image, lab.direct, clock.loop_clock())
-    if isinstance(bus, CanopenBus):
-        return CanopenFieldbus(config, image, tap)
-    return EthercatFieldbus(config, image, _wire(lab))
-
-
-def _wire(lab: Lab | None) -> Callable[[EthercatBus, Callable[[], int]], Wire]:
-    """SOEM on an interface; a lab of this process answers our own master."""
-    if lab is None:
-        return SoemMaster
-    segments = lab.segments
-
-    def deterministic(bus: EthercatBus, now_ns: Callable[[], int]) -> Wire:
-        segment = segments[bus.interface]
-        if bus.redundant_interface is None:
-            return DeterministicMaster(bus, segment.exchange, now_ns)
-        ring = Ring(segment)
-        states = injected_ring(ring.through, now_ns)
-        return DeterministicMaster(bus, ring.around, now_ns, states=states)
-
-    return deterministic
+    return SeveralFieldbuses(config, image, part)
 
 
 def _numbered(tap: FrameTap | None, first: int) -> FrameTap | None:
@@ -97,23 +54,21 @@ class _Numbered:
         self._tap.received(frames, self._first + channel, now_ns)
 
 
-def steering(fieldbus: Fieldbus, pacing: Callable[[], Pacing]) -> Callable[[], Pacing]:
-    """``pacing``, steered where the configuration lets a bus' clocks lead; the first one's."""
-    found = [fieldbus]
+def steering(config: Config, fieldbus: Fieldbus, pacing: MakePacing) -> MakePacing:
+    """``pacing``, steered where the configuration lets a bus' clocks lead; the first one's. Raises
+    `ToolError`."""
+    found = [(config.fieldbus, fieldbus)]
     if isinstance(fieldbus, SeveralFieldbuses):
-        found = list(fieldbus.parts)
-    for each in found:
-        if isinstance(each, EthercatFieldbus) and each.leads:
-            clocks = each.clocks
-            return lambda: SteeredPacing(pacing(), each, clocks)
+        found = fieldbus.parts
+    for bus, each in found:
+        pace = fieldbus_kind(bus).pace if bus.paces else None
+        if pace is not None:
+            return pace(each, pacing)
     return pacing
 
 
 def pacing_name(config: Config, *, virtual: bool) -> str:
     """What paces a run, for its log."""
-    leads = any(
-        isinstance(bus, EthercatBus) and bus.clocks.pacing == "distributed_clock"
-        for bus in parts(config.fieldbus)
-    )
     timer = "virtual time" if virtual else "timer"
+    leads = any(bus.paces for bus in config.fieldbus.parts)
     return f"distributed clock on {timer}" if leads else timer

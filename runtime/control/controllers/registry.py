@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from importlib.metadata import entry_points
-
 from tonus.config.schema.control import Control
-from tonus.config.schema.controller import ENTRY_POINTS, names_class, registered
+from tonus.config.schema.controller import ENTRY_POINTS
+from tonus.config.schema.outside import OutsideError, imported, names_object, registered
 from tonus.config.schema.robot import Robot
 from tonus.runtime.control.controllers.base import Controller
 from tonus.runtime.control.controllers.bio import Bio, BioIntegral, BioObserver
@@ -40,13 +38,14 @@ def controller_class(name: str) -> type[Controller]:
     """The class of that name, imported if need be. Raises `ControllerError`."""
     if name in CONTROLLERS:
         return CONTROLLERS[name]
-    module, _, path = (name if names_class(name) else _entry_point(name)).partition(":")
+    if not names_object(name) and name not in registered(ENTRY_POINTS):
+        known = ", ".join((*CONTROLLERS, *registered(ENTRY_POINTS)))
+        raise ControllerError(f"controller {name}: not installed; choose one of {known}")
     try:
-        found: object = import_module(module)
-        for part in path.split("."):
-            found = getattr(found, part)
-    except Exception as error:  # whatever a module of somebody else's raises
-        raise ControllerError(f"controller {name}: cannot be imported: {_said(error)}") from error
+        found = imported(ENTRY_POINTS, name)
+    except OutsideError as error:
+        raise ControllerError(f"controller {name}: {error}") from error
+    path = getattr(found, "__qualname__", repr(found))
     if not isinstance(found, type) or not issubclass(found, Controller):
         raise ControllerError(f"controller {name}: {path} is not a subclass of tonus.Controller")
     for method in _OF_THE_STOP:
@@ -69,20 +68,6 @@ def make_controller(name: str, robot: Robot, control: Control) -> Controller:
 def is_foreign(kind: type[Controller]) -> bool:
     """Whether the class is defined outside this package."""
     return not kind.__module__.startswith(_OURS)
-
-
-def _entry_point(name: str) -> str:
-    """``module:Class`` that the entry point of that name gives."""
-    found = sorted({each.value for each in entry_points(group=ENTRY_POINTS, name=name)})
-    if not found:
-        known = ", ".join((*CONTROLLERS, *registered()))
-        raise ControllerError(f"controller {name}: not installed; choose one of {known}")
-    if len(found) > 1:
-        raise ControllerError(
-            f"controller {name}: registered as {' and as '.join(found)}; uninstall one, or write "
-            "package.module:Class"
-        )
-    return found[0]
 
 
 def _said(error: Exception) -> str:
