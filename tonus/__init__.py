@@ -22,13 +22,14 @@ __all__ = [
     "Scenario",
     "ToolError",
     "faults",
+    "fieldbus",
     "load",
     "open_log",
     "run",
 ]
 
 if TYPE_CHECKING:
-    from tonus import faults
+    from tonus import faults, fieldbus
     from tonus.config import Config, ConfigError, Scenario, load
     from tonus.config.schema.drive import DriveProfile
     from tonus.runtime.control.controllers import Controller, LinearLaw, Motion
@@ -56,8 +57,8 @@ else:
         """Import a public name at its first use."""
         from importlib import import_module
 
-        if name == "faults":
-            return import_module("tonus.faults")
+        if name in ("faults", "fieldbus"):
+            return import_module(f"tonus.{name}")
         if name not in _MODULE_OF:
             raise AttributeError(f"module 'tonus' has no attribute {name!r}")
         found = getattr(import_module(_MODULE_OF[name]), _OTHER_NAME.get(name, name))

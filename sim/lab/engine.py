@@ -124,7 +124,7 @@ class Lab:
         self.segments: dict[str, Segment] = built.segments
         """EtherCAT segments, by the name of the master's interface"""
         self.drives: list[Cia402Drive] = built.drives
-        self.cells: list[ForceCell] = list(built.amplifiers.values())
+        self.cells: list[ForceCell] = built.cells
         self._ports = built.ports
         self._bitrate = built.bitrate
         self._awaited = built.awaited

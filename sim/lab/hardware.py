@@ -54,3 +54,17 @@ class Hardware:
     """of the CAN channels, 0 without any"""
     ports: list[tuple[FieldbusSection, object]] = field(default_factory=list)
     """each bus, and what its driver exchanges data with in this process, None for nothing"""
+
+    @property
+    def cells(self) -> list[ForceCell]:
+        """In the order of the buses."""
+        return list(self.amplifiers.values())
+
+    @property
+    def samples(self) -> Samples:
+        """What drives and cells measure."""
+        return self.timeline.samples
+
+    def advance(self, to_ns: int) -> None:
+        """Let everything happen that is due until then."""
+        self.timeline.advance(to_ns)

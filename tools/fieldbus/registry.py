@@ -23,5 +23,7 @@ def fieldbus_kind(bus: FieldbusSection) -> FieldbusKind:
     except OutsideError as error:
         raise ToolError(f"fieldbus.kind {bus.kind}: {error}") from error
     if not isinstance(found, FieldbusKind):
-        raise ToolError(f"fieldbus.kind {bus.kind}: is not a tonus.FieldbusKind; make it one")
+        raise ToolError(
+            f"fieldbus.kind {bus.kind}: is not a tonus.fieldbus.FieldbusKind; make it one"
+        )
     return found

@@ -161,6 +161,11 @@ def _validated(log: Log, text: str, model: type[Model], what: str) -> Model:
                 f"{log.path}: its controller {found['input']!r} is not installed here; install the "
                 "distribution that registers it (environment.txt in the log has its version)"
             ) from error
+        if found and found["loc"] == ("fieldbus",):
+            raise ToolError(
+                f"{log.path}: fieldbus: {found['msg'].removeprefix('Value error, ')}; install the "
+                "distribution that has this kind (environment.txt in the log has its version)"
+            ) from error
         place = ".".join(map(str, found["loc"])) if found else "it"
         said = f"{place}: {found['msg']}" if found else "it is not YAML"
         raise ToolError(
