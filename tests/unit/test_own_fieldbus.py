@@ -196,6 +196,8 @@ def test_a_kind_that_cannot_be_had_is_one_line(mine: Mine, kind: str, told: str)
         mine.load()
     line = str(refused.value)
     assert told in line
+    if ":" in kind:
+        assert line.endswith("; name a tonus.fieldbus.FieldbusKind in a module on PYTHONPATH")
     assert "\n" not in line
     assert "packets.yaml:1" in line or "robot.yaml" in line
 
@@ -221,6 +223,34 @@ def test_a_mistake_in_its_section_is_named_where_it_stands(
 ) -> None:
     with pytest.raises(ConfigError, match=told):
         mine.load(**overrides)
+
+
+def test_a_lab_in_real_time_is_refused_in_one_line(
+    mine: Mine,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
+    assert tonus(f"lab {mine.path}", monkeypatch) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.endswith("the lab emulates it in virtual time only; add --virtual")
+
+
+def test_it_is_one_of_several_where_it_has_nodes(mine: Mine) -> None:
+    ours = load(mine.path)[0].fieldbus.model_dump(mode="json") | {"axes": [], "cells": [8]}
+    can = load("config/can.yaml")[0].fieldbus.model_dump(mode="json")
+    can["channels"] = [
+        each | {"force_cells": [cell for cell in each["force_cells"] if cell["cells"] != [8]]}
+        for each in can["channels"]
+    ]
+    several = {"fieldbus": {"kind": "several", "buses": [can, ours]}}
+    config, _ = load("config/can.yaml", None, several)
+    assert [part.kind for part in config.fieldbus.parts] == ["canopen", "packets:PACKETS"]
+    assert cell_name(config, 8) == "link0/109 (contact cell)"
+    without = {"fieldbus": {"kind": "several", "buses": [can, ours | {"cells": []}]}}
+    with pytest.raises(ConfigError, match=r"lists no nodes; it cannot be one of several"):
+        load("config/can.yaml", None, without)
 
 
 def test_without_an_emulation_there_is_no_lab(mine: Mine) -> None:

@@ -59,7 +59,8 @@ def or_foreign(
         try:
             schema: type[FieldbusSection] = foreign(kind).schema  # type: ignore[attr-defined]
         except OutsideError as error:
-            raise ValueError(f"kind {kind}: {error}") from error
+            remedy = "name a tonus.fieldbus.FieldbusKind in a module on PYTHONPATH"
+            raise ValueError(f"kind {kind}: {error}; {remedy}") from error
         return schema.model_validate(given)
 
     return read

@@ -45,7 +45,7 @@ def controller_class(name: str) -> type[Controller]:
         found = imported(ENTRY_POINTS, name)
     except OutsideError as error:
         raise ControllerError(f"controller {name}: {error}") from error
-    path = getattr(found, "__qualname__", repr(found))
+    path = getattr(found, "__qualname__", name.rpartition(":")[2])
     if not isinstance(found, type) or not issubclass(found, Controller):
         raise ControllerError(f"controller {name}: {path} is not a subclass of tonus.Controller")
     for method in _OF_THE_STOP:
