@@ -216,7 +216,7 @@ def test_a_signal_stays() -> None:
     signal(values).stays(-9.0, 3.0)
     told, time = figure(lambda: signal(values).stays(-1.0, 2.0))
     assert told == (
-        "s[1] is 3 N at 0.004 s, which is not in [-1, 2]; at most s[0] is -9 N at 0.006 s; "
+        "s[1] is 3 N at 0.004 s, which is not in [-1, 2]; farthest s[0] is -9 N at 0.006 s; "
         "2 of 10 samples"
     )
     assert time == pytest.approx(0.004)

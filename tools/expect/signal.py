@@ -68,7 +68,7 @@ class Signal:
         first, worst = self._first(wrong), self._worst(wrong, low, high)
         text = f"{self._figure(first)}, which is not in [{low:g}, {high:g}]"
         if worst != first:
-            text += f"; at most {self._figure(worst)}"
+            text += f"; farthest {replace(self, part='')._figure(worst)}"
         raise self.fail(f"{text}; {self._share(wrong)}", float(self.times[first[0]]))
 
     def settles(self, value: ArrayLike, *, band: float, within: float) -> float:

@@ -1,0 +1,254 @@
+"""The pytest plugin: a lab, whole runs and a daemon as fixtures (docs/testing.md).
+
+pytest loads this module in every project of the environment, so it imports nothing but pytest;
+what stands behind a fixture, `tonus.tools.testing`, comes with the fixture's first use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from tonus.tools.testing.case import Case
+    from tonus.tools.testing.daemon import DaemonFactory
+    from tonus.tools.testing.lab import VirtualLab
+    from tonus.tools.testing.player import LabFactory, Player, Replayer
+
+_OPTIONS = {
+    "config": ("PATH", "configuration of runs and labs (default: config/can.yaml)"),
+    "seed": ("N", "seed of runs and labs, and the first of tonus_seeds (default: 1)"),
+    "out": ("DIR", "folder for what is kept of a run (default: tonus-out)"),
+    "keep": ("WHICH", "runs to keep: failed, all or none (default: failed)"),
+}
+DEFAULTS = {"config": "config/can.yaml", "seed": "1", "out": "tonus-out", "keep": "failed"}
+_MARKS = (
+    "tonus(config=, overrides=): configuration of the test's runs and labs",
+    "tonus_seeds(n): the test with n seeds, each by its own id",
+    "tonus_needs(*what): skip without ethercat, realtime, root or kernel-can",
+    "tonus_expect(*events): warnings and errors that a run of the test may report",
+)
+_CASE = pytest.StashKey["Case"]()
+_REAL_TIME = "tonus-real-time"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options, and ini keys of the same names."""
+    group = parser.getgroup("tonus", "Tonus: cable robots and their lab")
+    for name, (metavar, text) in _OPTIONS.items():
+        group.addoption(f"--tonus-{name}", metavar=metavar, default=None, help=text)
+        parser.addini(f"tonus_{name}", text, default=DEFAULTS[name])
+    group.addoption(
+        "--tonus-durations", action="store_true", help="list what each test's runs cost"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the marks; refuse settings that mean nothing."""
+    for mark in _MARKS:
+        config.addinivalue_line("markers", mark)
+    if setting(config, "keep") not in ("failed", "all", "none"):
+        raise pytest.UsageError("tonus_keep is one of failed, all, none")
+    if not setting(config, "seed").isdecimal():
+        raise pytest.UsageError("tonus_seed is a whole number from 0 on")
+
+
+def setting(config: pytest.Config, name: str) -> str:
+    """An option, or the ini key of the same name."""
+    chosen = config.getoption(f"tonus_{name}")
+    return str(config.getini(f"tonus_{name}") if chosen is None else chosen)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """A test with ``tonus_seeds(n)`` becomes n tests."""
+    mark = metafunc.definition.get_closest_marker("tonus_seeds")
+    if mark is None:
+        return
+    if len(mark.args) != 1 or not isinstance(mark.args[0], int) or mark.args[0] < 1:
+        raise pytest.UsageError(f"{metafunc.definition.nodeid}: tonus_seeds takes a number from 1")
+    first = int(setting(metafunc.config, "seed"))
+    seeds = range(first, first + mark.args[0])
+    if "tonus_seed" not in metafunc.fixturenames:
+        metafunc.fixturenames.append("tonus_seed")
+    metafunc.parametrize("tonus_seed", seeds, indirect=True, ids=[f"seed{n}" for n in seeds])
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Tests in real time form one group, for ``pytest -n N --dist loadgroup``."""
+    if not config.pluginmanager.hasplugin("xdist"):
+        return
+    for item in items:
+        if "tonus_daemon" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.xdist_group(_REAL_TIME))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip a test whose needs the host does not meet."""
+    needs = [what for mark in item.iter_markers("tonus_needs") for what in mark.args]
+    if needs:
+        from tonus.tools.testing.needs import NEEDS, missing
+
+        for what in needs:
+            if what not in NEEDS:
+                known = ", ".join(NEEDS)
+                raise pytest.UsageError(f"{item.nodeid}: tonus_needs knows {known}, not {what!r}")
+            reason = missing(what)
+            if reason:
+                pytest.skip(f"needs {what}: {reason}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    """A warning or an error that nobody expected fails the test that passed until now."""
+    result = yield
+    case = item.stash.get(_CASE, None)
+    if case is not None:
+        case.undisturbed([n for mark in item.iter_markers("tonus_expect") for n in mark.args])
+    return result
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Keep what a failed test's runs left, and say where; with how to run the test again."""
+    report = yield
+    case = item.stash.get(_CASE, None)
+    if case is None or call.when != "call":
+        return report
+    keep = setting(item.config, "keep")
+    if keep == "all" or (keep == "failed" and report.failed):
+        kept = case.keep(failed=report.failed)
+        paths = [(f"tonus_{name}", str(path)) for name, path in kept]
+        report.user_properties += paths
+        item.user_properties += paths  # of which the JUnit file is made, at the teardown
+    if report.failed:
+        error = call.excinfo.value if call.excinfo is not None else None
+        text = case.account(error, kept=keep != "none")
+        add = getattr(report.longrepr, "addsection", None)
+        if add is not None:
+            add("Tonus", text)
+        else:
+            report.sections.append(("Tonus", text))
+    # In the report's dictionary, so that pytest-xdist brings it from its workers.
+    report.__dict__["tonus"] = case.figures(call.duration)
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Tables of the figures that tests recorded, and of what their runs cost."""
+    config = terminalreporter.config
+    reports = [
+        report
+        for group in terminalreporter.stats.values()
+        for report in group
+        if getattr(report, "tonus", None)
+    ]
+    measured = [(each, report.nodeid) for report in reports for each in report.tonus["measures"]]
+    if measured:
+        terminalreporter.section("Tonus: measured")
+        for each, nodeid in measured:
+            bound = "" if each["at_most"] is None else f"  at most {each['at_most']:g}"
+            figure = f"{each['value']:.6g} {each['unit']}"
+            terminalreporter.line(f"{each['name']:<28} {figure:>18}{bound}  {nodeid}")
+    if config.getoption("tonus_durations") and reports:
+        terminalreporter.section("Tonus: wall time in s")
+        terminalreporter.line(f"{'bring-up':>9} {'run':>9} {'analysis':>9}")
+        for report in reports:
+            spent = report.tonus["durations"]
+            if not spent["run"]:
+                continue
+            figures = " ".join(f"{spent[key]:9.2f}" for key in ("bring_up", "run", "analysis"))
+            terminalreporter.line(f"{figures}  {report.nodeid}")
+
+
+@pytest.fixture
+def tonus_seed(request: pytest.FixtureRequest) -> int:
+    """The seed of this test's runs and labs."""
+    return int(getattr(request, "param", setting(request.config, "seed")))
+
+
+@pytest.fixture
+def _tonus_case(request: pytest.FixtureRequest, tonus_seed: int) -> Iterator[Case]:
+    from tonus.tools.testing.case import Case
+
+    node, config = request.node, request.config
+    mark = node.get_closest_marker("tonus")
+    chosen = dict(mark.kwargs) if mark is not None else {}
+    unknown = sorted(chosen.keys() - {"config", "overrides"})
+    if unknown or (mark is not None and mark.args):
+        raise pytest.UsageError(f"{node.nodeid}: the mark tonus takes config= and overrides=")
+    case = Case(
+        node.nodeid,
+        file=node.path,
+        root=config.rootpath,
+        invoked=config.invocation_params.dir,
+        out=config.rootpath / setting(config, "out"),
+        config=str(chosen.get("config") or setting(config, "config")),
+        overrides=dict(chosen.get("overrides") or {}),
+        seed=tonus_seed,
+        options=[
+            f"--tonus-{name}={config.getoption(f'tonus_{name}')}"
+            for name in ("config", "seed", "out")
+            if config.getoption(f"tonus_{name}") is not None
+        ],
+    )
+    node.stash[_CASE] = case
+    try:
+        yield case
+    finally:
+        del node.stash[_CASE]
+        case.close()
+
+
+@pytest.fixture
+def tonus_lab_factory(_tonus_case: Case) -> LabFactory:
+    """Makes labs: ``tonus_lab_factory(config=, overrides=, seed=, script=)``."""
+    from tonus.tools.testing.player import LabFactory
+
+    return LabFactory(_tonus_case)
+
+
+@pytest.fixture
+def tonus_lab(tonus_lab_factory: LabFactory) -> VirtualLab:
+    """A lab in this process, in virtual time."""
+    return tonus_lab_factory()
+
+
+@pytest.fixture
+def tonus_run(_tonus_case: Case) -> Player:
+    """Plays a scenario in virtual time and gives the `Run`."""
+    from tonus.tools.testing.player import Player
+
+    return Player(_tonus_case)
+
+
+@pytest.fixture
+def tonus_replay(_tonus_case: Case) -> Replayer:
+    """Opens a log, replays it bit for bit and gives the `Run`."""
+    from tonus.tools.testing.player import Replayer
+
+    return Replayer(_tonus_case)
+
+
+@pytest.fixture
+def tonus_daemon(_tonus_case: Case) -> DaemonFactory:
+    """Starts a daemon and its lab as processes, in real time."""
+    from tonus.tools.testing.daemon import DaemonFactory
+
+    return DaemonFactory(_tonus_case)
+
+
+@pytest.fixture
+def tonus_measure(_tonus_case: Case, record_property: Any) -> Any:
+    """Records a figure: ``tonus_measure(name, value, unit, at_most=)``."""
+
+    def measure(name: str, value: float, unit: str, at_most: float | None = None) -> float:
+        record_property(f"{name} [{unit}]", value)
+        _tonus_case.measure(name, float(value), unit, at_most)
+        return float(value)
+
+    return measure

@@ -1,0 +1,190 @@
+"""One test: its settings, its folders, its runs, and what is told of it when it fails."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tonus.config import Config, load
+from tonus.runtime.states import State
+from tonus.tools.draft import write_whole
+from tonus.tools.errors import ToolError
+from tonus.tools.expect import ExpectationError, Run
+from tonus.tools.expect.failure import SHOWN
+
+_IN_MEMORY = Path("/dev/shm")  # noqa: S108  # the folder made in it is this test's alone
+_PRODUCTS = ("run*.mcap", "summary*.json", "report*.html")
+
+
+class Measure(NamedTuple):
+    """A figure that a test records."""
+
+    name: str
+    value: float
+    unit: str
+    at_most: float | None
+
+
+class Case:
+    """Made for each test that uses a fixture of the plugin, and closed after it."""
+
+    def __init__(
+        self,
+        nodeid: str,
+        *,
+        file: Path,
+        root: Path,
+        invoked: Path,
+        out: Path,
+        config: str,
+        overrides: dict[str, Any],
+        seed: int,
+        options: Sequence[str] = (),
+    ) -> None:
+        """``file`` of the test, ``root`` of the project, ``invoked``: where pytest was started,
+        with these ``options`` of the plugin. What is kept goes below ``out``."""
+        self.nodeid, self.seed, self.overrides = nodeid, seed, overrides
+        self._file, self._root, self._invoked = file, root, invoked
+        self._out, self.config, self._options = out, config, options
+        self.runs: list[Run] = []
+        """those made by this test, in order"""
+        self.bring_up_s = self.run_s = 0.0
+        """s of wall time"""
+        self._measures: list[Measure] = []
+        self._kept: list[tuple[str, Path]] = []
+        self.closing = ExitStack()
+        """what ends with the test"""
+        place = _IN_MEMORY if os.access(_IN_MEMORY, os.W_OK) else None
+        self.runtime = Path(tempfile.mkdtemp(prefix="tonus-", dir=place))
+        """the test's own runtime directory, short enough for a socket's name"""
+        self._work = Path(tempfile.mkdtemp(prefix="tonus-runs-"))
+        self._before = os.environ.get("TONUS_RUNTIME_DIR")
+        os.environ["TONUS_RUNTIME_DIR"] = str(self.runtime)
+
+    def close(self) -> None:
+        """End what the test left open; remove its folders, but not what was kept."""
+        try:
+            self.closing.close()
+        finally:
+            if self._before is None:
+                os.environ.pop("TONUS_RUNTIME_DIR", None)
+            else:
+                os.environ["TONUS_RUNTIME_DIR"] = self._before
+            shutil.rmtree(self.runtime, ignore_errors=True)
+            shutil.rmtree(self._work, ignore_errors=True)
+
+    def configuration(
+        self, name: str | Path | Config | None, overrides: dict[str, Any] | None
+    ) -> Config:
+        """The test's configuration, or another. Raises `ConfigError`, and `ToolError` for
+        overrides of a configuration that is loaded already."""
+        if isinstance(name, Config):
+            if overrides:
+                raise ToolError("overrides need the name of a configuration, not a Config")
+            return name
+        changes = {**self.overrides, **(overrides or {})}
+        return load(self.place(name or self.config), overrides=changes)[0]
+
+    def place(self, name: str | Path) -> str:
+        """A file's path: beside the test, else in the project's root folder, else as it is, which
+        may be the name of a shipped one."""
+        if Path(name).suffix:
+            for folder in (self._file.parent, self._root):
+                if (folder / name).is_file():
+                    return str(folder / name)
+        return str(name)
+
+    def folder(self) -> Path:
+        """A new one for the next run."""
+        return Path(tempfile.mkdtemp(prefix="run-", dir=self._work))
+
+    def ran(self, run: Run, total_s: float, ticking_s: float) -> Run:
+        """Take note of a run and of the wall time that it took: in all, and from its first tick.
+
+        The share of the bring-up is that of the ticks before HOLD.
+        """
+        states = run.log["/tonus/state"]["state"]
+        ready = (states >= State.HOLD).argmax() if len(states) else 0
+        before = ticking_s * float(ready) / max(len(states), 1)
+        self.bring_up_s += total_s - ticking_s + before
+        self.run_s += ticking_s - before
+        self.runs.append(run)
+        return run
+
+    def measure(self, name: str, value: float, unit: str, at_most: float | None) -> None:
+        """Record a figure. Raises `AssertionError` for one above its bound."""
+        self._measures.append(Measure(name, value, unit, at_most))
+        if at_most is not None and not value <= at_most:
+            raise AssertionError(f"{name} is {value:g} {unit}, and at most {at_most:g} is allowed")
+
+    def undisturbed(self, expected: Sequence[str]) -> None:
+        """No run reported a warning or error that is not expected. Raises `ExpectationError`."""
+        for run in self.runs:
+            run.undisturbed(expected)
+
+    def keep(self, *, failed: bool) -> list[tuple[str, Path]]:
+        """Copy logs and summaries, and of a failed test the report pages, to a folder that bears
+        the test's name. Gives each file's kind and path."""
+        if not self.runs:
+            return []
+        from tonus.tools.report.page import report  # matplotlib: half a second for every test
+
+        folder = self._out / _file_name(self.nodeid)
+        folder.mkdir(parents=True, exist_ok=True)
+        for pattern in _PRODUCTS:
+            for old in folder.glob(pattern):
+                old.unlink()
+        for number, run in enumerate(self.runs, start=1):
+            tail = "" if len(self.runs) == 1 else str(number)
+            log = folder / f"run{tail}.mcap"
+            shutil.copyfile(run.path, log)
+            summary = folder / f"summary{tail}.json"
+            write_whole(summary, json.dumps(run.summary, indent=2) + "\n")
+            self._kept += [(f"log{tail}", log), (f"summary{tail}", summary)]
+            if failed:
+                page = folder / f"report{tail}.html"
+                try:
+                    report(log, page, lambda _: None)
+                except ToolError:
+                    continue  # a run without a tick has nothing to draw
+                self._kept.append((f"report{tail}", page))
+        return self._kept
+
+    def account(self, error: BaseException | None, *, kept: bool) -> str:
+        """What a reader needs beside the failure itself: events, files, the command."""
+        lines: list[str] = []
+        if isinstance(error, ExpectationError):
+            lines.append(error.figure)
+        elif self.runs:
+            run = self.runs[-1]
+            lines.append("the last events:")
+            lines += [f"  {run.timeline.line(event)}" for event in run.events[-SHOWN:]]
+        lines.append(f"seed {self.seed}, configuration {self.config}")
+        if kept:
+            lines += [f"{name}: {path}" for name, path in self._kept]
+        return "\n".join([*lines, f"again: {self.command}"])
+
+    @property
+    def command(self) -> str:
+        """Runs this test again, with the same result."""
+        path, *rest = self.nodeid.split("::")
+        node = "::".join([os.path.relpath(self._root / path, self._invoked), *rest])
+        return shlex.join(["python", "-m", "pytest", *self._options, node])
+
+    def figures(self, duration: float) -> dict[str, Any]:
+        """For the report of a test whose call took ``duration`` s."""
+        analysis = max(duration - self.bring_up_s - self.run_s, 0.0)
+        spent = {"bring_up": self.bring_up_s, "run": self.run_s, "analysis": analysis}
+        return {"measures": [each._asdict() for each in self._measures], "durations": spent}
+
+
+def _file_name(nodeid: str) -> str:
+    return re.sub(r"[^\w.\[\]-]+", "-", nodeid).strip("-")

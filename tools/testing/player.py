@@ -1,0 +1,132 @@
+"""Runs, labs and replays for one test."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tonus.config import Config, Scenario
+from tonus.config.loader import load_scenario
+from tonus.config.schema.faults import Fault
+from tonus.config.schema.lab import LabScript
+from tonus.runtime.control.controllers import Controller
+from tonus.runtime.timing import clock
+from tonus.tools.errors import ToolError
+from tonus.tools.expect import Run
+from tonus.tools.log import open as open_log
+from tonus.tools.run.composer import Order
+from tonus.tools.run.composer import run as carry_out
+from tonus.tools.testing.case import Case
+from tonus.tools.testing.lab import VirtualLab, made
+
+Faults = Sequence[Fault | Mapping[str, Any]]
+"""Each one of `tonus.faults`, or its fields with its ``kind``; ``at`` in s after every drive is
+enabled."""
+
+
+class Player:
+    """The fixture ``tonus_run``."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+
+    def __call__(
+        self,
+        scenario: str | Path | Scenario,
+        *,
+        config: str | Path | Config | None = None,
+        controller: str | type[Controller] | None = None,
+        faults: Faults = (),
+        seed: int | None = None,
+        overrides: dict[str, Any] | None = None,
+        duration: float | None = None,
+    ) -> Run:
+        """Play a scenario to its end, in virtual time.
+
+        ``scenario`` and ``config`` are names of shipped ones or files, which are looked for beside
+        the test and in the project's root folder. ``faults`` are added to those of the scenario.
+        ``overrides`` maps dotted keys of the configuration to values, beside those of the mark.
+        ``duration``: s in ACTIVE. Raises `ConfigError`, `ToolError` and `LabError`.
+        """
+        __tracebackhide__ = True
+        case = self._case
+        changes = dict(overrides or {})
+        if controller is not None:
+            named = isinstance(controller, str)
+            changes["control.controller"] = controller if named else _name(controller)
+        settings = case.configuration(config, changes)
+        played = _scenario(case, scenario, faults, duration)
+        chosen = case.seed if seed is None else seed
+        began = clock.wall_seconds()
+        order = Order(settings, played, case.folder(), chosen, True, lambda _: None, live=False)
+        result = carry_out(order)
+        total = clock.wall_seconds() - began
+        run = Run(open_log(result.log), reason=result.outcome.reason)
+        return case.ran(run, total, result.seconds)
+
+
+class LabFactory:
+    """The fixture ``tonus_lab_factory``."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+
+    def __call__(
+        self,
+        *,
+        config: str | Path | Config | None = None,
+        overrides: dict[str, Any] | None = None,
+        seed: int | None = None,
+        script: LabScript | None = None,
+    ) -> VirtualLab:
+        """A lab that is closed after the test. ``script`` begins when all drives are enabled.
+        Raises `ConfigError` and `LabError`."""
+        __tracebackhide__ = True
+        settings = self._case.configuration(config, overrides)
+        chosen = self._case.seed if seed is None else seed
+        lab = VirtualLab(settings, script, seed=chosen)
+        self._case.closing.callback(lab.close)
+        return lab
+
+
+class Replayer:
+    """The fixture ``tonus_replay``."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+
+    def __call__(self, log: str | Path) -> Run:
+        """Open a log, looked for beside the test and in the project's root folder, and let its
+        inputs give its outputs again, bit for bit.
+
+        Ticks that no recorded state leads up to are left out. What the log reports is no failure
+        of the test. Raises `ExpectationError`, and `ToolError` for what is no log.
+        """
+        __tracebackhide__ = True
+        run = Run(open_log(self._case.place(log)))
+        run.replays(gaps=True)
+        return run
+
+
+def _scenario(
+    case: Case, name: str | Path | Scenario, faults: Faults, duration: float | None
+) -> Scenario:
+    scenario = name if isinstance(name, Scenario) else load_scenario(case.place(name))
+    added = tuple(
+        made(fault["kind"], {key: value for key, value in fault.items() if key != "kind"})
+        if isinstance(fault, Mapping)
+        else fault
+        for fault in faults
+    )
+    lab = scenario.lab.model_copy(update={"faults": (*scenario.lab.faults, *added)})
+    changes: dict[str, Any] = {"lab": lab}
+    if duration is not None:
+        if not duration > 0.0:
+            raise ToolError(f"duration: {duration:g} s is not possible; choose a larger value")
+        changes["duration"] = duration
+    return scenario.model_copy(update=changes)
+
+
+def _name(controller: Any) -> str:
+    return f"{controller.__module__}:{controller.__qualname__}"
