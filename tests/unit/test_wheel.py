@@ -1,19 +1,30 @@
-"""The wheel works beside a project that has modules of the same names as its rooms."""
+"""The wheel works beside a project that has modules of the same names as its rooms; and in one that
+has the examples of docs/hil_examples.md for its tests.
+
+Of these `make test` plays one seed instead of 50, on two processes; `make test-long` what stands
+there, serially and in parallel, with the same figures. The one in real time is a test of its own.
+"""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import re
+import shutil
 import sysconfig
 import tarfile
 import zipfile
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
+from markdown_it import MarkdownIt
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.foreign import pytest_in
+from tests.wheel import ROOT, Installed, build
+from tonus.runtime.signals import SCHEMA_VERSION
+
+PAGE = ROOT / "docs" / "hil_examples.md"
+GOLDEN = ROOT / "tests" / "replay" / "golden" / f"v{SCHEMA_VERSION}.mcap"
+REAL_TIME = "test_latency.py"
+SHORT = ("tonus_seeds(50)", "tonus_seeds(1)")
 ROOMS = ("config", "drivers", "runtime", "sim", "tools")
 OF_THE_PROJECT = """\
 import can
@@ -52,28 +63,9 @@ def test_python_can_finds_the_lab_by_its_entry_point():
 """
 
 
-class Installed(NamedTuple):
-    wheel: Path
-    sdist: Path
-    python: Path
-    """of an environment with the wheel, which also sees the packages of this one"""
-
-
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
-    built, home = tmp_path_factory.mktemp("dist"), tmp_path_factory.mktemp("environment")
-    _run(sys.executable, "-m", "hatchling", "build", "-d", str(built), folder=ROOT)
-    (wheel,), (sdist,) = built.glob("*.whl"), built.glob("*.tar.gz")
-    _run(sys.executable, "-m", "venv", "--without-pip", str(home), folder=built)
-    python = home / "bin" / "python"
-    (packages,) = home.glob("lib/python*/site-packages")
-    # A line of a .pth file adds a folder, and not what that folder's own .pth files name: the
-    # editable install of this checkout stays out.
-    (packages / "ours.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet"]
-    options = ["--no-deps", "--no-index", "--ignore-installed", "--disable-pip-version-check"]
-    _run(*pip, *options, str(wheel), folder=built)
-    return Installed(wheel, sdist, python)
+    return build(tmp_path_factory.mktemp("dist"), tmp_path_factory.mktemp("environment"))
 
 
 @pytest.fixture
@@ -87,17 +79,6 @@ def project(tmp_path: Path) -> Path:
     (tmp_path / "test_project.py").write_text(OF_THE_PROJECT)
     (tmp_path / "pytest.ini").write_text("[pytest]\n")
     return tmp_path
-
-
-def _run(*command: str, folder: Path) -> str:
-    """What a command prints; it must end well."""
-    bare = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    bare["TONUS_RUNTIME_DIR"] = str(folder / "empty")
-    done = subprocess.run(
-        command, cwd=folder, env=bare, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
 
 
 def test_the_wheel_brings_one_name(installed: Installed) -> None:
@@ -128,16 +109,74 @@ def test_a_project_with_the_same_names_is_tested(
     installed: Installed, project: Path, *, as_module: bool
 ) -> None:
     script = ["-m", "pytest"] if as_module else [str(Path(sysconfig.get_path("scripts"), "pytest"))]
-    told = _run(str(installed.python), *script, "-p", "no:cacheprovider", folder=project)
+    told = installed.do(str(installed.python), *script, "-p", "no:cacheprovider", folder=project)
     assert "3 passed" in told
 
 
 def test_the_command_works_there(installed: Installed, project: Path) -> None:
-    told = _run(
+    told = installed.do(
         str(installed.python.with_name("tonus")), "check", "config/direct.yaml", folder=project
     )
     assert "direct" in told
     code = "import tonus.tools.cli.main as main; print(main.__file__)"
-    assert str(installed.python.parents[1]) in _run(
+    assert str(installed.python.parents[1]) in installed.do(
         str(installed.python), "-c", code, folder=project
     )
+
+
+def files() -> dict[str, str]:
+    """The page's files, by name."""
+    found = {}
+    for token in MarkdownIt().parse(PAGE.read_text(encoding="utf-8")):
+        title = re.search(r'title="(.+?)"', token.info) if token.type == "fence" else None
+        if title:
+            found[title[1]] = token.content
+    return found
+
+
+@pytest.fixture
+def foreign(installed: Installed, tmp_path: Path) -> Path:
+    for name, text in files().items():
+        if name != REAL_TIME:
+            (tmp_path / name).write_text(text)
+    shutil.copyfile(GOLDEN, tmp_path / "field.mcap")
+    return tmp_path
+
+
+def figures(text: str) -> list[str]:
+    """The measured ones, with their tests."""
+    table = text.partition("Tonus: measured")[2].partition("=\n")[2].partition("\n=")[0]
+    return sorted(table.splitlines())
+
+
+def test_the_page_has_eight_examples() -> None:
+    assert len(files()) == 8
+
+
+def test_the_examples_pass(installed: Installed, foreign: Path) -> None:
+    lost = foreign / "test_lost_frames.py"
+    lost.write_text(lost.read_text().replace(*SHORT))
+    text, code = pytest_in(foreign, "-n2", "--tonus-durations", python=str(installed.python))
+    assert code == 0, text
+    assert "10 passed" in text, text
+    assert len(figures(text)) == 2, text
+
+
+@pytest.mark.long
+def test_the_examples_as_they_stand_serially_and_in_parallel(
+    installed: Installed, foreign: Path
+) -> None:
+    parallel, code = pytest_in(foreign, "-n2", python=str(installed.python))
+    assert code == 0, parallel
+    serial, code = pytest_in(foreign, python=str(installed.python))
+    assert code == 0, serial
+    assert len(figures(serial)) == 51
+    assert figures(serial) == figures(parallel)
+
+
+@pytest.mark.realtime
+def test_the_example_in_real_time(installed: Installed, tmp_path: Path) -> None:
+    (tmp_path / REAL_TIME).write_text(files()[REAL_TIME])
+    text, code = pytest_in(tmp_path, python=str(installed.python))
+    assert code == 0, text
+    assert "1 passed" in text or "1 skipped" in text, text
