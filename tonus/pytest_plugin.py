@@ -104,6 +104,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
     """A warning or an error that nobody expected fails the test that passed until now."""
     result = yield
+    __tracebackhide__ = True
     case = item.stash.get(_CASE, None)
     if case is not None:
         case.undisturbed([n for mark in item.iter_markers("tonus_expect") for n in mark.args])
@@ -248,6 +249,7 @@ def tonus_measure(_tonus_case: Case, record_property: Any) -> Any:
 
     def measure(name: str, value: float, unit: str, at_most: float | None = None) -> float:
         record_property(f"{name} [{unit}]", value)
+        __tracebackhide__ = True
         _tonus_case.measure(name, float(value), unit, at_most)
         return float(value)
 

@@ -1,16 +1,15 @@
 """Every tutorial is played: its files are written, its edits made, its commands run.
 
 `make test` plays a short form: a run is shortened, without frames where the page has a bus, and
-left out where no later command reads its log. `make test-long` plays what stands there. Each
-command must print what the page shows, but for the numbers. A block that begins a line with `$`
-holds commands and what they print; `...` stands for lines that are left out. A title names the
-file that a block is, or edits.
+left out where no later command reads its log; of tests those that pass are left out. `make
+test-long` plays what stands there. Each command must print what the page shows, but for the
+numbers. A block that begins a line with `$` holds commands and what they print; `...` stands for
+lines that are left out. A title names the file that a block is, or edits.
 """
 
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import re
 import runpy
@@ -25,6 +24,7 @@ import pytest
 from click.testing import CliRunner
 from markdown_it import MarkdownIt
 
+from tests.foreign import pytest_in
 from tonus.tools.cli.failures import explained
 from tonus.tools.cli.main import tonus
 
@@ -94,11 +94,16 @@ def is_run(command: Command) -> bool:
     return command.line.startswith("tonus run ") and not command.code
 
 
+def is_good_test(command: Command) -> bool:
+    """Whether it is a test that passes; `test_wheel.py` has others like it."""
+    return command.line.startswith("python -m pytest ") and not command.code
+
+
 def printed(command: Command, folder: Path, *, whole: bool) -> tuple[str, int]:
     """What a command prints, and its exit code."""
     words = shlex.split(command.line)
     if words[:3] == ["python", "-m", "pytest"]:
-        return _tested(words, folder), 0
+        return pytest_in(folder, *words[3:])
     if words[0] == "python":
         out = io.StringIO()
         with contextlib.redirect_stdout(out):
@@ -115,19 +120,6 @@ def printed(command: Command, folder: Path, *, whole: bool) -> tuple[str, int]:
         return result.output + text, code
     code = result.return_value if isinstance(result.return_value, int) else result.exit_code
     return result.output, code
-
-
-def _tested(words: list[str], folder: Path) -> str:
-    """Runs the tests of a file here, which saves a process the imports; each has the folder that
-    pytest would give it."""
-    module = importlib.import_module(Path(words[-1]).stem)
-    tests = {key: test for key, test in vars(module).items() if key.startswith("test_")}
-    assert tests
-    for name, test in tests.items():
-        place = folder / words[words.index("--basetemp") + 1] / f"{name[:30]}0"
-        place.mkdir(parents=True)
-        test(place)
-    return f"{len(tests)} passed in 1.00s"
 
 
 def shape(line: str) -> str:
@@ -157,7 +149,8 @@ def test_a_tutorial_does_what_it_says(page: Path, folder: Path, *, whole: bool) 
             path.write_text(edited(path.read_text(), step.text) if is_edit else step.text)
         elif not step.line.startswith(NOT_HERE):
             later = [each.line for each in todo[number:] if isinstance(each, Command)]
-            if whole or not is_run(step) or any("run.mcap" in line for line in later):
+            read = any("run.mcap" in line for line in later)
+            if whole or read or not (is_run(step) or is_good_test(step)):
                 text, code = printed(step, folder, whole=whole)
                 _compare(step, text, code, lines=whole or not is_run(step))
 

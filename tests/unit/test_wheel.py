@@ -174,6 +174,17 @@ def test_the_examples_as_they_stand_serially_and_in_parallel(
     assert figures(serial) == figures(parallel)
 
 
+def test_the_tests_of_a_new_project_pass(installed: Installed, tmp_path: Path) -> None:
+    new = tmp_path / "arm"
+    told = installed.do(str(installed.python.with_name("tonus")), "new", str(new), folder=tmp_path)
+    assert f"next: cd {new} && pytest" in told
+    assert (new / "README.md").read_text().startswith("# arm\n")
+    assert {".github", ".gitignore"} <= {each.name for each in new.iterdir()}
+    text, code = pytest_in(new, "-n2", python=str(installed.python))
+    assert code == 0, text
+    assert "2 passed" in text, text
+
+
 @pytest.mark.realtime
 def test_the_example_in_real_time(installed: Installed, tmp_path: Path) -> None:
     (tmp_path / REAL_TIME).write_text(files()[REAL_TIME])

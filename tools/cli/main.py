@@ -32,6 +32,7 @@ COMMANDS = {
     "campaign": "Play faults at random, each episode judged by the truth.",
     "export": "Describe a configuration for other tools: DBC, EDS, ESI.",
     "init": "Write a complete, commented configuration to start from.",
+    "new": "Write a project with HIL tests to start from.",
 }
 
 

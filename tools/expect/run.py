@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import cached_property
+from operator import methodcaller
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,8 @@ from tonus.tools.log.replay import configuration, replay
 from tonus.tools.run.summary import TRUTH, Summary, summarise
 from tonus.tools.run.truth import TOPIC
 
+__tracebackhide__ = methodcaller("errisinstance", ExpectationError)
+"""For pytest: the line that asks is of interest, and not where the answer is found."""
 Injected = tuple[int, Fault]
 """A fault given to a lab by hand, and its time in ns on the log's clock."""
 

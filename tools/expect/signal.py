@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from tonus.runtime.states import State
 from tonus.tools.expect.failure import ExpectationError
 
+__tracebackhide__ = methodcaller("errisinstance", ExpectationError)
+"""For pytest, as in `tonus.tools.expect.run`."""
 Floats = NDArray[np.float64]
 Fail = Callable[[str, float | None], ExpectationError]
 """Makes the error for a figure and its time in s."""

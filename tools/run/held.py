@@ -338,7 +338,7 @@ class _Held:
         )
         # From the start on, as in any run: a timer more may change the order of others due with it.
         every(DRAIN_S, self._drain)
-        pacing = fieldbuses.steering(fieldbus, lambda: _Turning(self._before_tick))
+        pacing = fieldbuses.steering(config, fieldbus, lambda: _Turning(self._before_tick))
         return await daemon.run(pacing, lambda _: None, lambda: None)
 
     def _drain(self) -> None:

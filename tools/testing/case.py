@@ -10,6 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,8 @@ from tonus.tools.errors import ToolError
 from tonus.tools.expect import ExpectationError, Run
 from tonus.tools.expect.failure import SHOWN
 
+__tracebackhide__ = methodcaller("errisinstance", ExpectationError)
+"""For pytest, as in `tonus.tools.expect.run`."""
 _IN_MEMORY = Path("/dev/shm")  # noqa: S108  # the folder made in it is this test's alone
 _PRODUCTS = ("run*.mcap", "summary*.json", "report*.html")
 
@@ -121,6 +124,7 @@ class Case:
 
     def measure(self, name: str, value: float, unit: str, at_most: float | None) -> None:
         """Record a figure. Raises `AssertionError` for one above its bound."""
+        __tracebackhide__ = True
         self._measures.append(Measure(name, value, unit, at_most))
         if at_most is not None and not value <= at_most:
             raise AssertionError(f"{name} is {value:g} {unit}, and at most {at_most:g} is allowed")
