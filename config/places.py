@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+RUNTIME_DIR = "TONUS_RUNTIME_DIR"
+"""environment variable"""
 CONTROL_SOCKET = "tonus.sock"
 """A running daemon's control socket, unless its configuration names another."""
 LAB_DOOR = "lab.sock"
@@ -22,7 +24,7 @@ def runtime_dir() -> Path:
     On a disk the kernel makes a ring's pages read-only while it writes them, every 30 s, and the
     next record in each faults and may wait for the file system's journal.
     """
-    own = os.environ.get("TONUS_RUNTIME_DIR")
+    own = os.environ.get(RUNTIME_DIR)
     if own:
         return Path(own)
     user = os.environ.get("XDG_RUNTIME_DIR")

@@ -14,6 +14,7 @@ import pytest
 if TYPE_CHECKING:
     from tonus.tools.testing.case import Case
     from tonus.tools.testing.daemon import DaemonFactory
+    from tonus.tools.testing.held import HeldFactory
     from tonus.tools.testing.lab import VirtualLab
     from tonus.tools.testing.player import LabFactory, Player, Replayer
 
@@ -225,6 +226,14 @@ def tonus_run(_tonus_case: Case) -> Player:
     from tonus.tools.testing.player import Player
 
     return Player(_tonus_case)
+
+
+@pytest.fixture
+def tonus_held(_tonus_case: Case) -> HeldFactory:
+    """A run that begins with the robot in HOLD or ACTIVE, and goes on as the test says."""
+    from tonus.tools.testing.held import HeldFactory
+
+    return HeldFactory(_tonus_case)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from hil.runs import configured, virtual
+from loop import QUICK
 from mcap.reader import make_reader
 
 from tonus.config.schema.faults import CableCut, Unplug
@@ -16,6 +17,7 @@ from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay
 from tonus.tools.run.held import HeldRobot
+from tonus.tools.testing.held import HeldFactory
 
 BUSES = (
     "config/can.yaml",
@@ -141,3 +143,47 @@ def test_a_robot_that_does_not_come_up_says_why() -> None:
     )
     with pytest.raises(ToolError, match="did not reach HOLD: "):
         HeldRobot(config, scenario)
+
+
+@pytest.mark.tonus(overrides=QUICK)
+@pytest.mark.tonus_expect("*")
+def test_a_test_holds_the_robot_and_asks_the_run(tonus_held: HeldFactory) -> None:
+    held = tonus_held()
+    assert (held.state, held.reason, held.now) == ("HOLD", "NONE", 0.0)
+    held.command("start")
+    held.advance(100)
+    assert held.state == "ACTIVE"
+    assert held.record["tension"]["measured"].min() > 5.0
+    held.fault("cable_cut", axis=2)
+    held.advance(50)
+    assert held.reason == "CABLE_TORN"
+    assert held.truth["tension"][2] == 0.0
+    run = held.end()
+    assert 0.0 < run.expect("cable_torn", where="axis 2", within=0.02).after <= 0.02
+    run.replays()
+
+
+@pytest.mark.tonus(overrides=QUICK)
+@pytest.mark.tonus_expect("*")
+def test_runs_share_a_robot_and_nothing_else(tonus_held: HeldFactory) -> None:
+    first = tonus_held()
+    with pytest.raises(ToolError, match="one run at a time"):
+        tonus_held()
+    first.fault("cable_cut", axis=1)
+    first.advance(10)
+    first.end()
+    second = tonus_held()
+    second.advance(10)
+    assert first.truth["tension"][1] == 0.0 < second.truth["tension"][1]
+    with pytest.raises(ToolError, match="choose one of arm, start, hold"):
+        second.command("jump")
+
+
+@pytest.mark.tonus(overrides=QUICK)
+@pytest.mark.tonus_expect("*")
+def test_a_scenario_played_from_hold_is_judged_as_one_from_off(tonus_held: HeldFactory) -> None:
+    """Its faults count from the moment every drive is enabled, as in the whole run."""
+    fault = {"kind": "unplug", "channel": "can1", "node": 3, "at": 3.0}
+    run = tonus_held.play("hold", faults=[fault], duration=0.5)
+    run.expect("drive_lost", where="can1/3", within=0.05)
+    run.invariants(replayed=True)

@@ -18,6 +18,7 @@ from tonus.tools.campaign.strikes import Strike, strikes
 from tonus.tools.errors import ToolError
 from tonus.tools.log.log import Event, Log
 from tonus.tools.log.replay import configuration, played
+from tonus.tools.run.provenance import SCRIPT_START
 from tonus.tools.run.summary import TRUTH
 
 Ints = NDArray[np.int64]
@@ -82,7 +83,9 @@ def of_log(log: Log, named: frozenset[str] = frozenset()) -> Observed:
     config, scenario = configuration(log), played(log)
     found: list[Strike] = []
     if enabled.any():
-        found = strikes(config, scenario.lab.faults, int(times[enabled.argmax()]), named)
+        told = log.metadata.get(SCRIPT_START)
+        start_ns = int(times[enabled.argmax()]) if told is None else int(told)
+        found = strikes(config, scenario.lab.faults, start_ns, named)
     found = [strike for strike in found if strike.at_ns <= times[-1]]
     return Observed(
         config,

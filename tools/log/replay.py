@@ -222,8 +222,8 @@ class _Replayer:
         self._image = ProcessImage(self._config.robot.cables)
         self._topics = [topic for topic in TABLE if topic.name in log]
         self._cycle: ControlCycle | None = None
-        fresh = not FROM_A_KEYFRAME.items() <= log.metadata.items()
-        self._next: int | None = 0 if fresh else None
+        self._from_a_keyframe = FROM_A_KEYFRAME.items() <= log.metadata.items()
+        self._next: int | None = None if self._from_a_keyframe else 0
         """sequence number of the record that follows on the state; None: no state"""
         self._before = -1
         self._keyframes = {} if other else self._recorded_states()
@@ -317,9 +317,10 @@ class _Replayer:
 
     def _take_up(self, tick: int, sequence: int) -> None:
         """Where a record is missing, only a recorded state leads on: that after this tick."""
-        if tick >= self._first:
-            self._note_unchecked(tick)
         state = self._keyframes.get(tick)
+        begins = state is not None and sequence == 0 and self._from_a_keyframe
+        if tick >= self._first and not begins:
+            self._note_unchecked(tick)
         if state is None:
             return
         try:

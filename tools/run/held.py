@@ -22,6 +22,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tonus.config.places import RUNTIME_DIR
 from tonus.config.schema.faults import Fault
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
@@ -48,6 +49,7 @@ from tonus.tools.repeat import every
 from tonus.tools.run import fieldbuses, provenance
 from tonus.tools.run.composer import DRAIN_S
 from tonus.tools.run.order import Result
+from tonus.tools.run.provenance import SCRIPT_START
 from tonus.tools.run.ring_directory import ring_directory
 from tonus.tools.run.rings import Rings
 from tonus.tools.run.run_folder import LOG, RunFolder
@@ -93,6 +95,8 @@ class _Request:
     ticks: int = 0
     fault: Fault | None = None
     operator: Operator = Operator.NONE
+    rings: str | None = None
+    """folder for rings, as the asking process has it by now"""
 
 
 class HeldRobot:
@@ -114,6 +118,7 @@ class HeldRobot:
         self._connection, theirs = context.Pipe()
         held = _Held(config, self.scenario, seed, State[at], theirs)
         self._process = context.Process(target=held.serve, args=(self._connection,), daemon=True)
+        self._open: HeldRun | None = None
         self._process.start()
         theirs.close()
         self._answer()
@@ -127,16 +132,19 @@ class HeldRobot:
                 f"scenario {played.name}: only faults, commands and duration may differ from "
                 f"those the robot was brought up with ({self.scenario.name})"
             )
-        result = self._ask(_Request("play", out, played))
+        self._need_idle()
+        result = self._ask(_Request("play", out, played, rings=os.environ.get(RUNTIME_DIR)))
         assert isinstance(result, Result)
         return result
 
     @contextmanager
     def operated(self, out: Path) -> Iterator[HeldRun]:
-        """A run that is advanced step by step, recorded in ``out``; it ends with the block."""
-        first = self._ask(_Request("operate", out))
+        """A run that is advanced step by step, recorded in ``out``; it ends with the block. Raises
+        `ToolError` while another is open."""
+        self._need_idle()
+        first = self._ask(_Request("operate", out, rings=os.environ.get(RUNTIME_DIR)))
         assert isinstance(first, Seen)
-        run = HeldRun(self._ask, first, self.config.control.rates.period)
+        run = self._open = HeldRun(self._ask, first, self.config.control.rates.period)
         try:
             yield run
         finally:
@@ -146,6 +154,10 @@ class HeldRobot:
         """The process ends, and what it holds is gone."""
         self._connection.close()
         self._process.join()
+
+    def _need_idle(self) -> None:
+        if self._open is not None and self._open.result is None:
+            raise ToolError("a held robot plays one run at a time; end the other one first")
 
     def _ask(self, request: _Request) -> Result | Seen | None:
         self._connection.send(request)
@@ -380,6 +392,8 @@ class _Held:
         assert self._lab is not None
         assert self._daemon is not None
         played = request.scenario or self._scenario
+        if request.rings is not None:
+            os.environ[RUNTIME_DIR] = request.rings
         if request.scenario is None:
             self._console.script = None
         else:
@@ -438,6 +452,7 @@ class _Running:
             {
                 **provenance.metadata(config, scenario, seed=seed, virtual=True),
                 **FROM_A_KEYFRAME,
+                SCRIPT_START: str(lab.script_start_ns),
             },
             provenance.attachments(config, scenario, ()),
             0,

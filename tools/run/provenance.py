@@ -18,6 +18,9 @@ from tonus.tools.run import fieldbuses
 
 _LIBRARIES = ("clarabel", "filterpy", "mcap", "numba", "numpy", "python-can", "scipy", "tonus")
 
+SCRIPT_START = "script_start_ns"
+"""metadata of a log that begins later: time zero of the scenario's faults"""
+
 
 def metadata(config: Config, scenario: Scenario, *, seed: int, virtual: bool) -> dict[str, str]:
     """The same for the same run, on whatever machine."""

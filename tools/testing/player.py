@@ -56,7 +56,7 @@ class Player:
             named = isinstance(controller, str)
             changes["control.controller"] = controller if named else _name(controller)
         settings = case.configuration(config, changes)
-        played = _scenario(case, scenario, faults, duration)
+        played = settled_scenario(case, scenario, faults, duration)
         chosen = case.seed if seed is None else seed
         began = clock.wall_seconds()
         order = Order(settings, played, case.folder(), chosen, True, lambda _: None, live=False)
@@ -109,9 +109,11 @@ class Replayer:
         return run
 
 
-def _scenario(
+def settled_scenario(
     case: Case, name: str | Path | Scenario, faults: Faults, duration: float | None
 ) -> Scenario:
+    """A scenario by its name or file, with more faults and another duration. Raises `ConfigError`
+    and `ToolError`."""
     scenario = name if isinstance(name, Scenario) else load_scenario(case.place(name))
     added = tuple(
         made(fault["kind"], {key: value for key, value in fault.items() if key != "kind"})
