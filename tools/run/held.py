@@ -13,7 +13,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -89,7 +89,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class _Request:
-    kind: Literal["play", "operate", "advance", "inject", "command", "finish", "end"]
+    kind: Literal["play", "operate", "advance", "inject", "command", "finish", "end", "close"]
     out: Path = Path()
     scenario: Scenario | None = None
     ticks: int = 0
@@ -151,7 +151,13 @@ class HeldRobot:
             run.end()
 
     def close(self) -> None:
-        """The process ends, and what it holds is gone."""
+        """The process ends, and what it holds is gone. Does nothing a second time."""
+        if self._open is not None:
+            with suppress(ToolError):  # of one that has crashed
+                self._open.end()
+        with suppress(OSError):  # of one that has ended by itself, or is closed
+            # It would not see the end of the pipe, which later robots' processes inherit.
+            self._connection.send(_Request("close"))
         self._connection.close()
         self._process.join()
 
@@ -374,6 +380,8 @@ class _Held:
             try:
                 request: _Request = self._connection.recv()
             except EOFError:
+                os._exit(0)
+            if request.kind == "close":
                 os._exit(0)
             if request.kind not in ("play", "operate"):  # to one that has crashed
                 self._connection.send("the run is over; begin another from the held robot")
