@@ -178,11 +178,13 @@ def _tonus_case(request: pytest.FixtureRequest, tonus_seed: int) -> Iterator[Cas
     from tonus.tools.testing.case import Case
 
     node, config = request.node, request.config
-    mark = node.get_closest_marker("tonus")
-    chosen = dict(mark.kwargs) if mark is not None else {}
-    unknown = sorted(chosen.keys() - {"config", "overrides"})
-    if unknown or (mark is not None and mark.args):
-        raise pytest.UsageError(f"{node.nodeid}: the mark tonus takes config= and overrides=")
+    chosen: dict[str, Any] = {}
+    overrides: dict[str, Any] = {}
+    for mark in reversed(list(node.iter_markers("tonus"))):  # the module's first, the test's last
+        if mark.args or mark.kwargs.keys() - {"config", "overrides"}:
+            raise pytest.UsageError(f"{node.nodeid}: the mark tonus takes config= and overrides=")
+        chosen |= mark.kwargs
+        overrides |= mark.kwargs.get("overrides", {})
     case = Case(
         node.nodeid,
         file=node.path,
@@ -190,7 +192,7 @@ def _tonus_case(request: pytest.FixtureRequest, tonus_seed: int) -> Iterator[Cas
         invoked=config.invocation_params.dir,
         out=config.rootpath / setting(config, "out"),
         config=str(chosen.get("config") or setting(config, "config")),
-        overrides=dict(chosen.get("overrides") or {}),
+        overrides=overrides,
         seed=tonus_seed,
         options=[
             f"--tonus-{name}={config.getoption(f'tonus_{name}')}"

@@ -11,6 +11,7 @@ from replay.altered import altered
 
 from tonus.config import load
 from tonus.runtime.recording.taps import Level
+from tonus.runtime.signals import SCHEMA_VERSION
 from tonus.runtime.states import State
 from tonus.tools.campaign.invariants import Violation
 from tonus.tools.campaign.observed import Observed
@@ -24,7 +25,7 @@ from tonus.tools.log import open as open_log
 from tonus.tools.log.log import Event
 from tonus.tools.run.summary import TRUTH
 
-GOLDEN = Path(__file__).parents[1] / "replay" / "golden" / "v6.mcap"
+GOLDEN = Path(__file__).parents[1] / "replay" / "golden" / f"v{SCHEMA_VERSION}.mcap"
 """a few ticks of a run, with all of its events"""
 TIMELINE = Timeline(0)
 NONE = np.zeros(0, np.int64)

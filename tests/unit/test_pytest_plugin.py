@@ -13,6 +13,10 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from tests.foreign import QUICK, pytest_in
+from tonus.runtime.signals import SCHEMA_VERSION
+from tonus.tools.expect import Run
+from tonus.tools.log import open as open_log
+from tonus.tools.testing.case import Case
 
 INI = """\
 [pytest]
@@ -78,6 +82,14 @@ def test_a_mark(tonus_lab):
     assert tonus_lab.config.tracker.rate_hz == 60.0
 
 
+@pytest.mark.tonus(overrides={"tracker.rate_hz": 60.0})
+class TestMarksOfAClass:
+    @pytest.mark.tonus(overrides={"tracker.latency_ms": 5.0})
+    def test_a_mark_adds_to_that_of_its_class(self, tonus_lab):
+        tracker = tonus_lab.config.tracker
+        assert (tracker.rate_hz, tracker.latency_ms) == (60.0, 5.0)
+
+
 @pytest.mark.tonus(configuration="config/six.yaml")
 def test_a_mark_that_is_misspelt(tonus_lab):
     pass
@@ -127,6 +139,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
+GOLDEN = Path(__file__).parents[1] / "replay" / "golden" / f"v{SCHEMA_VERSION}.mcap"
 
 
 @pytest.fixture(scope="module")
@@ -178,6 +191,33 @@ def test_the_command_gives_the_same_bytes(session: Session) -> None:
     assert log.read_bytes() == before
     figure = re.compile(r"tension\.measured\[\d\] in ACTIVE is .*")
     assert figure.findall(again)[0] == figure.findall(text)[0]
+
+
+def test_what_is_kept_of_a_good_run(tmp_path: Path) -> None:
+    case = Case(
+        "tests/test_a.py::test_b[seed1]",
+        file=tmp_path / "tests" / "test_a.py",
+        root=tmp_path,
+        invoked=tmp_path / "tests",
+        out=tmp_path / "kept",
+        config="config/can.yaml",
+        overrides={},
+        seed=1,
+        options=["--tonus-seed=1"],
+    )
+    assert case.keep(failed=False) == []
+    case.runs += [Run(open_log(GOLDEN)), Run(open_log(GOLDEN))]
+    kept = case.keep(failed=False)
+    folder = tmp_path / "kept" / "tests-test_a.py-test_b[seed1]"
+    assert kept == [
+        *(("log1", folder / "run1.mcap"), ("summary1", folder / "summary1.json")),
+        *(("log2", folder / "run2.mcap"), ("summary2", folder / "summary2.json")),
+    ]
+    assert (folder / "run2.mcap").read_bytes() == GOLDEN.read_bytes()
+    assert case.command == "python -m pytest --tonus-seed=1 'test_a.py::test_b[seed1]'"
+    case.close()
+    assert not case.runtime.exists()
+    assert folder.exists()
 
 
 def test_a_warning_fails_in_the_call_phase(session: Session) -> None:
