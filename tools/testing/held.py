@@ -16,7 +16,8 @@ from tonus.runtime.timing import clock
 from tonus.tools.errors import ToolError
 from tonus.tools.expect import Run
 from tonus.tools.log import open as open_log
-from tonus.tools.run.held import HeldRobot, HeldRun, Holding, Said
+from tonus.tools.run.held import HeldRobot, HeldRun, Holding, undisturbed
+from tonus.tools.run.held_talk import Said
 from tonus.tools.run.order import Result
 from tonus.tools.testing.case import Case
 from tonus.tools.testing.lab import made
@@ -176,8 +177,7 @@ class Held:
 
 def _robot(config: Config, scenario: Scenario, seed: int, at: Holding) -> HeldRobot:
     """One that is held already, or brought up now."""
-    script = scenario.lab.model_copy(update={"faults": ()})
-    base = scenario.model_copy(update={"lab": script, "operator": (), "duration": 1.0})
+    base = undisturbed(scenario).model_copy(update={"duration": 1.0})
     key = (config.model_dump_json(), base.model_dump_json(), seed, at)
     if key in _ROBOTS:
         _ROBOTS.move_to_end(key)

@@ -1,0 +1,55 @@
+"""What a held robot is asked, and what it shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.config.schema.faults import Fault
+from tonus.config.schema.scenario import Scenario
+from tonus.runtime.recording.taps import Level
+from tonus.runtime.states import Operator, State
+
+
+class Said(NamedTuple):
+    """An event."""
+
+    time: float
+    """s since the run was forked"""
+    level: Level
+    name: str
+    where: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a held robot shows between two ticks."""
+
+    state: State
+    fault: str
+    """name; NONE without one"""
+    time: float
+    """s since the run was forked"""
+    record: NDArray[np.void]
+    """(1,) the cycle record of the last tick"""
+    truth: NDArray[np.void]
+    """(1,) of the plant, as `/tonus/truth` has it"""
+    events: tuple[Said, ...]
+    """since the last look"""
+
+
+@dataclass(frozen=True)
+class Request:
+    kind: Literal["play", "operate", "advance", "inject", "command", "finish", "end", "close"]
+    out: Path = Path()
+    scenario: Scenario | None = None
+    ticks: int = 0
+    fault: Fault | None = None
+    operator: Operator = Operator.NONE
+    rings: str | None = None
+    """folder for rings, as the asking process has it by now"""

@@ -1,0 +1,55 @@
+"""Rings that come later: of a robot that is held before anything of it is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.runtime.recording.taps import Level
+from tonus.sim.lab.truth import truth_dtype
+from tonus.tools.run.rings import Rings
+
+
+class LateSinks:
+    """What daemon and lab write goes nowhere, until there are rings for it."""
+
+    def __init__(self, cables: int) -> None:
+        self.rings: Rings | None = None
+        self.record = np.zeros(1, truth_dtype(cables))
+        self.events: list[tuple[int, Level, str, str, str]] = []
+        self._truth: Callable[[NDArray[np.void], int], None] | None = None
+
+    def open(self, rings: Rings) -> None:
+        self.rings, self._truth = rings, rings.truth().publish
+
+    def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None:
+        if self.rings is not None:
+            self.rings.cycles.publish(payload, stamp_ns)
+
+    def truth(self, record: NDArray[np.void], stamp_ns: int) -> None:
+        self.record[...] = record
+        if self._truth is not None:
+            self._truth(record, stamp_ns)
+
+    def event(
+        self, stamp_ns: int, tick: int, level: Level, name: str, where: str = "", text: str = ""
+    ) -> None:
+        if self.rings is not None:
+            self.events.append((stamp_ns, level, name, where, text))
+            self.rings.events.write(stamp_ns, tick, level, name, where, text)
+
+    def keyframe(self, stamp_ns: int, tick: int, state: bytes) -> None:
+        if self.rings is not None:
+            self.rings.keyframes.write(stamp_ns, tick, state)
+
+    def frame(
+        self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
+    ) -> None:
+        if self.rings is not None and self.rings.frames is not None:
+            self.rings.frames.frame(stamp_ns, channel, identifier, data, sent=sent)
+
+    def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
+        if self.rings is not None and self.rings.frames is not None:
+            self.rings.frames.received(frames, channel, now_ns)
