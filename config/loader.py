@@ -21,7 +21,10 @@ from tonus.config.schema.plausible import Plausible
 from tonus.config.schema.protocol import Protocol
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
+from tonus.config.schema.trajectory import Prepared
 from tonus.config.schema.tuning import Tuning
+from tonus.config.trajectories import prepare
+from tonus.config.trajectories.samples import TrajectoryError
 
 HERE = Path(__file__).resolve().parent
 """The folder of the shipped files itself, whichever link this module was imported through."""
@@ -176,7 +179,22 @@ def _scenario(
     document = _named("scenario", name, file, line, key, base)
     for dotted_key, value in (overrides or {}).items():
         _override(document, dotted_key, value)
-    return _validate(document, Scenario)
+    return _prepared(document, _validate(document, Scenario))
+
+
+def _prepared(document: Document, scenario: Scenario) -> Scenario:
+    """With its reference computed, read or sampled, where that has to be done before the tick."""
+    reference = scenario.reference
+    if not isinstance(reference, Prepared) or reference.prepared is not None:
+        return scenario
+    try:
+        samples = prepare(reference, document.folder(("reference",)))
+    except TrajectoryError as error:
+        key: Key = ("reference", error.key)
+        place = document.place(key)
+        raise ConfigError(*place, dotted(key), error.problem, error.remedy) from error
+    played = reference.model_copy(update={"prepared": samples})
+    return scenario.model_copy(update={"reference": played})
 
 
 def locate(name: str | Path) -> tuple[Path, str]:

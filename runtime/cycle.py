@@ -308,6 +308,7 @@ class ControlCycle:
             self._referencing.wound,
             self._radius * sensing.rate,
             self._guide.push,
+            *self._guide.attitude,
         )
         self._law = float(self._controller.stiffness(motion))
         cap = min(envelope.cap, sequence.stiffness_cap)
@@ -338,7 +339,7 @@ class ControlCycle:
             self._allocation.wrench,
             self._sensing.tension,
             (estimate.velocity, estimate.angular_velocity),
-            (velocity, acceleration),
+            (velocity, acceleration, self._guide.attitude[1], self._guide.turning[2]),
             self._radius,
             self._axial_stiffness,
             self._drum_rate,

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from tonus.config.schema.base import Direction, NonNegative, Positive, Section, Vector3
 from tonus.config.schema.fault_section import LONGEST_S
 from tonus.config.schema.lab import LabScript
+from tonus.config.schema.trajectory import Circle, Lissajous, Object, Table, Waypoints
 
 
 class Hold(Section):
@@ -84,7 +85,10 @@ class Press(Section):
         return self
 
 
-Reference = Annotated[Hold | Sine | Multisine | Path | Press, Field(discriminator="kind")]
+Reference = Annotated[
+    Hold | Sine | Multisine | Path | Press | Circle | Lissajous | Waypoints | Table | Object,
+    Field(discriminator="kind"),
+]
 
 
 class Command(Section):

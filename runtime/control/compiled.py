@@ -81,6 +81,20 @@ def rotate(quaternion: Array, rotation: Array) -> Array:
 
 
 @njit(cache=True)
+def angular_velocity(vector: Array, rate: Array) -> Array:
+    """Of an orientation (3,), base frame, whose rotation vector is ``vector`` and changes at
+    ``rate``: the left Jacobian of SO(3) times the rate (Barfoot 2017)."""
+    angle = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+    square = angle * angle
+    first = 0.5 - square / 24.0 if angle < 1e-4 else (1.0 - math.cos(angle)) / square
+    second = 1.0 / 6.0 - square / 120.0
+    if angle >= 1e-4:
+        second = (angle - math.sin(angle)) / (square * angle)
+    once = np.cross(vector, rate)
+    return rate + first * once + second * np.cross(vector, once)
+
+
+@njit(cache=True)
 def rotation_between(start: Array, end: Array) -> Array:
     """Rotation vector (3,), base frame, that turns orientation ``start`` into ``end``."""
     a, b, c, d = end

@@ -14,11 +14,15 @@ from tonus.config.schema.control import Sequence
 from tonus.config.schema.robot import Robot
 from tonus.config.schema.safety import Envelope
 from tonus.config.schema.scenario import Reference
+from tonus.runtime.control.compiled import angular_velocity, rotate
+from tonus.runtime.control.controllers.base import LEVEL
 from tonus.runtime.control.reference import Move, Sample, trajectory
 from tonus.runtime.states import State
 
 Array = NDArray[np.float64]
 _ORIGIN = np.zeros(3)
+LEVEL_STILL: Sample = (np.zeros(3), np.zeros(3), np.zeros(3))
+LEVEL_MOVE = Move(np.zeros(3), np.zeros(3), 1.0)
 
 
 @njit(cache=True)
@@ -60,8 +64,19 @@ class Guide:
         self.time = 0.0
         """s of scenario time"""
         self.desired: Sample = (position, np.zeros(3), np.zeros(3))
+        self.turning: Sample = LEVEL_STILL
+        """rotation vector from level (rad, base frame), its rate and acceleration"""
+        self._turn = LEVEL_MOVE
         self.push = np.zeros(3)
         """N, desired contact force of the scenario"""
+
+    @property
+    def attitude(self) -> tuple[Array, Array]:
+        """Desired orientation (4,), w x y z, and angular velocity (3,), rad/s."""
+        if self.turning is LEVEL_STILL:
+            return LEVEL, _ORIGIN
+        vector, rate, _ = self.turning
+        return rotate(LEVEL, vector), angular_velocity(vector, rate)
 
     @property
     def standing(self) -> bool:
@@ -81,8 +96,10 @@ class Guide:
         self._move = Move(
             here, self._home, max(self._sequence.lift_s, 1.875 * distance / self._cruise)
         )
+        self._turn = self._to_level(self._move.duration)
         self._move_time, self.time = 0.0, 0.0
-        self._on_scenario, self._returning = False, distance > 0.0
+        self._on_scenario = False
+        self._returning = distance > 0.0 or self._turn is not LEVEL_MOVE
         self.push = np.zeros(3)
 
     def plan_stop(self) -> float:
@@ -117,7 +134,15 @@ class Guide:
         if not self._lowering:
             self._lowering = True
             self._move = Move(self.desired[0], self._rest, self._lower_s)
+            self._turn = self._to_level(self._lower_s)
+        if self._turn is not LEVEL_MOVE:
+            self.turning = self._turn(since)
         return self._move(since)
+
+    def _to_level(self, duration: float) -> Move:
+        """A turn from the present orientation."""
+        here = self.turning[0]
+        return Move(here, _ORIGIN, duration) if here.any() else LEVEL_MOVE
 
     def _follow(self, wanted: float) -> Sample:
         """The lift or the scenario at a rate that changes no faster than the slew allows."""
@@ -128,9 +153,14 @@ class Guide:
             played = self._trajectories[self.chosen]
             origin, sample = self._home, played(self.time)
             self.push = played.push(self.time)
+            turn = played.rotation(self.time) if played.turns else LEVEL_STILL
         else:
             self._move_time += rate * self._period
             origin, sample = _ORIGIN, self._move(self._move_time)
+            level = self._turn is LEVEL_MOVE
+            turn = LEVEL_STILL if level else self._turn(self._move_time)
         bend = (rate - before) / self._period
+        still = turn is LEVEL_STILL
+        self.turning = turn if still else _paced(_ORIGIN, turn, rate, bend)
         paced: Sample = _paced(origin, sample, rate, bend)
         return paced

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tonus.config.schema.base import Vector3
 from tonus.config.schema.scenario import Hold, Multisine, Path, Press, Reference, Sine
+from tonus.config.schema.trajectory import Circle, Lissajous, Prepared, Samples, Turn
+from tonus.config.trajectories.samples import unpacked
 
 Array = NDArray[np.float64]
 Sample = tuple[Array, Array, Array]
+Evaluator = Callable[[float], Sample]
+Wave = tuple[Array, float, float]
+"""vector of the amplitude (3,), angular frequency (rad/s), phase (rad)"""
 _NOTHING = np.zeros(3)
 
 
@@ -27,6 +35,13 @@ class Trajectory(ABC):
     def push(self, t: float) -> Array:  # noqa: ARG002
         """Force (3,) at the contact port, N."""
         return _NOTHING
+
+    turns = False
+    """whether it commands an orientation other than level"""
+
+    def rotation(self, t: float) -> Sample:  # noqa: ARG002
+        """Rotation vector from level (rad, base frame) and its first and second derivative."""
+        return _NOTHING, _NOTHING, _NOTHING
 
 
 def minimum_jerk(s: float) -> tuple[float, float, float]:
@@ -161,8 +176,122 @@ class _Press(Trajectory):
         return np.asarray(self._force(t - self._r.approach)[0] * self._way)
 
 
+class _Waves(Trajectory):
+    """Sines with phases, of offset and of rotation, that fade in by a minimum-jerk shape."""
+
+    def __init__(self, waves: Sequence[Wave], turns: Sequence[Wave], fade: float) -> None:
+        self._waves, self._turns, self._fade = tuple(waves), tuple(turns), fade
+        self.turns = bool(turns)
+
+    def _sum(self, waves: tuple[Wave, ...], t: float) -> Sample:
+        a, da, dda = minimum_jerk(t / self._fade)
+        da, dda = da / self._fade, dda / self._fade**2
+        position, velocity, acceleration = np.zeros(3), np.zeros(3), np.zeros(3)
+        for vector, w, phase in waves:
+            s, c = math.sin(w * t + phase), math.cos(w * t + phase)
+            position += vector * (a * s)
+            velocity += vector * (da * s + a * w * c)
+            acceleration += vector * (dda * s + 2.0 * da * w * c - a * w * w * s)
+        return position, velocity, acceleration
+
+    def __call__(self, t: float) -> Sample:
+        return self._sum(self._waves, t)
+
+    def rotation(self, t: float) -> Sample:
+        return self._sum(self._turns, t)
+
+
+def _wave(way: Vector3, amplitude: float, frequency: float, phase_deg: float) -> Wave:
+    direction = np.array(way)
+    vector = direction / np.linalg.norm(direction) * amplitude
+    return vector, 2.0 * math.pi * frequency, math.radians(phase_deg)
+
+
+def _turns(turns: tuple[Turn, ...]) -> list[Wave]:
+    return [_wave(each.axis, each.amplitude, each.frequency, each.phase_deg) for each in turns]
+
+
+def _circle(reference: Circle) -> _Waves:
+    """From the axis that is most in the plane, counter-clockwise about the normal."""
+    normal = np.array(reference.normal) / np.linalg.norm(reference.normal)
+    first = np.eye(3)[int(np.abs(normal).argmin())]
+    first = first - float(first @ normal) * normal
+    first /= np.linalg.norm(first)
+    omega, radius = 2.0 * math.pi * reference.frequency, reference.radius
+    waves = [
+        (radius * first, omega, 0.5 * math.pi),
+        (radius * np.cross(normal, first), omega, 0.0),
+    ]
+    return _Waves(waves, _turns(reference.turns), reference.fade)
+
+
+def _lissajous(reference: Lissajous) -> _Waves:
+    waves = [
+        _wave(each.direction, each.amplitude, each.frequency, each.phase_deg)
+        for each in reference.components
+    ]
+    return _Waves(waves, _turns(reference.turns), reference.fade)
+
+
+class _Sampled(Trajectory):
+    """Quintic polynomials through prepared samples; standing before and after them."""
+
+    def __init__(self, samples: Samples) -> None:
+        # Functions are constants to a keyframe: it need not copy the rows.
+        self._offset, self._turn, self.turns = _polynomials(unpacked(samples))
+
+    def __call__(self, t: float) -> Sample:
+        return self._offset(t)
+
+    def rotation(self, t: float) -> Sample:
+        return self._turn(t)
+
+
+def _polynomials(rows: Array) -> tuple[Evaluator, Evaluator, bool]:
+    """Of offset and of rotation, and whether there is any. ``rows`` as `Samples` describes them.
+    Sums and products of single numbers only, so that every machine gets the same bits."""
+    kept = np.flatnonzero(np.diff(rows[:, 0]) > 0.0)
+    times, spans = rows[kept, 0].tolist(), np.diff(rows[:, 0])[kept, None]
+    last = float(rows[-1, 0])
+
+    def evaluator(first: int) -> Evaluator:
+        p, v, a = (rows[:, first + 3 * k : first + 3 * k + 3] for k in range(3))
+        p0, v0, a0 = p[kept], v[kept] * spans, a[kept] * spans**2
+        p1, v1, a1 = p[kept + 1], v[kept + 1] * spans, a[kept + 1] * spans**2
+        way = p1 - p0
+        c3 = 10.0 * way - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1
+        c4 = -15.0 * way + 8.0 * v0 + 7.0 * v1 + 1.5 * a0 - a1
+        c5 = 6.0 * way - 3.0 * v0 - 3.0 * v1 - 0.5 * a0 + 0.5 * a1
+        coefficients = np.stack([p0, v0, 0.5 * a0, c3, c4, c5], axis=1)
+
+        def at(t: float) -> Sample:
+            if t >= last:
+                return p[-1], _NOTHING, _NOTHING
+            index = max(bisect_right(times, t) - 1, 0)
+            span = float(spans[index, 0])
+            s = max((t - times[index]) / span, 0.0)
+            b0, b1, b2, b3, b4, b5 = coefficients[index]
+            return (
+                b0 + s * (b1 + s * (b2 + s * (b3 + s * (b4 + s * b5)))),
+                (b1 + s * (2.0 * b2 + s * (3.0 * b3 + s * (4.0 * b4 + s * 5.0 * b5)))) / span,
+                (2.0 * b2 + s * (6.0 * b3 + s * (12.0 * b4 + s * 20.0 * b5))) / span**2,
+            )
+
+        return at
+
+    return evaluator(1), evaluator(10), bool(rows[:, 10:].any())
+
+
 def trajectory(reference: Reference) -> Trajectory:
-    """The motion a scenario asks for."""
+    """The motion a scenario asks for. Raises `ValueError` for one that was not prepared."""
+    if isinstance(reference, Prepared):
+        if reference.prepared is None:
+            raise ValueError(f"a reference of kind {reference.kind} is prepared by load_scenario")
+        return _Sampled(reference.prepared)
+    if isinstance(reference, Circle):
+        return _circle(reference)
+    if isinstance(reference, Lissajous):
+        return _lissajous(reference)
     if isinstance(reference, Hold):
         return _Hold()
     if isinstance(reference, Sine):

@@ -37,7 +37,7 @@ def drum_motion(
     wrench: Array,
     tension: Array,
     twist: tuple[Array, Array],
-    desired: tuple[Array, Array],
+    desired: tuple[Array, Array, Array, Array],
     radius: Array,
     axial_stiffness: Array,
     rate: Array,
@@ -45,9 +45,9 @@ def drum_motion(
     desired_acceleration: Array,
 ) -> bool:
     """Drum rates (n,) that follow the platform's ``twist`` at constant tension (eq. 1), and rates
-    and accelerations on the ``desired`` motion (velocity, acceleration), level. ``radius`` (n,) of
-    the drums, ``axial_stiffness`` (n,) of the cables. Whether the rates and the ``wrench`` are
-    numbers.
+    and accelerations on the ``desired`` motion (velocity, acceleration, angular velocity, angular
+    acceleration). ``radius`` (n,) of the drums, ``axial_stiffness`` (n,) of the cables. Whether the
+    rates and the ``wrench`` are numbers.
     """
     finite = True
     for row in range(6):
@@ -56,8 +56,8 @@ def drum_motion(
         following = wanted = bend = 0.0
         for row in range(3):
             following += matrix[row, i] * twist[0][row] + matrix[3 + row, i] * twist[1][row]
-            wanted += matrix[row, i] * desired[0][row]
-            bend += matrix[row, i] * desired[1][row]
+            wanted += matrix[row, i] * desired[0][row] + matrix[3 + row, i] * desired[2][row]
+            bend += matrix[row, i] * desired[1][row] + matrix[3 + row, i] * desired[3][row]
         rate[i] = following / (radius[i] * (1.0 + tension[i] / axial_stiffness[i]))
         desired_rate[i] = wanted / radius[i]
         desired_acceleration[i] = bend / radius[i]

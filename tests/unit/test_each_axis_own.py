@@ -63,7 +63,8 @@ def loop(robot: Robot, train: DriveTrain | None) -> Array:
 
 def motion(robot: Robot, _: DriveTrain | None) -> Array:
     rates = np.zeros((3, CABLES))
-    twist, desired = (drawn(1, 3), drawn(2, 3)), (drawn(3, 3), drawn(4, 3))
+    twist = drawn(1, 3), drawn(2, 3)
+    desired = drawn(3, 3), drawn(4, 3), drawn(6, 3), drawn(7, 3)
     tension = 50.0 + drawn(5)
     drum_motion(
         drawn(6, 6, CABLES), np.zeros(6), tension, twist, desired,

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from tonus.config import Config, Scenario
 from tonus.config.schema.lab import Load
 from tonus.config.schema.robot import Robot, Workspace
-from tonus.runtime.control.reference import trajectory
 from tonus.tools.check.feasibility import (
     TOLERANCE,
     Feasibility,
@@ -26,12 +25,13 @@ from tonus.tools.check.feasibility import (
     workspace_poses,
 )
 from tonus.tools.check.finding import Finding
+from tonus.tools.check.reference import first_failure, followed
 from tonus.tools.margins.tension_loop import robot_margins
 
 Array = NDArray[np.float64]
 
 SAMPLES = 401
-"""Of the reference, over the scenario's duration."""
+"""of the reference, that a load is put on"""
 _AFTER_ACTIVE_S = 0.5
 """s, so that devices that take their time to be enabled do not matter"""
 _DELAY_PERIODS = 3.0
@@ -152,23 +152,19 @@ def _places(robot: Robot) -> Iterator[Finding]:
 def scenario_rules(config: Config, scenario: Scenario) -> Iterator[Finding]:
     """The rules that judge a scenario on a robot."""
     robot = config.robot
-    follow = trajectory(scenario.reference)
-    times = np.linspace(0.0, scenario.duration, SAMPLES)
-    path = np.array(robot.home) + np.array([follow(float(t))[0] for t in times])
-    path = np.unique(np.vstack([np.array(robot.home), path]), axis=0)
-    outside = np.flatnonzero(~_inside(path, robot.workspace))
-    text = f"{scenario.name} stays inside the workspace"
-    if outside.size:
-        text = f"{scenario.name} leaves the workspace, at {_place(path[outside[0]])}"
+    way = followed(scenario)
+    failure = first_failure(config, way)
     yield Finding(
         "reference",
-        not outside.size,
+        not failure,
         f"scenario {scenario.name}: reference",
-        text,
-        "make the motion smaller, or robot.workspace larger",
+        f"{scenario.name} {failure or 'stays inside the workspace'}",
+        "make the motion smaller or slower",
     )
     if scenario.lab.load is not None:
-        yield _load(config, scenario, scenario.lab.load, path)
+        path = np.hstack([np.array(robot.home) + way.motion[:, 0], way.turning[:, 0]])
+        thinned = path[:: max(len(path) // SAMPLES, 1)]
+        yield _load(config, scenario, scenario.lab.load, np.unique(thinned, axis=0))
     if config.lab is not None:
         yield from _begins(config, scenario)
 
@@ -201,15 +197,16 @@ def _begins(config: Config, scenario: Scenario) -> Iterator[Finding]:
 
 
 def _load(config: Config, scenario: Scenario, load: Load, path: Array) -> Finding:
-    """Where the reference leads, and as far to either side as the load displaces the platform."""
+    """Where the reference leads, ``path`` (n, 6), and as far to either side as the load displaces
+    the platform."""
     robot, control = config.robot, config.control
     direction = np.array(load.direction) / np.linalg.norm(load.direction)
     forces = [point.force for point in load.profile]
     peak = max(forces, key=abs)
     stiffness = control.pid.stiffness if control.controller == "pid" else control.stiffness.base
     aside = abs(peak) / stiffness * direction
-    positions = np.vstack([path, path + aside, path - aside])
-    at = poses(robot.geometry, positions, np.zeros_like(positions))
+    positions = np.vstack([path[:, :3] + way for way in (np.zeros(3), aside, -aside)])
+    at = poses(robot.geometry, positions, np.tile(path[:, 3:], (3, 1)))
     extremes = np.outer([max(forces), min(forces)], direction)
     wrenches = against(robot.platform.mass * robot.gravity, extremes)
     wrenches[:, 3:] = -np.cross(load.point, extremes)
@@ -295,7 +292,3 @@ def _tension_loop(config: Config, at: Poses) -> Iterator[Finding]:
 def _whose(robot: Robot, worst: int) -> str:
     """The axes that are as the ``worst`` one."""
     return robot.whose(robot.kinds_of_axes[robot.drive_trains[worst]])
-
-
-def _place(position: Array) -> str:
-    return "({:+.3f}, {:+.3f}, {:+.3f}) m".format(*position)

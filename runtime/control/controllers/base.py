@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from tonus.runtime.control.stiffness import LawTerms
 
 Array = NDArray[np.float64]
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-"""The desired orientation, w x y z."""
+"""The desired orientation where a scenario commands none, w x y z."""
 NOTHING = np.zeros(3)
 _FEEDBACK = ("stiffness", "force", "wrench", "tensions")
 """methods that make a controller's feedback"""
@@ -52,6 +52,10 @@ class Motion:
     """(n,) m/s, rate at which they shorten"""
     push: Array
     """N, desired contact force of the scenario"""
+    desired_quaternion: Array = field(default_factory=lambda: LEVEL)
+    """(4,) w x y z, desired orientation; level, unless the scenario commands another"""
+    desired_angular_velocity: Array = field(default_factory=lambda: NOTHING)
+    """rad/s"""
 
     def __post_init__(self) -> None:
         self.error = self.desired_position - self.position
@@ -135,7 +139,7 @@ class Controller(ABC):
     def wrench(self, motion: Motion, stiffness: float) -> Array:
         """Wrench (6,) N and N m for the cables, at the permitted ``stiffness`` (N/m): `force`, the
         feed-forward of inertia, weight and desired contact force, and a rotational spring and
-        damper that keep the platform level."""
+        damper that keep the desired orientation."""
         forces = (self.force(motion, stiffness), self._weight, motion.push)
         return self._levelled(motion, forces, motion.desired_acceleration)
 
@@ -147,7 +151,11 @@ class Controller(ABC):
                 forces,
                 acceleration,
                 self._robot.platform.mass,
-                (motion.quaternion, motion.angular_velocity, LEVEL),
+                (
+                    motion.quaternion,
+                    motion.angular_velocity - motion.desired_angular_velocity,
+                    motion.desired_quaternion,
+                ),
                 self._rotational,
             )
         )

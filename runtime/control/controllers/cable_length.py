@@ -55,7 +55,7 @@ class PidLength(Controller):
 
     def tensions(self, motion: Motion, stiffness: float, centre: Array) -> Array:
         kinematics, gains = self._kinematics, self._gains
-        kinematics.evaluate(motion.desired_position, LEVEL)
+        kinematics.evaluate(motion.desired_position, motion.desired_quaternion)
         wrench = np.zeros(6)
         wrench[:3] = self._robot.platform.mass * motion.desired_acceleration + self._weight
         wrench[:3] += motion.push
