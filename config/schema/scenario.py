@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from tonus.config.schema.base import Direction, NonNegative, Positive, Section, Vector3
+from tonus.config.schema.expectation import Expectation
 from tonus.config.schema.fault_section import LONGEST_S
 from tonus.config.schema.lab import LabScript
 from tonus.config.schema.trajectory import Circle, Lissajous, Object, Table, Waypoints
@@ -109,6 +110,8 @@ class Scenario(Section):
     operator: tuple[Command, ...] = ()
     """commands of an operator, in the order of time; the run starts and stops by itself only after
     the last of them"""
+    expect: tuple[Expectation, ...] = ()
+    """what `tonus verify` judges the run by"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Scenario:

@@ -238,7 +238,7 @@ def test_a_reference_that_leaves_the_workspace_is_refused() -> None:
     data = SCENARIO.model_dump()
     data["lab"]["load"] = None
     data["reference"] = {
-        "kind": "sine", "direction": (0, 0, 1), "amplitude": 0.21, "frequency": 0.5, "fade": 0.0,
+        "kind": "sine", "direction": (0, 0, 1), "amplitude": 0.21, "frequency": 0.1, "fade": 0.0,
     }  # fmt: skip
     found = only(failed({}, Scenario.model_validate(data)), "reference")
     assert "leaves the workspace" in found.text
@@ -460,7 +460,7 @@ def test_names_in_a_file_start_from_that_file_wherever_one_is(
 def test_what_an_operator_may_choose_is_checked(own: Path) -> None:
     result = CliRunner().invoke(command, [str(own)])
     assert result.exit_code == 1, result.output
-    assert "far leaves the workspace" in result.output
+    assert "far moves at" in result.output
     assert "sine_z may be chosen" in result.output
     (own.parent / "operation/far.yaml").unlink()
     missing = CliRunner().invoke(command, [str(own)]).exception

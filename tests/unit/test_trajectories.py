@@ -225,10 +225,7 @@ IMPOSSIBLE: dict[str, tuple[dict[str, Any], str]] = {
     "turning too quickly": (_round(0.01, 0.1, turns=[QUICK]), "runs cable|accelerates cable"),
     "waypoint outside": (_to(0.4, 0.0, 0.0), "which ends at x = \\+0.250 m"),
     "waypoints too fast": (_to(0.2, 0.0, 0.0, speed=0.5), "faster than the envelope lets pass"),
-    "waypoints too hard": (
-        _to(0.1, 0.0, 0.0, acceleration=80.0, smoothing=0.001),
-        "accelerates cable|needs",
-    ),
+    "figure shaking": (_wave(0.0005, 65.0), "accelerates cable"),
     "waypoint tilted": (
         {**CORNER, "waypoints": [{"position": [0, 0, 0], "rotation": [0, 0.25, 0]}]},
         "more than robot.workspace.tilt_deg",

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config import Config, Scenario
+from tonus.config.schema.scenario import Reference
 from tonus.config.schema.trajectory import Prepared
 from tonus.config.trajectories.samples import unpacked
 from tonus.runtime.control.compiled import angular_velocity
@@ -17,7 +18,9 @@ from tonus.tools.check.feasibility import Poses, poses, reserves
 
 Array = NDArray[np.float64]
 _STEP_S = 0.01
-_MOST = 6001
+_IN_A_PERIOD = 20
+"""points in one period of the quickest sine, at least"""
+_MOST = 20001
 """points; of a longer scenario they lie further apart"""
 _BALANCED = 401
 """of these are looked at for tensions, the costly part, and all that accelerate most"""
@@ -47,7 +50,8 @@ class _Broken:
 def followed(scenario: Scenario) -> Followed:
     """The reference of a scenario over its duration."""
     follow = trajectory(scenario.reference)
-    count = min(max(int(scenario.duration / _STEP_S), 400) + 1, _MOST)
+    step = min(_STEP_S, 1.0 / (_IN_A_PERIOD * _quickest(scenario.reference)))
+    count = min(max(int(scenario.duration / step), 400) + 1, _MOST)
     times = np.linspace(0.0, scenario.duration, count)
     if isinstance(scenario.reference, Prepared) and scenario.reference.prepared is not None:
         # What is between two rows is largest at one of them or, of a short jolt, between them.
@@ -57,6 +61,14 @@ def followed(scenario: Scenario) -> Followed:
     motion = np.array([follow(float(t)) for t in times])
     turning = np.array([follow.rotation(float(t)) for t in times])
     return Followed(times, motion, turning)
+
+
+def _quickest(reference: Reference) -> float:
+    """Hz, of the sines in it; low where there is none."""
+    found = [getattr(reference, "frequency", 0.0)]
+    for name in ("components", "turns"):
+        found += [each.frequency for each in getattr(reference, name, ())]
+    return max(1.0, *found)
 
 
 def first_failure(config: Config, way: Followed) -> str:

@@ -24,6 +24,7 @@ COMMANDS = {
     "lab": "Start the lab by itself: drives, load cells and tracker.",
     "fault": "Inject a fault into a running lab.",
     "check": "Validate a configuration: bus load, workspace, margins.",
+    "verify": "Play scenarios with expectations, as acceptance tests.",
     "doctor": "Measure whether this host can keep the period.",
     "workspace": "Map where the robot holds which forces.",
     "tune": "Tune controllers, or design the tension loop.",

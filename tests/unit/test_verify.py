@@ -1,0 +1,114 @@
+"""`tonus verify`: a table of passed and failed, exit codes, JUnit."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from click.testing import CliRunner, Result
+
+from tonus.tools.cli.failures import explained
+from tonus.tools.cli.verify import verify
+
+GOOD: list[dict[str, Any]] = [
+    {"kind": "ends", "state": "STANDBY"},
+    {"kind": "never", "event": "cable_torn"},
+    {"kind": "summary", "key": "tracking_rmse_m", "at_most": 0.001},
+    {"kind": "rms", "topic": "truth", "field": "velocity", "during": ["ACTIVE"], "at_most": 0.2},
+]
+BAD: list[dict[str, Any]] = [
+    {"kind": "event", "event": "cable_torn"},
+    {"kind": "never", "event": "state"},
+    {"kind": "ends", "state": "FAULT"},
+    {"kind": "stays", "topic": "stiffness", "field": "k_eq", "low": 0.0, "high": 1.0},
+    {"kind": "rms", "topic": "truth", "field": "position", "at_most": 1e-6, "norm": True},
+    {"kind": "settles", "topic": "truth", "field": "position", "index": 2, "value": 1.0}
+    | {"band": 0.1, "within": 1.0},
+    {"kind": "summary", "key": "k_eq_n_per_m.max", "at_most": 1.0},
+]
+
+
+def scenario(folder: Path, name: str, expect: list[dict[str, Any]], **more: Any) -> str:
+    data = {
+        "name": name,
+        "description": "",
+        "duration": 0.5,
+        "reference": {"kind": "hold"},
+        "expect": expect,
+        **more,
+    }
+    path = folder / f"{name}.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return str(path)
+
+
+def carried_out(folder: Path, *words: str) -> Result:
+    own = ["--config", "config/direct.yaml", "--out", str(folder / "out")]
+    return CliRunner().invoke(verify, [*words, *own])
+
+
+def line(result: Result) -> str:
+    assert result.exception is not None
+    text, code = explained(result.exception)  # type: ignore[arg-type]
+    assert code == 2
+    return text
+
+
+def test_two_scenarios_on_two_processors(tmp_path: Path) -> None:
+    good, bad = scenario(tmp_path, "good", GOOD), scenario(tmp_path, "bad", BAD)
+    report = tmp_path / "report.xml"
+    result = carried_out(tmp_path, good, bad, "--jobs", "2", "--junit", str(report))
+    assert result.exit_code == 1, result.output
+    shown = result.output.splitlines()
+    assert shown[0] == f"passed  {good}"
+    at = shown.index(f"FAILED  {bad}")
+    assert all(each.startswith("  ok") for each in shown[1:at])
+    missed = shown[at + 1 : at + 1 + len(BAD)]
+    assert all(each.startswith("  FAILED") for each in missed), missed
+    assert shown[-1].startswith("config/direct.yaml: 1 of 2 failed")
+    suite = ET.parse(report).getroot()  # written by us
+    assert (suite.get("tests"), suite.get("failures")) == ("2", "1")
+    failure = suite.find("testcase/failure")
+    assert failure is not None
+    assert len((failure.text or "").splitlines()) == len(BAD)
+
+
+def test_the_shipped_acceptance_test_passes(tmp_path: Path) -> None:
+    result = carried_out(tmp_path, "acceptance")
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines()[-1].startswith("config/direct.yaml: all 1 passed")
+
+
+def test_a_warning_that_nobody_expects_fails(tmp_path: Path) -> None:
+    cut = {"lab": {"faults": [{"kind": "cable_cut", "axis": 2, "at": 5.0}]}, "duration": 2.0}
+    path = scenario(tmp_path, "cut", [{"kind": "ends", "state": "FAULT"}], **cut)
+    result = carried_out(tmp_path, path)
+    assert result.exit_code == 1
+    assert "FAILED  no other warning or error" in result.output
+
+
+@pytest.mark.parametrize(
+    ("expect", "more", "said"),
+    [
+        ([], {}, "expect: is missing"),
+        ([{"kind": "ends", "state": "LOST"}], {}, "expect.0.state"),
+        ([{**BAD[3], "low": 2.0}], {}, "low <= high must hold"),
+        (
+            GOOD,
+            {"reference": {"kind": "sine", "direction": [1, 0, 0], "amplitude": 0.4}
+             | {"frequency": 0.01, "fade": 0.0}, "duration": 30.0},
+            "leaves the workspace",
+        ),
+        ([{"kind": "stays", "topic": "pose", "field": "no", "low": 0, "high": 1}], {}, "no signal"),
+        ([{"kind": "summary", "key": "no", "at_most": 1}], {}, "summary.json has no no"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_judged_is_one_line(
+    tmp_path: Path, expect: list[dict[str, Any]], more: dict[str, Any], said: str
+) -> None:
+    text = line(carried_out(tmp_path, scenario(tmp_path, "own", expect, **more)))
+    assert said in text
+    assert "\n" not in text

@@ -1,0 +1,1 @@
+"""Acceptance tests: scenarios with expectations, played in virtual time and judged."""
