@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any
 
 import numpy as np
 
-from tonus.config.schema.controller import names_class
+from tonus.config.schema.outside import OutsideError, imported, names_object, registered
 from tonus.config.schema.trajectory import Object, Samples
 from tonus.config.trajectories.samples import TrajectoryError, splined
 
@@ -43,22 +41,11 @@ def sampled(reference: Object) -> Samples:
 
 
 def _class(name: str) -> Any:
-    place = name
-    if not names_class(name):
-        found = sorted({each.value for each in entry_points(group=ENTRY_POINTS, name=name)})
-        if len(found) != 1:
-            known = sorted({each.name for each in entry_points(group=ENTRY_POINTS)})
-            problem = f"{name} is registered {len(found)} times in {ENTRY_POINTS}"
-            remedy = f"write package.module:Class, or one of: {', '.join(known) or 'none is there'}"
-            raise TrajectoryError("name", problem, remedy)
-        place = found[0]
-    module, _, path = place.partition(":")
     try:
-        there: Any = import_module(module)
-        for part in path.split("."):
-            there = getattr(there, part)
-    except Exception as error:  # whatever a module of somebody else's raises
-        problem = f"{name} cannot be imported: {type(error).__name__}: {error}"
+        return imported(ENTRY_POINTS, name)
+    except OutsideError as error:
         remedy = "put its folder on PYTHONPATH, or install its distribution"
-        raise TrajectoryError("name", problem, remedy) from error
-    return there
+        if not names_object(name):
+            known = ", ".join(registered(ENTRY_POINTS)) or "none is there"
+            remedy = f"write package.module:Class, or one of: {known}"
+        raise TrajectoryError("name", f"{name}: {error}", remedy) from error
