@@ -10,14 +10,6 @@ from pathlib import Path
 
 from tonus.config.loader import HERE
 
-QUICK = {
-    "control.sequence.tare_s": 0.05,
-    "control.sequence.referencing_settle_s": 0.6,
-    "control.sequence.referencing_average_s": 0.25,
-    "control.sequence.pretension_s": 0.4,
-    "control.sequence.lift_s": 1.0,
-}
-
 
 def pytest_in(folder: Path, *words: str, python: str | None = None) -> tuple[str, int]:
     """What pytest prints in a folder, and its exit code; ``python`` of another environment, where

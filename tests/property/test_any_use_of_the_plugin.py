@@ -20,8 +20,8 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
+from loop import QUICK
 
-from tests.foreign import QUICK
 from tonus.config.loader import load_scenario
 from tonus.config.schema.scenario import Command
 from tonus.tools.testing.case import Case

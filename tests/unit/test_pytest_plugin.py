@@ -11,8 +11,9 @@ from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 import pytest
+from loop import QUICK
 
-from tests.foreign import QUICK, pytest_in
+from tests.foreign import pytest_in
 from tonus.runtime.signals import SCHEMA_VERSION
 from tonus.tools.expect import Run
 from tonus.tools.log import open as open_log
