@@ -61,11 +61,29 @@ def timed(reference: Waypoints) -> Samples:
     if not pieces:
         problem = "all waypoints are home"
         raise TrajectoryError("waypoints", problem, "give one that is not")
-    position, rate = _motion(pieces, reference.speed, reference.acceleration)
-    rows = _smoothed(position, rate, reference.smoothing)
+    # Each stretch by itself, so that a waypoint to stop at is reached and not only passed near by.
+    ends = [0, *(number + 1 for number, piece in enumerate(pieces) if piece.stop)]
+    stretches = []
+    for first, end in pairwise(ends):
+        moved = _motion(pieces[first:end], reference.speed, reference.acceleration)
+        stretches.append(_smoothed(*moved, reference.smoothing))
+    rows = _joined(stretches)
     for each in rows[1:]:
         each[:, 3:] /= scale
-    return packed(*rows)
+    times, pose, velocity, bend = rows
+    return packed(times, pose, velocity, bend)
+
+
+def _joined(stretches: list[tuple[Array, Array, Array, Array]]) -> tuple[Array, ...]:
+    """One after the other; each begins where, and as, the one before it ends."""
+    begins = np.cumsum([0.0, *(float(times[-1]) for times, *_ in stretches)])
+    later = [
+        (times + begin, *rest) for begin, (times, *rest) in zip(begins, stretches, strict=False)
+    ]
+    return tuple(
+        np.concatenate([part[1:] if number else part for number, part in enumerate(parts)])
+        for parts in zip(*later, strict=True)
+    )
 
 
 def _pieces(reference: Waypoints, scale: float) -> list[_Piece]:
