@@ -189,7 +189,7 @@ def test_a_wrong_table_is_one_line(tmp_path: Path, text: str, said: str) -> None
     [
         ("tests.unit.own_trajectories:Broken", "gives at 0.510 s no 3 or 6 finite numbers"),
         ("no_such_module:Class", "cannot be imported"),
-        ("unregistered", "is registered 0 times"),
+        ("unregistered", "not installed"),
     ],
 )
 def test_a_wrong_object_is_one_line(tmp_path: Path, name: str, said: str) -> None:

@@ -20,8 +20,7 @@ _SUFFIX = ".template"
 def write_project(folder: Path, like: str) -> list[Path]:
     """Write a project whose robot is like the shipped configuration ``like`` to a folder that is
     new or empty; gives its files, the README first. Raises `ToolError` and `ConfigError`."""
-    make_folder(folder, "choose another folder")
-    if any(folder.iterdir()):
+    if folder.is_dir() and any(folder.iterdir()):
         raise ToolError(f"{folder}: is not empty; name a new folder")
     robot = write_configuration(folder / ROBOT, like)
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", folder.resolve().name) or "robot"
