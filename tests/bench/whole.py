@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import tempfile
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tests.bench.measure import Figure
 from tonus.config import load
+from tonus.runtime.states import Operator
+from tonus.runtime.timing.clock import wall_seconds
 from tonus.tools.run.composer import Order, run
+from tonus.tools.run.held import HeldRobot
 
 SECONDS = 10.0
+ROUNDS = 3
 OVERRIDES: dict[str, Any] = {}
 """of the configuration: none"""
 
@@ -23,7 +28,30 @@ def whole() -> list[Figure]:
         can,
         replace(_virtual("config/ethercat.yaml"), peer="on CAN", peer_value=can.value),
         _virtual("config/direct.yaml"),
+        _held("config/can.yaml"),
     ]
+
+
+def _held(path: str) -> Figure:
+    """What a test of one second costs from a robot that is held already, beside one from OFF."""
+    config, scenario = load(path, "hold", OVERRIDES)
+    scenario = scenario.model_copy(update={"duration": 1.0})
+    with tempfile.TemporaryDirectory() as folder:
+        began = wall_seconds()
+        run(Order(config, scenario, Path(folder, "whole"), 1, True, lambda _: None, live=False))
+        whole_s = wall_seconds() - began
+        with closing(HeldRobot(config, scenario)) as robot:
+            held_s = min(_second(robot, Path(folder, str(number))) for number in range(ROUNDS))
+    name = f"a test of one second, {path}, from a held robot"
+    return Figure(name, held_s, "s", "from OFF to STANDBY", whole_s, "recording included")
+
+
+def _second(robot: HeldRobot, out: Path) -> float:
+    began = wall_seconds()
+    with robot.operated(out) as run:
+        run.command(Operator.START)
+        run.advance(1.0)
+    return wall_seconds() - began
 
 
 def _virtual(path: str) -> Figure:
