@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,7 +20,6 @@ from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import Fault, Operator, State
 from tonus.runtime.timing import clock
-from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.lab.engine import Lab
 from tonus.sim.lab.truth import truth_dtype
 from tonus.tools.campaign.episode import Episode
@@ -29,6 +27,7 @@ from tonus.tools.campaign.observed import FAULTED, GOOD, End, Observed
 from tonus.tools.campaign.strikes import strikes
 from tonus.tools.log.log import Event
 from tonus.tools.run import fieldbuses
+from tonus.tools.run.turning import TurningPacing
 
 
 class Rows:
@@ -79,15 +78,6 @@ class Turn(Protocol):
     """Asked before each tick of a run that others may be forked from."""
 
     def __call__(self, playing: Playing) -> None: ...
-
-
-class _Turning(VirtualPacing):
-    def __init__(self, turn: Callable[[], None]) -> None:
-        self._turn = turn
-
-    async def until(self, due_ns: int) -> None:
-        self._turn()
-        await super().until(due_ns)
 
 
 class Playing:
@@ -169,7 +159,7 @@ class Playing:
                 events=self._event,
                 stopwatch=clock.Stopwatch(running=False),
             )
-            pacing = fieldbuses.steering(config, fieldbus, lambda: _Turning(self._before_tick))
+            pacing = fieldbuses.steering(config, fieldbus, lambda: TurningPacing(self._before_tick))
             return await daemon.run(pacing, lambda _: None, lambda: None)
         finally:
             lab.close()

@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
 
@@ -24,7 +23,6 @@ from tonus.runtime.recording.recorder import Recorder
 from tonus.runtime.recording.viewer import Scene
 from tonus.runtime.states import State
 from tonus.runtime.timing import clock
-from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.errors import LabError
 from tonus.sim.lab.engine import Lab
 from tonus.tools.errors import ToolError
@@ -40,18 +38,10 @@ from tonus.tools.run.provenance import SCRIPT_START
 from tonus.tools.run.ring_directory import ring_directory
 from tonus.tools.run.rings import Rings
 from tonus.tools.run.run_folder import LOG, RunFolder
+from tonus.tools.run.turning import TurningPacing
 
 _WITHIN_S = 60.0
 """s of robot time to bring the robot up"""
-
-
-class _Turning(VirtualPacing):
-    def __init__(self, turn: Callable[[], None]) -> None:
-        self._turn = turn
-
-    async def until(self, due_ns: int) -> None:
-        self._turn()
-        await super().until(due_ns)
 
 
 class HeldProcess:
@@ -120,7 +110,7 @@ class HeldProcess:
         )
         # From the start on, as in any run: a timer more may change the order of others due with it.
         every(DRAIN_S, self._drain)
-        pacing = fieldbuses.steering(config, fieldbus, lambda: _Turning(self._before_tick))
+        pacing = fieldbuses.steering(config, fieldbus, lambda: TurningPacing(self._before_tick))
         return await daemon.run(pacing, lambda _: None, lambda: None)
 
     def _drain(self) -> None:
