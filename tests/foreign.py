@@ -10,6 +10,9 @@ from pathlib import Path
 
 from tonus.config.loader import HERE
 
+EDITABLE = ["-W", "ignore:Module already imported so cannot be rewritten"]
+"""for pytest where Tonus is installed as editable: of the hook that such an installation imports"""
+
 
 def pytest_in(folder: Path, *words: str, python: str | None = None) -> tuple[str, int]:
     """What pytest prints in a folder, and its exit code; ``python`` of another environment, where
@@ -17,6 +20,7 @@ def pytest_in(folder: Path, *words: str, python: str | None = None) -> tuple[str
     bare = {name: value for name, value in os.environ.items() if not name.startswith("PY")}
     command = [python or sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
     if python is None:
+        command += EDITABLE
         bare["PYTHONPATH"] = str(HERE.parent)
         # An environment made before the plugin was there does not know of it.
         if not any(each.name == "tonus" for each in entry_points(group="pytest11")):

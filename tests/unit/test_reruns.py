@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests import stalls
+from tests.foreign import EDITABLE
 from tests.stalls import Stall, Watch
 from tonus.runtime.timing import clock
 
@@ -67,7 +68,8 @@ def played(pytester: pytest.Pytester, module: str) -> pytest.RunResult:
     pytester.makeini(INI)
     pytester.makeconftest((Path(__file__).parents[1] / "conftest.py").read_text())
     pytester.makepyfile(module)
-    return pytester.runpytest_inprocess("-p", "no:cacheprovider", "--rerun-show-tracebacks")
+    options = ["-p", "no:cacheprovider", "--rerun-show-tracebacks", *EDITABLE]
+    return pytester.runpytest_inprocess(*options)
 
 
 @pytest.mark.parametrize(

@@ -178,7 +178,7 @@ def test_an_edit_of_a_line_that_is_not_there_is_found() -> None:
 
 
 def test_every_page_of_the_tutorials_is_played() -> None:
-    of_yours = {f"your_{each}" for each in ("robot", "drive", "controller", "hil_test", "log")}
-    assert {page.stem for page in TUTORIALS} == {"first_run"} | of_yours
+    brought = ("robot", "drive", "fieldbus", "controller", "hil_test", "log")
+    assert {page.stem for page in TUTORIALS} == {"first_run", *(f"your_{each}" for each in brought)}
     for page in TUTORIALS:
         assert any(isinstance(step, Command) for step in steps(page))
