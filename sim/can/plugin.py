@@ -257,9 +257,10 @@ class LocalBus(TonusBus):
         return None
 
     def _take(self, limit: int) -> NDArray[np.void]:
+        # Even if something is there already: another fieldbus may have moved the lab on, in
+        # mid-tick, to the first of several answers.
+        self._lab.advance(self._clock())
         received = self._received
-        if not received:
-            self._lab.advance(self._clock())
         pack, take, port = packet.FRAME.pack, received.popleft, self._port
         count = min(limit, len(received))
         if count == 1:

@@ -268,21 +268,8 @@ def test_what_is_no_registration_is_refused(mine: Mine) -> None:
 
 # -- the contract ---------------------------------------------------------------------------------
 
-_CELLS_LATE = pytest.mark.xfail(
-    strict=True, reason="with EtherCAT beside it, CAN's cells that answer late are read a tick late"
-)
 
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "can",
-        "direct",
-        "ethercat",
-        pytest.param("mixed", marks=_CELLS_LATE),
-        "mixed_drives_ethercat",
-    ],
-)
+@pytest.mark.parametrize("name", ["can", "direct", "ethercat", "mixed", "mixed_drives_ethercat"])
 def test_every_shipped_kind_keeps_the_contract(name: str) -> None:
     assert violations(load(f"config/{name}.yaml")[0]) == []
 
