@@ -201,6 +201,7 @@ class _Running:
         self._began_ns = clock.now_ns()
         self._wall = clock.wall_seconds()
         self._cleanup = ExitStack()
+        assert request.out is not None, "a run that begins has a folder"
         make_folder(request.out)
         folder = RunFolder(request.out, link=False)
         rings = self._cleanup.enter_context(ring_directory(lambda _: None))

@@ -46,7 +46,8 @@ class Seen:
 @dataclass(frozen=True)
 class Request:
     kind: Literal["play", "operate", "advance", "inject", "command", "finish", "end", "close"]
-    out: Path = Path()
+    out: Path | None = None
+    """folder of the run, for one that begins"""
     scenario: Scenario | None = None
     ticks: int = 0
     fault: Fault | None = None
