@@ -18,6 +18,7 @@ from tonus.config.schema.scenario import Scenario
 from tonus.drivers.fieldbus import Fieldbus, Progress
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.operation.operator import Commander
+from tonus.runtime.operation.orders import Orders
 from tonus.runtime.operation.reporter import EventSink, Reporter
 from tonus.runtime.operation.self_test import SelfTest
 from tonus.runtime.ports import Ring, TrackerDoor
@@ -98,12 +99,11 @@ class Daemon:
         self._due_ns = self._after_ns = self._ticks = 0
         self._overruns = Overruns(config.realtime)
         self.latencies = Latencies()
-        self._recovery: asyncio.Task[None] | None = None
-        self._refused = ""
-        self._select = 0
         self._halted = False
         """while the bus was brought up"""
-        self._who = self._resetting_for = ""
+        self._orders = Orders(
+            commander, self.cycle.sequence, self.self_test, self._overruns, fieldbus, self._emit
+        )
 
     def go_on(self, duration: float) -> None:
         """Between two ticks: what is recorded from here on is a run of its own, whose scenario
@@ -141,7 +141,7 @@ class Daemon:
                     await self._tick_until_done(scheduler)
                 finally:
                     scheduler.close()
-                    self._give_up_recovery()
+                    self._orders.give_up_recovery()
         finally:
             await self._fieldbus.stop()
             sys.stderr.write(self.firewall.tracebacks())
@@ -211,7 +211,7 @@ class Daemon:
     def _halt(self, starting: asyncio.Task[Any]) -> None:
         guard, sequence = self._guard, self.cycle.sequence
         command = guard.commander(self._commander.next, sequence)
-        self._who = self._commander.who
+        self._orders.who = self._commander.who
         if command is Operator.ESTOP:
             sequence.stop_before_ticks()
         self._report(0, command or Operator.NONE)
@@ -250,7 +250,7 @@ class Daemon:
         fieldbus.collect(tick)
         self._collect_tracker()
         collected = wall()
-        command, select = self._command(tick, scheduler), self._select
+        command, select = self._command(tick, scheduler), self._orders.select
         self._act(tick, command, select)
         computed = wall()
         fieldbus.publish(tick)
@@ -312,7 +312,7 @@ class Daemon:
     @property
     def recovering(self) -> bool:
         """A reset waits for devices that are being brought back."""
-        return self._recovery is not None
+        return self._orders.recovering
 
     def note(self, level: Level, name: str, text: str) -> None:
         """An event of those who operate the daemon."""
@@ -321,77 +321,17 @@ class Daemon:
     def _command(self, tick: int, scheduler: Scheduler) -> Operator:
         """This tick's command; a controlled stop where what gives commands keeps failing."""
         part = self._guard.commander
-        command = part(self._decide, tick, scheduler)
+        command = part(self._orders.next, tick, scheduler)
         if command is not None:
             return command
-        self._who, state = "", self.cycle.sequence.state
+        self._orders.who, state = "", self.cycle.sequence.state
         stop = part.failing and state in ARMED and state is not State.SAFE_STOP
         return Operator.STOP if stop else Operator.NONE
-
-    def _decide(self, tick: int, scheduler: Scheduler) -> Operator:
-        """What the operator says, or the overrun policy in their place."""
-        self._select = 0
-        said = self._operator(tick)
-        self._select = self._commander.select
-        if not scheduler.skipped:
-            return said
-        command = self._overruns.answer(scheduler.skipped, self.cycle.sequence.state, said)
-        if command is not said:
-            misses = scheduler.misses
-            text = (
-                f"{scheduler.skipped} ticks missed at once ({misses.own} own so far, "
-                f"{misses.host} by the host); realtime.overrun: {command.name.lower()}"
-            )
-            self._emit(tick, Level.WARNING, "overrun", "scheduler", text)
-        return command
-
-    def _operator(self, tick: int) -> Operator:
-        """What the operator says. Arming needs a good self-test. A reset in FAULT waits, while
-        ticks go on, until the bus has brought back what it can; an emergency stop ends that wait
-        and the reset with it."""
-        command = self._commander.next(self.cycle.sequence)
-        self._who = self._commander.who
-        if command is Operator.ARM and self.cycle.sequence.state is State.STANDBY:
-            obstacles = self.self_test.obstacles(tick)
-            if obstacles:
-                self._refuse(tick, "; ".join(obstacles))
-                return Operator.NONE
-            self._refused = ""
-        if self._recovery is None:
-            if command is not Operator.RESET or self.cycle.sequence.state is not State.FAULT:
-                return command
-            self._resetting_for = self._commander.who
-            loop = asyncio.get_running_loop()
-            self._recovery = loop.create_task(self._fieldbus.recover())
-            return Operator.NONE
-        if command is Operator.ESTOP:
-            self._give_up_recovery()
-            return command
-        if not self._recovery.done():
-            return Operator.NONE
-        recovery, self._recovery = self._recovery, None
-        recovery.result()
-        self._who = self._resetting_for
-        return Operator.RESET
-
-    def _refuse(self, tick: int, reason: str) -> None:
-        """Whoever asks again for the same reason is answered, and the log spared."""
-        self._commander.refused(reason)
-        if reason != self._refused:
-            self._refused = reason
-            who = self._commander.who
-            text = f"arm{f' by {who}' if who else ''}: {reason}"
-            self._emit(tick, Level.WARNING, "refused", "", text)
-
-    def _give_up_recovery(self) -> None:
-        if self._recovery is not None:
-            self._recovery.cancel()
-            self._recovery = None
 
     def _report(self, tick: int, command: Operator) -> None:
         """Events, in the ticks where there are any."""
         if command is not Operator.NONE:
-            who = self._who
+            who = self._orders.who
             text = f"{command.name.lower()}{f' by {who}' if who else ''}"
             self._emit(tick, Level.INFO, "operator", "", text)
         guard = self._guard
