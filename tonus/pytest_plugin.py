@@ -7,6 +7,7 @@ what stands behind a fixture, `tonus.tools.testing`, comes with the fixture's fi
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -104,10 +105,17 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
     """A warning or an error that nobody expected fails the test that passed until now."""
-    result = yield
     __tracebackhide__ = True
+    try:
+        result = yield
+    except BaseException:
+        with suppress(Exception):  # the test's own error is the one to be told
+            if _CASE in item.stash:
+                item.stash[_CASE].end_runs()
+        raise
     case = item.stash.get(_CASE, None)
     if case is not None:
+        case.end_runs()
         case.undisturbed([n for mark in item.iter_markers("tonus_expect") for n in mark.args])
     return result
 

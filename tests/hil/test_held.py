@@ -187,3 +187,11 @@ def test_a_scenario_played_from_hold_is_judged_as_one_from_off(tonus_held: HeldF
     run = tonus_held.play("hold", faults=[fault], duration=0.5)
     run.expect("drive_lost", where="can1/3", within=0.05)
     run.invariants(replayed=True)
+
+
+def test_a_time_that_cannot_pass_is_refused(robot: HeldRobot, tmp_path: Path) -> None:
+    with robot.operated(tmp_path) as run:
+        for seconds in (-0.005, float("nan"), float("inf")):
+            with pytest.raises(ToolError, match="is not possible"):
+                run.advance(seconds)
+        assert run.advance(0.0).time == 0.0

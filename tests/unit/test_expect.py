@@ -259,3 +259,11 @@ def test_the_rms_of_a_signal() -> None:
     assert signal(values[:, 0]).rms(about=1.0) == pytest.approx(2.0)
     told, _ = figure(lambda: signal(values).rms(at_most=4.9))
     assert told == "s has an RMS of 5 N, more than 4.9; largest at 0.000 s"
+
+
+@pytest.mark.parametrize("ask", ["expect", "never", "allow"])
+def test_a_misspelt_event_is_refused(ask: str, run: Run) -> None:
+    """`never` would be met for ever."""
+    with pytest.raises(ToolError, match=r"no event is named drive_lots; did you mean drive_lost\?"):
+        getattr(run, ask)("drive_lots")
+    run.never("drive_lo?t")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tonus.config.schema.bus import SHIPPED
 from tonus.config.schema.faults import Fault
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.signals import TABLE
@@ -21,6 +22,7 @@ from tonus.tools.campaign.strikes import NS, Strike, strikes
 from tonus.tools.errors import ToolError
 from tonus.tools.expect.failure import ExpectationError
 from tonus.tools.expect.found import Found
+from tonus.tools.expect.names import need_known
 from tonus.tools.expect.signal import Signal
 from tonus.tools.expect.timeline import Timeline
 from tonus.tools.log.log import Event, Log
@@ -36,7 +38,8 @@ Injected = tuple[int, Fault]
 
 class Run:
     """Questions over one log. A question whose answer is not the expected one raises
-    `ExpectationError`; one that the log cannot answer, `ToolError`.
+    `ExpectationError`; one that the log cannot answer, and one for an event that there is none of,
+    `ToolError`.
 
     ``reason`` is the daemon's own word for the end, where it is known; ``injected`` are the faults
     that a test gave to the lab beside those of the scenario. Times are s since the log's first
@@ -102,6 +105,7 @@ class Run:
         `Found.after` is measured from it, or from the first fault. The event's name is expected
         from then on: `unexpected` leaves it out.
         """
+        self._need_named(event)
         self._expected.add(event)
         struck = self.timeline.seconds(self.faults[0].at_ns) if self.faults else 0.0
         since = after if after is not None else struck
@@ -126,6 +130,7 @@ class Run:
     def never(self, event: str, *, where: str = "") -> None:
         """No event of this name (``*`` and ``?`` as in file names) whose place or text has
         the words ``where``."""
+        self._need_named(event)
         for each in self._named(event, where):
             time = self.timeline.seconds(each.time_ns)
             raise self.failure(f"{each.name} happened at {time:.3f} s, {each.where}", time)
@@ -133,6 +138,8 @@ class Run:
     def allow(self, *events: str) -> None:
         """Let `unexpected` leave out events of these names (``*`` and ``?`` as in file names),
         whether they happen or not."""
+        for event in events:
+            self._need_named(event)
         self._expected.update(events)
 
     def unexpected(self, expected: Iterable[str] = ()) -> list[Event]:
@@ -177,8 +184,9 @@ class Run:
         `ToolError` for a log without truth."""
         found = within_bounds(replace(self._observed, strikes=self.faults))
         if found:
-            first = self.timeline.seconds(round(found[0].at_s * NS))
-            raise self.failure("; ".join(map(str, found)), first)
+            times = [self.timeline.seconds(round(each.at_s * NS)) for each in found]
+            told = [replace(each, at_s=time) for each, time in zip(found, times, strict=True)]
+            raise self.failure("; ".join(map(str, told)), times[0])
         if replayed:
             self.replays()
 
@@ -208,6 +216,13 @@ class Run:
     @cached_property
     def _observed(self) -> Observed:
         return of_log(self.log)
+
+    def _need_named(self, event: str) -> None:
+        """Raises `ToolError` for a name that neither Tonus nor a fieldbus of somebody else has."""
+        if any(each.name == event for each in self.events):
+            return
+        if all(bus.kind in SHIPPED for bus in configuration(self.log).fieldbus.parts):
+            need_known(event)
 
     def _named(self, name: str, where: str) -> list[Event]:
         return [

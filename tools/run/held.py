@@ -7,6 +7,7 @@ been brought up for it; its log begins with a keyframe, and replays from there.
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator
@@ -122,8 +123,11 @@ class HeldRun:
         """once it has ended"""
 
     def advance(self, seconds: float) -> Seen:
-        """So much robot time, in whole ticks. Less where the run ends before."""
+        """So much robot time, in whole ticks. Less where the run ends before. Raises
+        `ToolError`."""
         self._need()
+        if not 0.0 <= seconds < math.inf:
+            raise ToolError(f"advance: {seconds:g} s is not possible; choose a time from 0 on")
         answer = self._ask(Request("advance", ticks=round(seconds / self._period)))
         if isinstance(answer, Seen):
             self.seen = answer

@@ -8,7 +8,7 @@ import re
 import shlex
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from operator import methodcaller
 from pathlib import Path
@@ -63,6 +63,8 @@ class Case:
         """s of wall time"""
         self._measures: list[Measure] = []
         self._kept: list[tuple[str, Path]] = []
+        self.open: list[Callable[[], object]] = []
+        """each ends a run that the test has not ended itself"""
         self.closing = ExitStack()
         """what ends with the test"""
         place = _IN_MEMORY if os.access(_IN_MEMORY, os.W_OK) else None
@@ -128,6 +130,11 @@ class Case:
         self._measures.append(Measure(name, value, unit, at_most))
         if at_most is not None and not value <= at_most:
             raise AssertionError(f"{name} is {value:g} {unit}, and at most {at_most:g} is allowed")
+
+    def end_runs(self) -> None:
+        """End what the test left running, so that it is judged, and kept if it failed."""
+        while self.open:
+            self.open.pop()()
 
     def undisturbed(self, expected: Sequence[str]) -> None:
         """No run reported a warning or error that is not expected. Raises `ExpectationError`."""

@@ -56,7 +56,7 @@ class HeldFactory:
         case.bring_up_s += clock.wall_seconds() - began
         run = case.closing.enter_context(robot.operated(case.folder()))
         held = Held(case, run)
-        case.closing.callback(held.end)
+        case.open.append(held.end)
         return held
 
     def play(
