@@ -61,6 +61,18 @@ def test_a_warning_that_nobody_expected(tonus_run):
     tonus_run("hold", faults=[{"kind": "tracker_hidden", "at": 0.0}], **SHORT)
 
 
+def test_a_held_run_that_its_test_did_not_end(tonus_held):
+    robot = tonus_held()
+    robot.advance(20)
+    assert robot.state == "ACTIVE"
+
+
+def test_a_held_run_that_nobody_asked(tonus_held):
+    robot = tonus_held()
+    robot.fault("cable_cut", axis=2)
+    robot.advance(20)
+
+
 @pytest.mark.tonus_seeds(2)
 def test_seeds(tonus_lab, tonus_seed):
     assert tonus_lab.seed == tonus_seed
@@ -155,6 +167,7 @@ def session(project: Path) -> Session:
 def test_what_should_pass_passes_and_nothing_else(session: Session) -> None:
     bad = {
         *("test_a_figure_out_of_bounds", "test_a_warning_that_nobody_expected"),
+        *("test_a_held_run_that_its_test_did_not_end", "test_a_held_run_that_nobody_asked"),
         *("test_needs_what_is_unknown", "test_a_mark_that_is_misspelt", "test_a_bound"),
     }
     failed = {
@@ -225,6 +238,13 @@ def test_a_warning_fails_in_the_call_phase(session: Session) -> None:
     case = session.cases["test_a_warning_that_nobody_expected"]
     assert case.find("error") is None
     assert "tracker_lost" in session.failure(case.attrib["name"])
+
+
+def test_a_held_run_is_kept_and_judged_at_the_end_of_its_test(session: Session) -> None:
+    text = session.failure("test_a_held_run_that_its_test_did_not_end")
+    assert "run.mcap" in text
+    assert "the last events:" in text
+    assert "cable_torn" in session.failure("test_a_held_run_that_nobody_asked")
 
 
 def test_mistakes_in_marks_are_one_line(session: Session) -> None:
