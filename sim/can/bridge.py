@@ -75,15 +75,15 @@ class Bridge:
         received = self._port.received
         assert received is not None
         while received:
-            frame = received.popleft()
-            if frame.identifier & ERROR:
+            _, identifier, dlc, _, data = received.pop()
+            if identifier & ERROR:
                 continue  # each side has errors of its own
             message = can.Message(
-                arbitration_id=frame.identifier & EXTENDED_ID,
-                is_extended_id=bool(frame.identifier & EXTENDED),
-                is_remote_frame=bool(frame.identifier & REMOTE),
-                dlc=frame.dlc,
-                data=frame.data,
+                arbitration_id=identifier & EXTENDED_ID,
+                is_extended_id=bool(identifier & EXTENDED),
+                is_remote_frame=bool(identifier & REMOTE),
+                dlc=dlc,
+                data=data,
             )
             try:
                 self._bus.send(message)

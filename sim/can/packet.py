@@ -8,30 +8,12 @@ flags of `tonus.sim.can.wire.frame` (u32), DLC (u8), 1 where a client gets back 
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
+from tonus.sim.can.wire.frame import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE
+from tonus.sim.can.wire.inbox import FRAME
 
-from tonus.sim.can.wire.frame import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE, Frame
-
-if TYPE_CHECKING:
-    from tonus.sim.can.wire.channel import Port
-
-FRAME = struct.Struct("<QIBB2x8s")
-FRAMES = np.dtype(
-    [
-        ("stamp_ns", "<i8"),
-        ("identifier", "<u4"),
-        ("dlc", "u1"),
-        ("own", "u1"),
-        ("padding", "<u2"),
-        ("data", "<i8"),  # the eight bytes
-    ]
-)
-"""`FRAME` again, for many at once."""
 _FLAGS_AT = 8 + 3
 """the highest byte of the identifier"""
 ECHO = ERROR
@@ -42,14 +24,6 @@ PACKET_BYTES = FRAMES_PER_PACKET * FRAME.size
 def socket_path(directory: Path, channel: str) -> Path:
     """A channel's socket in the directory of its lab."""
     return directory / f"{channel}.sock"
-
-
-def encode(frames: Iterable[Frame], port: Port) -> bytes:
-    """At most `FRAMES_PER_PACKET` frames for a client as one packet."""
-    pack = FRAME.pack
-    return b"".join(
-        [pack(f.stamp_ns, f.identifier, f.dlc, f.sender is port, f.data) for f in frames]
-    )
 
 
 RawFrame = tuple[int, int, int, bool, bytes]

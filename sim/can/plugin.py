@@ -38,6 +38,7 @@ from tonus.sim.can.wire.frame import (
     Frame,
     arbitration_key,
 )
+from tonus.sim.can.wire.inbox import FRAME, FRAMES
 
 _SEND_BUFFER = 16384
 """Bytes a socket holds of frames the lab has not taken yet: some forty, the host counts its own
@@ -80,7 +81,7 @@ class TonusBus(can.BusABC):
 
     def receive_frames(self, limit: int) -> NDArray[np.void]:
         """Everything that has arrived, without waiting, oldest first, ``limit`` frames at most:
-        (n,) of `packet.FRAMES`."""
+        (n,) of `FRAMES`."""
         frames = self._take(limit)
         if self._filters is None and self._error_frames:
             return frames
@@ -168,7 +169,7 @@ class LocalBus(TonusBus):
         self._port.echo = self._echo
         self._port.reports = self._error_frames
         assert self._port.received is not None
-        self._received: deque[Frame] = self._port.received
+        self._received = self._port.received
         self._keys: dict[int, int] = {}
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -242,11 +243,7 @@ class LocalBus(TonusBus):
                 self._lab.advance(self._clock())
                 if not received:
                     break
-            frame = received.popleft()
-            own = frame.sender is self._port
-            message = _message(
-                frame.stamp_ns, frame.identifier, frame.dlc, own, frame.data, self._name
-            )
+            message = _message(*received.pop(), self._name)
             if self._wanted(message):
                 return message
         if timeout is None or timeout > 0:
@@ -260,15 +257,7 @@ class LocalBus(TonusBus):
         # Even if something is there already: another fieldbus may have moved the lab on, in
         # mid-tick, to the first of several answers.
         self._lab.advance(self._clock())
-        received = self._received
-        pack, take, port = packet.FRAME.pack, received.popleft, self._port
-        count = min(limit, len(received))
-        if count == 1:
-            f = take()
-            data = pack(f.stamp_ns, f.identifier, f.dlc, f.sender is port, f.data)
-        else:
-            data = packet.encode([take() for _ in range(count)], port)
-        return np.frombuffer(data, packet.FRAMES)
+        return self._received.take(limit)
 
     def flush_tx_buffer(self) -> None:
         self._port.channel.drop(self._port)
@@ -305,7 +294,7 @@ class SocketBus(TonusBus):
         """frames beyond the limit of a `receive_frames`"""
         self._state = ErrorState.ACTIVE
         if self._echo:
-            self._socket.send(packet.FRAME.pack(0, packet.ECHO, 1, 0, b"\1"))
+            self._socket.send(FRAME.pack(0, packet.ECHO, 1, 0, b"\1"))
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """A timestamp in ``msg``, s on the lab's clock, is when it enters its queue: how late the
@@ -315,17 +304,17 @@ class SocketBus(TonusBus):
         """
         identifier = _checked(msg)
         sent_ns = round(max(msg.timestamp, 0.0) * 1e9)
-        data = packet.FRAME.pack(sent_ns, identifier, msg.dlc, 0, bytes(msg.data))
+        data = FRAME.pack(sent_ns, identifier, msg.dlc, 0, bytes(msg.data))
         if timeout is not None and timeout > 0:
             select.select([], [self._socket], [], timeout)
         self._send(data)
 
     def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
-        self._send(packet.FRAME.pack(sent_ns, identifier, len(data), 0, data))
+        self._send(FRAME.pack(sent_ns, identifier, len(data), 0, data))
 
     def send_frames(self, frames: Sequence[tuple[int, bytes]], sent_ns: int) -> None:
         """Data frames with their identifiers, in one packet."""
-        pack = packet.FRAME.pack
+        pack = FRAME.pack
         self._send(b"".join([pack(sent_ns, each, len(data), 0, data) for each, data in frames]))
 
     def _send(self, data: bytes) -> None:
@@ -363,9 +352,9 @@ class SocketBus(TonusBus):
             self._let_go()
         data, self._rest = self._rest, b""
         if self._batch:
-            data += b"".join([packet.FRAME.pack(*frame) for frame in self._batch])
+            data += b"".join([FRAME.pack(*frame) for frame in self._batch])
             self._batch.clear()
-        most = limit * packet.FRAME.size
+        most = limit * FRAME.size
         # To ask is cheaper than to be refused: an exception costs more than a system call.
         while len(data) < most and self._ask(0):
             try:
@@ -379,7 +368,7 @@ class SocketBus(TonusBus):
         if packet.flagged(data):
             for frame in packet.decode(data):
                 self._notice(frame)
-        return np.frombuffer(data, packet.FRAMES)
+        return np.frombuffer(data, FRAMES)
 
     def _notice(self, frame: RawFrame) -> None:
         """Keep in mind what an error frame tells of the controller."""

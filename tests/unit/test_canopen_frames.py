@@ -142,10 +142,10 @@ def test_socketcan_errors_are_python_cans() -> None:
 
 
 def test_the_labs_buses_need_no_messages() -> None:
-    from tonus.sim.can import packet
     from tonus.sim.can.plugin import LocalBus, SocketBus
+    from tonus.sim.can.wire.inbox import FRAMES
 
     for kind in (LocalBus, SocketBus):
         assert issubclass(kind, Frames)
     assert issubclass(SocketBus, FramesTogether)
-    assert packet.FRAMES.descr == RAW_FRAME.descr
+    assert FRAMES.descr == RAW_FRAME.descr

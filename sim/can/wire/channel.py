@@ -22,6 +22,7 @@ from math import ceil
 
 from tonus.sim.can.wire.confinement import Counters
 from tonus.sim.can.wire.frame import Frame
+from tonus.sim.can.wire.inbox import Inbox
 from tonus.sim.can.wire.latency import Latency
 from tonus.sim.can.wire.timing import (
     INTERFRAME_BITS,
@@ -54,21 +55,6 @@ class Notice(Enum):
     """from bus-off"""
 
 
-class Inbox(deque[Frame]):
-    """A host's receive queue of finite depth: what does not fit is missed, and counted."""
-
-    def __init__(self, port: Port, depth: int) -> None:
-        super().__init__()
-        self._port = port
-        self._depth = depth
-
-    def append(self, frame: Frame) -> None:
-        if len(self) < self._depth:
-            super().append(frame)
-        else:
-            self._port.missed += 1
-
-
 Told = Callable[[Notice, int], None]
 """Takes a notice and its time."""
 Detour = Callable[["Port", Frame, int], bool]
@@ -93,9 +79,7 @@ class Port:
         self.held = False
         """kept from the arbitration: bus-off, suspended, or the bus is stuck"""
         self.queue: deque[Frame] = deque()
-        self.received: deque[Frame] | None = None
-        if listens:
-            self.received = deque() if inbox is None else Inbox(self, inbox)
+        self.received = Inbox(inbox) if listens else None
         self.echo = False
         """whether the controller receives what it sent itself"""
         self.reports = False
@@ -104,9 +88,12 @@ class Port:
         """frames refused because the queue was full"""
         self.overflowing = False
         """since a refusal the queue has not been empty"""
-        self.missed = 0
-        """frames that somebody did not take in time"""
         self.retransmissions = 0
+
+    @property
+    def missed(self) -> int:
+        """Frames that somebody did not take in time."""
+        return self.received.missed if self.received is not None else 0
 
     @property
     def room(self) -> int:
@@ -159,7 +146,7 @@ class Channel:
         self._depth = queue_depth
         self._response_ns = response_ns
         self._ports = 0
-        self._hosts: list[tuple[Port, deque[Frame]]] = []
+        self._hosts: list[tuple[Port, Inbox]] = []
         self._heads: list[tuple[int, int, Frame, Port]] = []
         self._since = NEVER  # when the oldest queued frame came
         self._arrivals: deque[tuple[int, Frame, Port]] = deque()
@@ -371,12 +358,18 @@ class Channel:
                 self.wide_ns = end
                 return False
         self._frame = None
-        for listener, received in self._hosts:
-            if listener is not sender or listener.echo:
-                received.append(frame)
+        self._hand_out(frame, sender)
         if self.latency is not None:
             self.latency.add(frame.identifier, end - frame.queued_ns)
         return True
+
+    def _hand_out(self, frame: Frame, sender: Port | None) -> None:
+        """Let every host have a frame that has ended."""
+        for listener, received in self._hosts:
+            if listener is not sender:
+                received.append(frame)
+            elif listener.echo:
+                received.append(frame, own=True)
 
     def deliver(self) -> None:
         """Deliver the frame, or tell the notices, that waited; the lab stands at their time."""
@@ -392,9 +385,7 @@ class Channel:
             if frame is None:
                 return
         sender = frame.sender
-        for listener, received in self._hosts:
-            if listener is not sender or listener.echo:
-                received.append(frame)
+        self._hand_out(frame, sender)
         if self.latency is not None:
             self.latency.add(frame.identifier, now_ns - frame.queued_ns)
         # Timers may have come first and ended a subscription.
