@@ -115,7 +115,7 @@ class Channel:
         if self._refused:
             self._refused = False
             self._events.end("transmit_refused", self.name)
-        bits = sum(_EMPTY_BITS + 8 * len(data) for _, data in frames)
+        bits = sum([_EMPTY_BITS + 8 * len(data) for _, data in frames])
         self._free_ns = max(now, self._free_ns) + bits * self._bit_ns
         if self._tap is not None:
             for identifier, data in frames:

@@ -74,8 +74,8 @@ class Bridge:
         """Hand out what has ended on the channel."""
         received = self._port.received
         assert received is not None
-        while received:
-            _, identifier, dlc, _, data = received.pop()
+        while (frame := received.pop()) is not None:
+            _, identifier, dlc, _, data = frame
             if identifier & ERROR:
                 continue  # each side has errors of its own
             message = can.Message(

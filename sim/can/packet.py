@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tonus.sim.can.wire.frame import BASE_ID, ERROR, EXTENDED, EXTENDED_ID, REMOTE
-from tonus.sim.can.wire.inbox import FRAME
+from tonus.sim.can.wire.inbox import FRAME, RawFrame
 
 _FLAGS_AT = 8 + 3
 """the highest byte of the identifier"""
@@ -24,10 +24,6 @@ PACKET_BYTES = FRAMES_PER_PACKET * FRAME.size
 def socket_path(directory: Path, channel: str) -> Path:
     """A channel's socket in the directory of its lab."""
     return directory / f"{channel}.sock"
-
-
-RawFrame = tuple[int, int, int, bool, bytes]
-"""Time (ns), identifier with flags, DLC, whether it is one's own, data."""
 
 
 def decode(packet: bytes) -> Iterator[RawFrame]:

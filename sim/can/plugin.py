@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from tonus.config.places import runtime_dir
 from tonus.sim.can import packet, registry
 from tonus.sim.can.cyclic import LabCyclicTask, Modifier
-from tonus.sim.can.packet import RawFrame
 from tonus.sim.can.wire import error_frames
 from tonus.sim.can.wire.confinement import ErrorState
 from tonus.sim.can.wire.frame import (
@@ -38,7 +37,7 @@ from tonus.sim.can.wire.frame import (
     Frame,
     arbitration_key,
 )
-from tonus.sim.can.wire.inbox import FRAME, FRAMES
+from tonus.sim.can.wire.inbox import FRAME, FRAMES, RawFrame
 
 _SEND_BUFFER = 16384
 """Bytes a socket holds of frames the lab has not taken yet: some forty, the host counts its own
@@ -239,11 +238,13 @@ class LocalBus(TonusBus):
         """
         received = self._received
         while True:
-            if not received:
+            frame = received.pop()
+            if frame is None:
                 self._lab.advance(self._clock())
-                if not received:
+                frame = received.pop()
+                if frame is None:
                     break
-            message = _message(*received.pop(), self._name)
+            message = _message(*frame, self._name)
             if self._wanted(message):
                 return message
         if timeout is None or timeout > 0:

@@ -30,6 +30,10 @@ class Device(Protocol):
     on_error: ErrorSink
 
     @property
+    def axis(self) -> int | None:
+        """Of a drive."""
+
+    @property
     def receive_pdos(self) -> tuple[PdoDefault, ...]: ...
     @property
     def transmit_pdos(self) -> tuple[PdoDefault, ...]: ...
@@ -47,6 +51,10 @@ class Device(Protocol):
         """Take the process data of this instant."""
 
     def reader(self, index: int, subindex: int) -> Reader: ...
+
+    def place(self, index: int, subindex: int) -> int | None:
+        """Where in `tonus.sim.devices.samples.Samples.values` an object's value stands, as
+        `reader` gives it; None: nowhere."""
 
     def writer(self, index: int, subindex: int) -> Writer: ...
 

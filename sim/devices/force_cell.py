@@ -151,6 +151,7 @@ class Channel:
 class ForceCell:
     """The amplifier of one or more of the cells; subindex n is that of ``cells[n-1]``."""
 
+    axis: int | None = None
     receive_pdos: tuple[PdoDefault, ...] = ()
     longest_mapping = 4
     consumers = 1
@@ -285,6 +286,12 @@ class ForceCell:
             0x6150: channel.status,
         }
         return readers[index]
+
+    def place(self, index: int, subindex: int) -> int | None:
+        """Where in `Samples.values` a process value stands; None: nowhere."""
+        if index != 0x9130:
+            return None
+        return self._samples.cell + self.channels[subindex - 1].cell
 
     def writer(self, index: int, subindex: int) -> Writer:
         del index, subindex

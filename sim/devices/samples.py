@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.lab import CellNoise
 from tonus.config.schema.robot import Robot
+from tonus.sim.devices.cia402.axis_table import AxisTable
 from tonus.sim.plant.streams import Stream, generator
 
 Floats = NDArray[np.float64]
@@ -71,7 +72,7 @@ def _sample(
     words: NDArray[np.int64],
     force: Floats,
 ) -> None:
-    """``axes`` and ``cells``: a row for each of the places below; ``reach``: N, end of a cell's
+    """``axes`` and ``cells``: a row for each of the places above; ``reach``: N, end of a cell's
     range either way."""
     count = angle.shape[0]
     for i in range(count):
@@ -90,22 +91,25 @@ def _sample(
 class Samples:
     """Measured values of all axes and cells.
 
-    ``words``: positions (n), torques (n) and integer process values (n + 1) of the last instant
-    asked for with `at`; the latter two begin at `torque` and `cell`. Cell noise depends on seed and
-    time alone, so who asks and how often changes nothing.
+    ``values``: positions (n), torques (n) and integer process values (n + 1) of the last instant
+    asked for with `at`, then the present statuswords (n), which the drives write; the latter three
+    begin at `torque`, `cell` and `status`. ``words``: the same but the statuswords, as a list. Cell
+    noise depends on seed and time alone, so who asks and how often changes nothing.
     """
 
     def __init__(self, plant: Measured, robot: Robot, noise: CellNoise, seed: int) -> None:
         self.plant = plant
         cables, cells = robot.cables, robot.cells
-        self.torque, self.cell = cables, 2 * cables
-        """where torques and process values begin in `words`"""
+        self.torque, self.cell, self.status = cables, 2 * cables, 2 * cables + cells
+        """where torques, process values and statuswords begin in `values`"""
+        self.axes = AxisTable(plant.current_reference)
         self.force = np.zeros(cells)
         """N, of the same instant"""
         self._seed = seed
         self._sigma = noise.sigma
         self._begin_ns = plant.now_ns
-        self._words = np.zeros(2 * cables + cells, np.int64)
+        self.values = np.zeros(self.status + cables, np.int64)
+        self._words = self.values[: self.status]
         self.words: list[int] = self._words.tolist()
         self._at_ns = plant.now_ns - 1
         self._noise = np.zeros((_BLOCK, cells))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
+
 from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.devices.samples import Samples
@@ -53,16 +55,16 @@ class DirectPort:
                     cell.objects.write(0x6132, number, self._digits)
         lab.advance(at_ns)
         samples = lab.samples
-        words = samples.at(at_ns)
-        statuswords = [drive.statusword() for drive in lab.drives]
-        for drive, word, torque in zip(lab.drives, controlwords, torques, strict=True):
-            drive.target_torque(torque)
-            drive.controlword(word)
+        samples.at(at_ns)
+        values = samples.values.tolist()
+        for axis in samples.axes.apply(np.array(controlwords), np.array(torques)):
+            lab.drives[axis].target_torque(torques[axis])
+            lab.drives[axis].controlword(controlwords[axis])
         return (
-            statuswords,
-            words[: samples.torque],
-            words[samples.torque : samples.cell],
-            words[samples.cell :],
+            values[samples.status :],
+            values[: samples.torque],
+            values[samples.torque : samples.cell],
+            values[samples.cell : samples.status],
         )
 
     def read(self, axis: int, index: int, subindex: int) -> bytes:

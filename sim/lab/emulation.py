@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from tonus.config.schema.bus import (
@@ -15,6 +16,7 @@ from tonus.config.schema.bus import (
 )
 from tonus.config.schema.outside import OutsideError
 from tonus.sim.can.canopen.node import Node
+from tonus.sim.can.canopen.sync_plan import plan
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.force_cell import ForceCell
@@ -80,6 +82,8 @@ def _channels(hardware: Hardware, bus: CanopenBus) -> None:
             rewired=hardware.rewired,
         )
         hardware.channels[spec.name] = channel
+        made: list[Node] = []
+        channel.planner = partial(plan, channel, made, hardware.timeline.samples)
         for node in spec.nodes():
             device: Cia402Drive | ForceCell
             if node.axis is None:
@@ -87,8 +91,8 @@ def _channels(hardware: Hardware, bus: CanopenBus) -> None:
             else:
                 device = hardware.drives[node.axis]
             if hardware.emulated is None or (spec.name, node.number) in hardware.emulated:
-                made = Node(device, node.number, channel, hardware.timeline)
-                hardware.nodes[spec.name, node.number] = made
+                made.append(Node(device, node.number, channel, hardware.timeline))
+                hardware.nodes[spec.name, node.number] = made[-1]
                 if isinstance(device, Cia402Drive):
                     hardware.awaited.append(device)
 

@@ -260,6 +260,8 @@ class Lab:
             self.now_ns = due
             self._happen(due)
         self.now_ns = to_ns
+        for channel in channels:
+            channel.hand_out()
 
     def _happen(self, now_ns: int) -> None:
         """Timers, exposure and truth of one instant."""

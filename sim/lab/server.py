@@ -277,7 +277,7 @@ class _Server:
                 sent.client.waiting.append(sent)
         left, self._left = self._left, []
         for client in left:
-            if client.port.queue:
+            if client.port.waiting:
                 # Its socket is found closed again when they are sent: closing takes nothing back.
                 self._loop.remove_reader(client.connection)
             else:
@@ -334,7 +334,7 @@ class _Server:
                 received.missed += len(batch)
             except OSError:
                 received.clear()
-                if not client.port.queue:
+                if not client.port.waiting:
                     self._leave(client)
                 return
 

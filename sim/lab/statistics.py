@@ -71,7 +71,7 @@ def _controller(port: Port, channel: FaultyChannel) -> Controller:
         state=port.errors.state.value,
         transmit_errors=port.errors.transmit,
         receive_errors=port.errors.receive,
-        queued=len(port.queue),
+        queued=port.waiting,
         overflows=port.overflows,
         missed=port.missed,
         retransmissions=port.retransmissions,

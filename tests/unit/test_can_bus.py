@@ -73,4 +73,4 @@ def test_an_answer_waits_its_response_time() -> None:
     channel.answer(device, Frame(0x80, b""), 0)
     channel.run(1000 * US)
     assert receiver.received is not None
-    assert receiver.received.pop().stamp_ns == 10 * US + frame_bits(0x80, 0, b"") * US
+    assert next(iter(receiver.received)).stamp_ns == 10 * US + frame_bits(0x80, 0, b"") * US

@@ -238,6 +238,20 @@ class Node:
         self.device.objects.restore(*_COMMUNICATION)
         self.boot()
 
+    @property
+    def transmitted(self) -> list[TransmitPdo]:
+        """What it sends on SYNC."""
+        return self._transmit
+
+    @property
+    def received(self) -> list[ReceivePdo]:
+        """What it receives while it is operational."""
+        return self._receive
+
+    def hears(self, identifier: int) -> bool:
+        """Whether it listens to an identifier on its channel."""
+        return identifier in self._subscribed
+
     # -- frames ----------------------------------------------------------------------------------
 
     def _answer(self, identifier: int, data: bytes) -> None:

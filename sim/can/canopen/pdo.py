@@ -40,15 +40,22 @@ _RESERVED = (range(0x081), range(0x101, 0x181), range(0x580, 0x800))
 class ReceivePdo:
     """A valid RPDO, ready to be applied. ``data`` waits for the SYNC."""
 
-    __slots__ = ("_setters", "_unpack", "data", "identifier", "length", "synchronous")
+    __slots__ = ("_setters", "_unpack", "data", "identifier", "length", "synchronous", "words")
 
     def __init__(
-        self, identifier: int, transmission: int, letters: str, setters: Sequence[Writer]
+        self,
+        identifier: int,
+        transmission: int,
+        letters: str,
+        setters: Sequence[Writer],
+        words: Sequence[int],
     ) -> None:
+        """``words`` are those of the mapping."""
         layout = struct.Struct("<" + letters)
         self.identifier = identifier
         self.length = layout.size
         self.synchronous = transmission <= _LAST_SYNCHRONOUS
+        self.words = tuple(words)
         self.data: bytes | None = None
         self._unpack = layout.unpack_from
         self._setters = list(enumerate(setters))
@@ -79,6 +86,7 @@ class TransmitPdo:
         "_pack",
         "_sent_ns",
         "event",
+        "fields",
         "identifier",
         "inhibit_ns",
         "last",
@@ -95,7 +103,9 @@ class TransmitPdo:
         inhibit_ns: int,
         letters: str,
         getters: Sequence[Reader],
+        fields: Sequence[tuple[int | None, int]],
     ) -> None:
+        """``fields``: of each object its place in `Samples.values`, or None, and its bytes."""
         self.identifier = identifier = cob_id & 0x7FF
         self.rate = transmission if transmission <= _LAST_SYNCHRONOUS else 0
         """sent on every so many SYNCs; 0: not on SYNC"""
@@ -112,6 +122,7 @@ class TransmitPdo:
         self._key = arbitration_key(identifier)
         self._pack = struct.Struct("<" + letters).pack
         self._getters = tuple(getters)
+        self.fields = tuple(fields)
 
     def wants(self, data: bytes, now_ns: int) -> bool:
         """Whether an event-driven PDO with these data is to be sent now, which then is booked."""
@@ -227,7 +238,7 @@ class Pdos:
                 continue
             setters = [self._device.writer(word >> 16, word >> 8 & 0xFF) for word in words]
             kind = number(RPDO_PARAMETERS + n, 2)
-            pdo = ReceivePdo(cob & 0x7FF, kind, self._letters(words), setters)
+            pdo = ReceivePdo(cob & 0x7FF, kind, self._letters(words), setters, words)
             for place, word in enumerate(words):
                 if word >> 16 == CONTROLWORD:
                     pdo.put_last(place)
@@ -247,7 +258,11 @@ class Pdos:
             kind = number(TPDO_PARAMETERS + n, 2)
             inhibit_ns = number(TPDO_PARAMETERS + n, 3) * 100_000
             letters = self._letters(words)
-            pdo = TransmitPdo(cob, kind, inhibit_ns, letters, getters)
+            places = [self._device.place(word >> 16, word >> 8 & 0xFF) for word in words]
+            fields = [
+                (place, (word & 0xFF) // 8) for place, word in zip(places, words, strict=True)
+            ]
+            pdo = TransmitPdo(cob, kind, inhibit_ns, letters, getters, fields)
             if self._device.event_timer:
                 pdo.period_ns = number(TPDO_PARAMETERS + n, 5) * 1_000_000
             found.append(pdo)

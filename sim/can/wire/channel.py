@@ -15,15 +15,18 @@ from __future__ import annotations
 
 from bisect import insort
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import Enum
 from heapq import heappop, heappush
 from math import ceil
+from typing import Protocol
 
+from tonus.sim.can.wire import regular
 from tonus.sim.can.wire.confinement import Counters
 from tonus.sim.can.wire.frame import Frame
-from tonus.sim.can.wire.inbox import Inbox
+from tonus.sim.can.wire.inbox import Inbox, pack
 from tonus.sim.can.wire.latency import Latency
+from tonus.sim.can.wire.regular import NEVER, RegularWire
 from tonus.sim.can.wire.timing import (
     INTERFRAME_BITS,
     LONGEST_FRAME_BITS,
@@ -31,7 +34,7 @@ from tonus.sim.can.wire.timing import (
     stuffed_bits,
 )
 
-NEVER = 1 << 62
+__all__ = ["NEVER"]
 _from_bytes = int.from_bytes
 _SHORT = 1
 """Bytes up to which a frame's time is kept, for at most so many frames:"""
@@ -39,6 +42,26 @@ _KEPT = 256
 _SECOND_NS = 1_000_000_000
 
 
+class SyncPlan(Protocol):
+    """How the devices of a channel answer a SYNC while all is as usual."""
+
+    identifier: int
+    """of the SYNC"""
+    answers: int
+    """frames that it brings"""
+
+    def begin(self, wire: RegularWire) -> None:
+        """Tell the wire its identifiers, and hand over what waits for the SYNC."""
+
+    def end(self, wire: RegularWire) -> None:
+        """Take back what waits for the SYNC."""
+
+    def react(self, wire: RegularWire, now_ns: int) -> None:
+        """Deliver the SYNC that has ended now, and do what every device does at it."""
+
+
+Planner = Callable[[], SyncPlan | None]
+"""Makes a channel's plan, or says that there is none for it as it is."""
 Narrow = Callable[[Frame], bool]
 """Takes a frame whose effect stays within its receiver; False: it needs the order of time."""
 Wide = Callable[[Frame], None]
@@ -96,8 +119,13 @@ class Port:
         return self.received.missed if self.received is not None else 0
 
     @property
+    def waiting(self) -> int:
+        """Frames in the queue."""
+        return len(self.queue) + self.channel.waiting(self)
+
+    @property
     def room(self) -> int:
-        return self.depth - len(self.queue)
+        return self.depth - self.waiting
 
 
 class Channel:
@@ -108,27 +136,32 @@ class Channel:
         "_all_ports",
         "_arrivals",
         "_bitrate",
+        "_busy_ns",
         "_calm",
         "_depth",
         "_durations",
         "_end_ns",
         "_frame",
+        "_frames",
         "_free_ns",
         "_gap_ns",
         "_heads",
         "_hosts",
+        "_latency",
         "_narrow",
         "_notices",
+        "_plan",
+        "_planned",
         "_ports",
-        "_response_ns",
+        "_regular",
         "_short",
         "_since",
         "_wide",
-        "busy_ns",
+        "_wire",
         "detour",
-        "frames",
-        "latency",
         "name",
+        "planner",
+        "response_ns",
         "wide_ns",
     )
 
@@ -136,15 +169,14 @@ class Channel:
         """``response_ns`` is how long a device takes until its answer is in its queue."""
         self.name = name
         self.wide_ns = NEVER
-        self.busy_ns = 0
-        """time spent on frames and the spaces behind them, since the start"""
-        self.frames = 0
-        self.latency: Latency | None = None
+        self._busy_ns = self._frames = 0
+        self.planner: Planner | None = None
+        self._latency: Latency | None = None
         self.detour: Detour | None = None
         self._bitrate = bitrate
         self._calm = True
         self._depth = queue_depth
-        self._response_ns = response_ns
+        self.response_ns = response_ns
         self._ports = 0
         self._hosts: list[tuple[Port, Inbox]] = []
         self._heads: list[tuple[int, int, Frame, Port]] = []
@@ -161,6 +193,36 @@ class Channel:
         self._gap_ns = self._durations[INTERFRAME_BITS]
         self._all_ports: list[Port] = []
         self._notices: list[tuple[Port, Notice]] = []
+        room = min(queue_depth, regular.ROOM)
+        self._wire = RegularWire(self._durations, self._gap_ns, room)
+        self._plan: SyncPlan | None = None
+        self._planned = False  # whether the plan is that of the present channel
+        self._regular = False  # whether the wire is where the frames are
+
+    @property
+    def regular(self) -> bool:
+        """Whether compiled code has the frames: nothing is there that is not as usual."""
+        return self._regular
+
+    @property
+    def busy_ns(self) -> int:
+        """Time spent on frames and the spaces behind them, since the start."""
+        return self._busy_ns + int(self._wire.state[regular.BUSY])
+
+    @property
+    def frames(self) -> int:
+        """Frames on the wire since the start."""
+        return self._frames + int(self._wire.state[regular.FRAMES])
+
+    @property
+    def latency(self) -> Latency | None:
+        """Measured while there is one."""
+        return self._latency
+
+    @latency.setter
+    def latency(self, latency: Latency | None) -> None:
+        self._leave()
+        self._latency = latency
 
     @property
     def overflows(self) -> int:
@@ -193,6 +255,7 @@ class Channel:
 
     def drop(self, port: Port) -> None:
         """Forget what a controller has queued or is about to queue."""
+        self._leave()
         port.queue.clear()
         self._withdraw(port)
         self._arrivals = deque(item for item in self._arrivals if item[2] is not port)
@@ -204,6 +267,7 @@ class Channel:
 
     def _withdraw(self, port: Port) -> None:
         """Take a controller out of the arbitration."""
+        self._leave()
         self._heads = sorted(head for head in self._heads if head[3] is not port)
         if not self._heads:
             self._since = NEVER
@@ -217,11 +281,13 @@ class Channel:
 
     def subscribe(self, port: Port, identifier: int, wide: Wide, narrow: Narrow | None) -> None:
         """Hand frames of an identifier to a device: to ``narrow`` first where there is one."""
+        self._leave()
         self._wide.setdefault(identifier, []).append((port, wide))
         if narrow is not None:
             self._narrow.setdefault(identifier, []).append((port, narrow))
 
     def unsubscribe(self, port: Port, identifier: int) -> None:
+        self._leave()
         wide = [item for item in self._wide.pop(identifier, []) if item[0] is not port]
         if wide:
             self._wide[identifier] = wide
@@ -229,25 +295,46 @@ class Channel:
         if narrow:
             self._narrow[identifier] = narrow
 
+    @property
+    def subscribed(self) -> Iterable[int]:
+        """Identifiers that a device listens to."""
+        return self._wide
+
+    def subscribers(self, identifier: int) -> int:
+        """How many devices listen to an identifier."""
+        return len(self._wide.get(identifier, ()))
+
     def send(self, port: Port, frame: Frame, now_ns: int) -> bool:
         """Queue a frame now; False if the queue is full. The lab has been brought to now."""
+        if self._regular:
+            if self._puts(port, frame, now_ns):
+                return True
+            self._leave()
         if self.detour is not None and self.detour(port, frame, now_ns):
             return True
         queue = port.queue
         if len(queue) >= port.depth:
             port.overflows += 1
             return False
+        self._line_up(port, frame, now_ns)
+        return True
+
+    def _line_up(self, port: Port, frame: Frame, now_ns: int) -> None:
+        """Put a frame at the end of its controller's queue."""
         frame.queued_ns = now_ns
-        if not queue and not port.held:
+        if not port.queue and not port.held:
             heappush(self._heads, (frame.key, port.number, frame, port))
             if now_ns < self._since:
                 self._since = now_ns
-        queue.append(frame)
-        return True
+        port.queue.append(frame)
 
     def answer(self, port: Port, frame: Frame, now_ns: int) -> None:
         """Queue a device's frame after its response time; a full queue loses and counts it."""
-        due_ns = now_ns + self._response_ns
+        due_ns = now_ns + self.response_ns
+        if self._regular:
+            if self._puts(port, frame, due_ns):
+                return
+            self._leave()
         arrivals = self._arrivals
         if arrivals and arrivals[-1][0] > due_ns:
             self._arrive(due_ns, frame, port)
@@ -260,6 +347,8 @@ class Channel:
 
     def next_ns(self) -> int:
         """The next time at which something happens here on its own, or `NEVER`."""
+        if self._regular and self._frame is None:
+            return self._wire.next_ns()
         if self._frame is not None:
             return self._end_ns
         return self._start_ns()
@@ -273,6 +362,10 @@ class Channel:
     def run(self, to_ns: int) -> None:
         """Let time pass up to ``to_ns``, or to the next frame that concerns others."""
         if self.wide_ns <= to_ns:
+            return
+        if self._regular:
+            if self.wide_ns == NEVER:
+                self._run_regularly(to_ns)
             return
         if not self._calm:
             self._run_slowly(to_ns)
@@ -288,6 +381,8 @@ class Channel:
                 if start < self._free_ns:
                     start = self._free_ns
                 if start >= to_ns:
+                    if start == NEVER:
+                        self._enter()
                     return
                 while arrivals and arrivals[0][0] <= start:
                     due_ns, arrived, port = arrivals.popleft()
@@ -301,6 +396,108 @@ class Channel:
                 return
             if not self._finish(frame, end):
                 return
+
+    # -- as usual --------------------------------------------------------------------------------
+
+    def _enter(self) -> None:
+        """Let the wire have the idle channel, if there is a plan for it."""
+        if not self._planned:
+            self._planned = True
+            usual = self.planner is not None and self._latency is None and self.detour is None
+            self._plan = self.planner() if self.planner is not None and usual else None
+        if self._plan is not None:
+            self._regular = True
+            self._wire.begin(self._free_ns)
+            self._plan.begin(self._wire)
+
+    def _leave(self) -> None:
+        """Take the frames back from the wire: something is not as usual."""
+        self._planned = False
+        if not self._regular:
+            return
+        self._regular = False
+        wire, plan = self._wire, self._plan
+        assert plan is not None
+        plan.end(wire)
+        self.hand_out()
+        state = wire.state
+        self._busy_ns += int(state[regular.BUSY])
+        self._frames += int(state[regular.FRAMES])
+        state[regular.BUSY] = state[regular.FRAMES] = 0
+        self._free_ns = int(wire.state[regular.FREE])
+        if wire.state[regular.FLYING]:
+            self._land()
+        ports = {port.number: port for port in self._all_ports}
+        for row in range(wire.state[regular.PENDING]):
+            frame, number = wire.frame(row)
+            port, due_ns = ports[number], frame.queued_ns
+            if port.received is None:
+                self._arrivals.append((due_ns, frame, port))
+            else:
+                self._line_up(port, frame, due_ns)
+
+    def _land(self) -> None:
+        """Take the frame on the wire as an object."""
+        wire = self._wire
+        self._frame, number = wire.frame()
+        self._frame.sender = next(port for port in self._all_ports if port.number == number)
+        self._frame.stamp_ns = self._end_ns = int(wire.state[regular.END])
+        wire.state[regular.FLYING] = 0
+
+    def waiting(self, port: Port) -> int:
+        """Frames of a controller that the wire has."""
+        return self._wire.waiting(port.number) if self._regular else 0
+
+    def disturb(self) -> None:
+        """Something happens that is not as usual."""
+        self._leave()
+        self._calm = False
+
+    def _puts(self, port: Port, frame: Frame, due_ns: int) -> bool:
+        if frame.dlc != len(frame.data):
+            return False
+        return self._wire.put(port.number, frame.key, frame.identifier, frame.data, due_ns)
+
+    def _run_regularly(self, to_ns: int) -> None:
+        wire = self._wire
+        while self._regular:
+            stopped_ns = wire.run(to_ns)
+            if stopped_ns == NEVER:
+                return
+            if not stopped_ns:
+                self.hand_out()
+                continue
+            if self._plan is not None and wire.flying == self._plan.identifier:
+                self.wide_ns = stopped_ns
+                return
+            self.hand_out()
+            self._land()
+            assert self._frame is not None
+            if not self._finish(self._frame, stopped_ns):
+                return
+
+    def hand_out(self) -> None:
+        """Let every host have what has ended on the wire."""
+        wire = self._wire
+        if wire.delivered_frames:
+            for listener, received in self._hosts:
+                received.extend(wire.rows_for(listener.number, echo=listener.echo))
+            wire.handed_out()
+
+    def _react(self, now_ns: int) -> bool:
+        """A SYNC has ended. False: it has to be delivered to each device."""
+        wire, plan = self._wire, self._plan
+        assert plan is not None
+        if not wire.fits(plan.answers):
+            self._leave()
+            return False
+        self.wide_ns = NEVER
+        if wire.delivered_frames >= regular.ROOM:
+            self.hand_out()
+        plan.react(wire, now_ns)
+        return True
+
+    # -- otherwise -------------------------------------------------------------------------------
 
     def _run_slowly(self, to_ns: int) -> None:
         """Let time pass where something is wrong; sets ``_calm`` when nothing is."""
@@ -332,8 +529,8 @@ class Channel:
             length = self._measured(frame) if known is None else known
         self._end_ns = end = start + length
         self._free_ns = end + self._gap_ns
-        self.busy_ns += length + self._gap_ns
-        self.frames += 1
+        self._busy_ns += length + self._gap_ns
+        self._frames += 1
         return frame
 
     def _measured(self, frame: Frame) -> int:
@@ -359,22 +556,27 @@ class Channel:
                 return False
         self._frame = None
         self._hand_out(frame, sender)
-        if self.latency is not None:
-            self.latency.add(frame.identifier, end - frame.queued_ns)
+        if self._latency is not None:
+            self._latency.add(frame.identifier, end - frame.queued_ns)
         return True
 
     def _hand_out(self, frame: Frame, sender: Port | None) -> None:
         """Let every host have a frame that has ended."""
+        row = pack(frame)
         for listener, received in self._hosts:
             if listener is not sender:
-                received.append(frame)
+                received.append(row)
             elif listener.echo:
-                received.append(frame, own=True)
+                received.append(pack(frame, own=True))
 
     def deliver(self) -> None:
         """Deliver the frame, or tell the notices, that waited; the lab stands at their time."""
         frame = self._frame
         now_ns = self.wide_ns
+        if self._regular and frame is None:
+            if self._react(now_ns):
+                return
+            frame = self._frame
         self._frame = None
         self.wide_ns = NEVER
         if frame is None or self._notices:
@@ -386,8 +588,8 @@ class Channel:
                 return
         sender = frame.sender
         self._hand_out(frame, sender)
-        if self.latency is not None:
-            self.latency.add(frame.identifier, now_ns - frame.queued_ns)
+        if self._latency is not None:
+            self._latency.add(frame.identifier, now_ns - frame.queued_ns)
         # Timers may have come first and ended a subscription.
         for port, take in tuple(self._wide.get(frame.identifier, ())):
             if port is not sender:

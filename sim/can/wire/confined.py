@@ -16,6 +16,7 @@ from tonus.sim.can.wire.channel import NEVER, Channel, Notice, Port
 from tonus.sim.can.wire.confinement import ErrorState
 from tonus.sim.can.wire.error_frames import Violation, report
 from tonus.sim.can.wire.frame import Frame
+from tonus.sim.can.wire.inbox import pack
 from tonus.sim.can.wire.timing import INTERFRAME_BITS, frame_bits
 
 FLAG_BITS = 6
@@ -68,16 +69,16 @@ class ConfinedChannel(Channel):
         return -(-bits * _SECOND_NS // self._bitrate)
 
     def attach(self, *, listens: bool, inbox: int | None = None) -> Port:
-        self._calm = False
+        self.disturb()
         return super().attach(listens=listens, inbox=inbox)
 
     def detach(self, port: Port) -> None:
-        self._calm = False
+        self.disturb()
         self._forget(port)
         super().detach(port)
 
     def restart(self, port: Port) -> None:
-        self._calm = False
+        self.disturb()
         super().restart(port)
         if self._failure is not None and self._frame is not None and self._frame.sender is port:
             self._frame = self._failure = None  # it would have been sent again
@@ -134,7 +135,7 @@ class ConfinedChannel(Channel):
         if port.told is None or port.overflowing:
             return False
         port.overflowing = True
-        self._calm = False
+        self.disturb()
         self._tell(port, Notice.OVERFLOW, now_ns)
         return True
 
@@ -182,12 +183,12 @@ class ConfinedChannel(Channel):
             self._unaccount(start)
             self._end_ns = start + self._bits_ns(failure.bits)
             self._free_ns = self._end_ns + self._tail_ns(failure)
-            self.busy_ns += self._free_ns - start
+            self._busy_ns += self._free_ns - start
 
     def _unaccount(self, from_ns: int) -> None:
         """The frame on the wire will not be whole; what was booked for it from then on is not."""
-        self.busy_ns -= self._free_ns - from_ns
-        self.frames -= 1
+        self._busy_ns -= self._free_ns - from_ns
+        self._frames -= 1
 
     def _tail_ns(self, failure: Failure) -> int:
         """From an error to the end of the space behind its error frame."""
@@ -277,7 +278,7 @@ class ConfinedChannel(Channel):
         if port.reports and (violation is not None or state is not before):
             assert port.received is not None
             frame = report(port.errors, now_ns, before, violation, transmitting=transmitting)
-            port.received.append(frame)
+            port.received.append(pack(frame))
         if state is before or before is ErrorState.OFF:
             return
         if state is ErrorState.OFF:

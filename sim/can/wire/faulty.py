@@ -81,7 +81,7 @@ class FaultyChannel(ConfinedChannel):
     def sever(self, port: Port, now_ns: int) -> None:
         """Cut a controller off, with what it has queued: it goes on alone."""
         wire = FaultyChannel(
-            self.name, self._bitrate, self._depth, self._response_ns, recovers=self._recovers
+            self.name, self._bitrate, self._depth, self.response_ns, recovers=self._recovers
         )
         self.severed.append(wire)
         self._hand_over(port, wire, now_ns)
@@ -105,7 +105,8 @@ class FaultyChannel(ConfinedChannel):
             port.queue.appendleft(frame)
 
     def _hand_over(self, port: Port, wire: FaultyChannel, now_ns: int) -> None:
-        self._calm = wire._calm = False
+        self.disturb()
+        wire.disturb()
         self._withdraw(port)
         self._forget(port)
         self._deafen(port)
@@ -148,7 +149,7 @@ class FaultyChannel(ConfinedChannel):
     # -- faults ----------------------------------------------------------------------------------
 
     def add(self, fault: FrameFault) -> None:
-        self._calm = False
+        self.disturb()
         if isinstance(fault.fault, Delay):
             self._delays.append(fault)
             self.detour = self._delay
@@ -181,7 +182,7 @@ class FaultyChannel(ConfinedChannel):
 
     def jam(self, level: Level, now_ns: int) -> None:
         """Hold the bus at a level; `release` ends it. A frame on the wire is destroyed."""
-        self._calm = False
+        self.disturb()
         self._stuck = level
         self._struck = None
         if self._frame is not None:

@@ -26,18 +26,28 @@ FRAMES = np.dtype(
 """`FRAME` again, for many at once."""
 WORDS = FRAMES.itemsize // 8
 """64-bit words of a frame"""
+_SIZE = FRAMES.itemsize
+_unpack = FRAME.unpack_from
 _FIRST_SIZE = 256
 
 
+RawFrame = tuple[int, int, int, bool, bytes]
+"""Time (ns), identifier with flags, DLC, whether it is one's own, data."""
+
+
 class Received(NamedTuple):
-    """A frame as a host has it."""
+    """A frame as a host has it; the fields of a `RawFrame`."""
 
     stamp_ns: int
     identifier: int
-    """with flags"""
     dlc: int
     own: bool
     data: bytes
+
+
+def pack(frame: Frame, *, own: bool = False) -> bytes:
+    """A frame that has ended, as a row."""
+    return FRAME.pack(frame.stamp_ns, frame.identifier, frame.dlc, own, frame.data)
 
 
 class Inbox:
@@ -60,60 +70,62 @@ class Inbox:
 
     def _make_room(self, count: int) -> None:
         """Let ``count`` more rows fit behind the last."""
-        if self._begin == self._end:
-            self._begin = self._end = 0
-        if self._end + count <= len(self._frames):
-            return
         kept = self._frames[self._begin : self._end].copy()
         if len(kept) + count > len(self._frames) // 2:
             self._hold(2 * len(self._frames) + count)
         self._begin, self._end = 0, len(kept)
         self._frames[: self._end] = kept
 
-    def append(self, frame: Frame, *, own: bool = False) -> None:
+    def append(self, row: bytes) -> None:
+        """A frame as `pack` gives it."""
         if self._depth is not None and len(self) >= self._depth:
             self.missed += 1
             return
-        self._make_room(1)
-        at = self._end * FRAME.size
-        identifier, dlc, data = frame.identifier, frame.dlc, frame.data
-        FRAME.pack_into(self._memory, at, frame.stamp_ns, identifier, dlc, own, data)
-        self._end += 1
+        end = self._end
+        if end == self._rows.shape[0]:
+            self._make_room(1)
+            end = self._end
+        self._memory[end * _SIZE : end * _SIZE + _SIZE] = row
+        self._end = end + 1
 
     def extend(self, rows: NDArray[np.int64]) -> None:
-        """Append frames, (n, `WORDS`)."""
+        """Frames as rows (n, `WORDS`)."""
         count = len(rows)
         if self._depth is not None and len(self) + count > self._depth:
             fit = max(self._depth - len(self), 0)
             self.missed += count - fit
             rows, count = rows[:fit], fit
-        self._make_room(count)
+        if self._end + count > len(self._frames):
+            self._make_room(count)
         self._rows[self._end : self._end + count] = rows
         self._end += count
 
     def __iter__(self) -> Iterator[Received]:
         """Every frame, oldest first; none is taken."""
-        return map(self._received, range(self._begin, self._end))
+        begin, frames = self._begin, []
+        while (frame := self.pop()) is not None:
+            frames.append(Received(*frame))
+        self._begin = begin
+        return iter(frames)
 
-    def pop(self) -> Received:
-        """Take the oldest frame. Raises IndexError if there is none."""
-        if self._begin == self._end:
-            raise IndexError("the inbox is empty")
-        self._begin += 1
-        return self._received(self._begin - 1)
-
-    def _received(self, row: int) -> Received:
-        at = row * FRAME.size
-        stamp_ns, identifier, dlc, own, data = FRAME.unpack_from(self._memory, at)
-        length = 0 if identifier & REMOTE else min(dlc, 8)
-        return Received(stamp_ns, identifier, dlc, bool(own), data[:length])
+    def pop(self) -> RawFrame | None:
+        """Take the oldest frame; None if there is none."""
+        begin = self._begin
+        if begin == self._end:
+            return None
+        self._begin = begin + 1
+        stamp_ns, identifier, dlc, own, data = _unpack(self._memory, begin * _SIZE)
+        if identifier & REMOTE:
+            data = b""
+        elif dlc < 8:
+            data = data[:dlc]
+        return stamp_ns, identifier, dlc, own != 0, data
 
     def take(self, limit: int) -> NDArray[np.void]:
         """The oldest frames, ``limit`` at most, as a copy: (n,) of `FRAMES`."""
-        end = min(self._end, self._begin + limit)
-        taken: NDArray[np.void] = self._frames[self._begin : end].copy()
-        self._begin = end
-        return taken
+        begin = self._begin
+        self._begin = end = min(self._end, begin + limit)
+        return np.frombuffer(self._memory[begin * _SIZE : end * _SIZE].tobytes(), FRAMES)
 
     def clear(self) -> None:
         self._begin = self._end = 0

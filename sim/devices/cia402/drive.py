@@ -8,6 +8,7 @@ other modes the drive's own loops move the motor (`tonus.sim.devices.cia402.moti
 from __future__ import annotations
 
 from tonus.config.schema.lab import PowerStage
+from tonus.sim.devices.cia402 import axis_table
 from tonus.sim.devices.cia402.error_memory import ErrorMemory
 from tonus.sim.devices.cia402.errors import PDO_TIMEOUT, Codes, ErrorTable, Recovery
 from tonus.sim.devices.cia402.output import (
@@ -65,7 +66,7 @@ class Cia402Drive:
     ) -> None:
         """``objects`` is what masters see. ``core`` holds every object that the states, loops and
         limits here read or write; entries of standard objects are the same in both."""
-        self.axis = axis
+        self.axis: int = axis
         self.objects = objects
         self.errors = errors
         self.on_error: ErrorSink = _no_sink
@@ -147,6 +148,12 @@ class Cia402Drive:
             return lambda: samples.words[place]
         return self.objects.find(index, subindex).measure
 
+    def place(self, index: int, subindex: int) -> int | None:
+        """Where in `Samples.values` an object's value stands; None: nowhere."""
+        samples = self._samples
+        firsts = {0x6041: samples.status, 0x6064: 0, 0x6077: samples.torque}
+        return firsts[index] + self.axis if index in firsts and subindex == 0 else None
+
     def writer(self, index: int, subindex: int) -> Writer:
         if index == 0x6040:
             return self.controlword
@@ -199,6 +206,11 @@ class Cia402Drive:
         if self._reference:
             word |= REFERENCED
         self._statusword = word
+        samples, done = self._samples, self._done
+        samples.values[samples.status + self.axis] = word
+        same = done is not None and done[1] is self._machine.state and not self._set_points.timed
+        table = samples.axes.integers
+        table[axis_table.DONE, self.axis] = done[0] if same and done else axis_table.NO_WORD
 
     def power(self, on: bool) -> None:
         if on:

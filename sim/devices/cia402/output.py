@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tonus.config.schema.lab import PowerStage
+from tonus.sim.devices.cia402 import axis_table
 from tonus.sim.devices.cia402.errors import Codes
 from tonus.sim.devices.cia402.guard import Guard
 from tonus.sim.devices.cia402.holding_brake import HoldingBrake
@@ -77,13 +78,32 @@ class Output:
         self._mode = objects.find(0x6060, 0)
         self._driving = False
         self._limited = False
-        self.target = 0
+        self._integers = samples.axes.integers[:, axis]
+        self._currents = samples.axes.currents[:, axis]
         self.offset = 0
         """per mille of the rated torque"""
         self._per_mille = 0.0
         self._low = self._high = 0.0
         self.word = 0
         """the present controlword"""
+
+    @property
+    def target(self) -> int:
+        """Per mille of the rated torque."""
+        return int(self._integers[axis_table.TARGET])
+
+    @target.setter
+    def target(self, mille: int) -> None:
+        self._integers[axis_table.TARGET] = mille
+
+    def _tell(self) -> None:
+        """The axis table, what a set-point meets."""
+        integers, currents = self._integers, self._currents
+        integers[axis_table.OFFSET] = self.offset
+        integers[axis_table.DRIVING] = self._driving
+        integers[axis_table.LIMITED] = self._limited
+        currents[axis_table.PER_MILLE] = self._per_mille
+        currents[axis_table.LOW], currents[axis_table.HIGH] = self._low, self._high
 
     @property
     def bits(self) -> int:
@@ -105,6 +125,7 @@ class Output:
     def set_scale(self, per_mille: float) -> None:
         """A for one per mille."""
         self._per_mille = per_mille
+        self._tell()
         self.guard.limit()
         if self._driving:
             self._drive()
@@ -117,6 +138,7 @@ class Output:
 
     def set_offset(self, mille: int) -> None:
         self.offset = mille
+        self._tell()
         if self._driving:
             self._drive()
 
@@ -132,6 +154,7 @@ class Output:
     def _allowed(self) -> None:
         """Other currents are allowed from now on."""
         self._low, self._high = self.guard.low, self.guard.high
+        self._tell()
         if self._driving:
             self._drive()
 
@@ -142,6 +165,7 @@ class Output:
             current = min(max(current, self._low), self._high)
         if limited is not self._limited:
             self._limited = limited
+            self._tell()
             self._changed()
         plant = self._plant
         plant.advance(self._timers.now_ns)
@@ -171,11 +195,13 @@ class Output:
             self._limited = False
             self._motion.stop()
             self._plant.current_reference[self._axis] = 0.0
+        self._tell()
         self._changed()
 
     def ramp_down(self) -> None:
         """Brake, and hold the motor."""
         self._driving = self._limited = False
+        self._tell()
         self._plant.advance(self._timers.now_ns)
         self._motion.run(self.braking)
 
@@ -192,6 +218,7 @@ class Output:
         """Take the power at once; the brake follows."""
         plant, axis = self._plant, self._axis
         self._driving = self._limited = False
+        self._tell()
         self._motion.stop()
         self.guard.stop()
         if plant.powered[axis]:

@@ -35,6 +35,11 @@ class SetPoints:
     def set_period(self, ms: int) -> None:
         self._period_ns = ms * _MS_NS
 
+    @property
+    def timed(self) -> bool:
+        """Whether set-points are awaited by time."""
+        return self._period_ns > 0
+
     def received(self, now_ns: int) -> None:
         if not self._period_ns:
             return

@@ -97,6 +97,7 @@ class Epos4(Cia402Drive):
         servo.velocity_unit = servo.motor_speed_unit = RPM * scale_speeds(self.objects)
         # Torque is relative to the rated torque; without a torque constant there is none.
         self._output.set_scale(nominal * 1e-3 if number(0x6076, 0) else 0.0)
+        self._show()  # a period is part of what a set-point meets
 
     def _can_store(self) -> bool:
         sound = CORRUPT_PARAMETERS not in self._errors.present

@@ -1,0 +1,253 @@
+"""A channel on which all is as usual, in compiled code: data frames of base identifiers only, no
+errors, no faults. `Channel` works by itself whenever anything else is there, and gives the same.
+
+Three kinds of frames are told apart by their identifiers: most concern hosts only; a held one is
+an RPDO that waits for the next SYNC; at all others the wire stops, for the channel to deliver them.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tonus.sim.can.wire.frame import BASE_ID, Frame
+from tonus.sim.can.wire.inbox import WORDS
+from tonus.sim.can.wire.timing import stuffed_bits
+
+Integers = NDArray[np.int64]
+
+NEVER = 1 << 62
+PLAIN, STOPS, HELD = range(3)
+"""Kinds of an identifier; from `HELD` on the number of the held frame is added."""
+PENDING, FLYING, END, FREE, DELIVERED, BUSY, FRAMES, NEXT = range(8)
+"""Places in the state: frames that wait; 1 while one is on the wire; when that ends; when the next
+may begin; frames delivered; time on the wire and frames in all; when something happens next."""
+DUE, PORT, KEY, IDENTIFIER, DLC, DATA = range(6)
+"""Columns of a frame; `DUE` is when it enters its queue, `DATA` as a little-endian integer."""
+_COLUMNS = 6
+_ROW = struct.Struct("<5q8s")
+LEAST, WAITS, HELD_DATA = range(3)
+"""Rows of held frames: shortest length, length of the one that waits or 0, its data."""
+ROOM = 48
+"""Frames that may wait, at most."""
+_SIZE = 64
+_FLIGHT = _SIZE - 1
+"""Row of the frame on the wire."""
+_DONE, _STOPPED, _FULL = range(3)
+
+
+@njit("int64(int64, int64)", cache=True)
+def _big_endian(data: int, dlc: int) -> int:
+    """The payload's bytes as one big-endian number."""
+    value = 0
+    for place in range(dlc):
+        value = value << 8 | (data >> 8 * place & 0xFF)
+    return value
+
+
+@njit("int64(int64[::1], int64[:, ::1])", cache=True)
+def _start_ns(state: Integers, frames: Integers) -> int:
+    """When the next frame begins; of none, `NEVER`."""
+    start = NEVER
+    for i in range(state[PENDING]):
+        start = min(start, frames[i, DUE])
+    return max(start, int(state[FREE]))
+
+
+@njit("void(int64[::1], int64[:, ::1], int64)", cache=True)
+def _take_off(state: Integers, frames: Integers, start: int) -> None:
+    """Arbitration: of the controllers' oldest frames the smallest key wins."""
+    best = -1
+    for i in range(state[PENDING]):
+        if frames[i, DUE] > start:
+            continue
+        oldest = True
+        for j in range(i):
+            if frames[j, PORT] == frames[i, PORT]:
+                oldest = False
+                break
+        if not oldest:
+            continue
+        if (
+            best < 0
+            or frames[i, KEY] < frames[best, KEY]
+            or (frames[i, KEY] == frames[best, KEY] and frames[i, PORT] < frames[best, PORT])
+        ):
+            best = i
+    frames[_FLIGHT] = frames[best]
+    state[PENDING] -= 1
+    for i in range(best, state[PENDING]):
+        frames[i] = frames[i + 1]
+    state[FLYING] = 1
+
+
+@njit("void(int64[::1], int64[:, ::1], int64[:, ::1])", cache=True)
+def land(state: Integers, frames: Integers, delivered: Integers) -> None:
+    """The frame on the wire has ended, and hosts may have it."""
+    row = delivered[state[DELIVERED]]
+    row[0] = state[END]
+    row[1] = frames[_FLIGHT, IDENTIFIER] | frames[_FLIGHT, DLC] << 32
+    row[2] = frames[_FLIGHT, DATA]
+    row[WORDS] = frames[_FLIGHT, PORT]
+    state[DELIVERED] += 1
+    state[FLYING] = 0
+
+
+@njit(
+    "int64(int64[::1], int64[:, ::1], int64[:, ::1], int64[::1], int64[:, ::1], int64[::1], int64,"
+    " int64)",
+    cache=True,
+)
+def _run(
+    state: Integers,
+    frames: Integers,
+    delivered: Integers,
+    kinds: Integers,
+    held: Integers,
+    durations: Integers,
+    gap_ns: int,
+    to_ns: int,
+) -> int:
+    """``kinds``: (2048,) by identifier; ``held``: a column for each held frame; ``durations``: ns
+    by bits. Where it has stopped the frame is still on the wire."""
+    while True:
+        if not state[FLYING]:
+            start = _start_ns(state, frames)
+            state[NEXT] = start
+            if start >= to_ns:
+                return _DONE
+            _take_off(state, frames, start)
+            flight = frames[_FLIGHT]
+            value = _big_endian(flight[DATA], flight[DLC])
+            length = durations[stuffed_bits(flight[IDENTIFIER], flight[DLC], value)]
+            state[END] = start + length
+            state[FREE] = state[END] + gap_ns
+            state[BUSY] += length + gap_ns
+            state[FRAMES] += 1
+        state[NEXT] = state[END]
+        if state[END] > to_ns:
+            return _DONE
+        kind = kinds[frames[_FLIGHT, IDENTIFIER]]
+        hold = kind - HELD
+        if kind == STOPS or (hold >= 0 and frames[_FLIGHT, DLC] < held[LEAST, hold]):
+            return _STOPPED
+        if state[DELIVERED] == delivered.shape[0]:
+            return _FULL
+        if hold >= 0:
+            held[WAITS, hold] = frames[_FLIGHT, DLC]
+            held[HELD_DATA, hold] = frames[_FLIGHT, DATA]
+        land(state, frames, delivered)
+
+
+@njit("int64(int64[:, ::1], int64, int64, boolean, int64[:, ::1])", cache=True)
+def _for_host(delivered: Integers, count: int, port: int, echo: bool, rows: Integers) -> int:
+    """What a host receives of ``delivered``, as rows of an inbox; how many."""
+    taken = 0
+    for i in range(count):
+        own = delivered[i, WORDS] == port
+        if own and not echo:
+            continue
+        rows[taken, 0] = delivered[i, 0]
+        rows[taken, 1] = delivered[i, 1] | int(own) << 40
+        rows[taken, 2] = delivered[i, 2]
+        taken += 1
+    return taken
+
+
+class RegularWire:
+    """The wire of one channel. ``durations``: ns of a frame by its bits; ``room``: how many frames
+    may wait, `ROOM` at most."""
+
+    def __init__(self, durations: list[int], gap_ns: int, room: int) -> None:
+        self.state = np.zeros(8, np.int64)
+        # Python reads and writes single words of a memoryview in a third of an array's time.
+        self._words = self.state.data
+        self.frames = np.zeros((_SIZE, _COLUMNS), np.int64)
+        self._memory = self.frames.reshape(-1).view(np.uint8).data
+        self.delivered = np.zeros((_SIZE, WORDS + 1), np.int64)
+        self.kinds = np.zeros(BASE_ID + 1, np.int64)
+        self.held = np.zeros((3, 0), np.int64)
+        self._rows = np.zeros((_SIZE, WORDS), np.int64)
+        self._durations = np.array(durations, np.int64)
+        self._gap_ns = gap_ns
+        self._room = room
+
+    def begin(self, free_ns: int) -> None:
+        """An idle wire, free from ``free_ns`` on."""
+        self.state[:] = 0
+        self.state[FREE], self.state[NEXT] = free_ns, NEVER
+
+    def fits(self, count: int) -> bool:
+        """Whether so many more frames may wait."""
+        return self._words[PENDING] + count <= self._room
+
+    @property
+    def flying(self) -> int:
+        """Identifier of the frame on the wire."""
+        return int(self.frames[_FLIGHT, IDENTIFIER])
+
+    @property
+    def delivered_frames(self) -> int:
+        """Frames that hosts may have."""
+        return self._words[DELIVERED]
+
+    def put(self, port: int, key: int, identifier: int, data: bytes, due_ns: int) -> bool:
+        """Let a frame enter its queue then; False: it is none for this wire."""
+        words = self._words
+        pending = words[PENDING]
+        if identifier > BASE_ID or pending >= self._room:
+            return False
+        _ROW.pack_into(
+            self._memory, pending * _ROW.size, due_ns, port, key, identifier, len(data), data
+        )
+        words[PENDING] = pending + 1
+        if not words[FLYING] and due_ns < words[NEXT]:
+            words[NEXT] = max(due_ns, words[FREE])
+        return True
+
+    def run(self, to_ns: int) -> int:
+        """Let time pass. Returns `NEVER`, or when a frame ended that others have to deliver; 0 if
+        there is no room for more that are delivered."""
+        if to_ns < self._words[NEXT]:
+            return NEVER
+        code = _run(
+            self.state,
+            self.frames,
+            self.delivered,
+            self.kinds,
+            self.held,
+            self._durations,
+            self._gap_ns,
+            to_ns,
+        )
+        if code == _DONE:
+            return NEVER
+        return self._words[END] if code == _STOPPED else 0
+
+    def next_ns(self) -> int:
+        """When something happens next by itself, or `NEVER`."""
+        return self._words[NEXT]
+
+    def rows_for(self, port: int, *, echo: bool) -> Integers:
+        """Delivered frames that a host receives; good until the next call."""
+        count = _for_host(self.delivered, self._words[DELIVERED], port, echo, self._rows)
+        return self._rows[:count]
+
+    def handed_out(self) -> None:
+        """Every host has the delivered frames."""
+        self._words[DELIVERED] = 0
+
+    def waiting(self, port: int) -> int:
+        """Frames in a controller's queue."""
+        rows = self.frames[: self.state[PENDING], PORT]
+        return int(np.count_nonzero(rows == port))
+
+    def frame(self, row: int = _FLIGHT) -> tuple[Frame, int]:
+        """A row as a frame, with its controller's number; by default that on the wire."""
+        due_ns, port, key, identifier, dlc, data = self.frames[row].tolist()
+        made = Frame(identifier, data.to_bytes(8, "little", signed=True)[:dlc], dlc, key)
+        made.queued_ns = due_ns
+        return made, port
