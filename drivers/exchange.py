@@ -18,7 +18,7 @@ from tonus.config.schema.drive import DriveProfile
 from tonus.config.schema.robot import Robot
 from tonus.config.schema.safety import Freshness
 from tonus.drivers.cia301.setting import ObjectAccess
-from tonus.drivers.devices.cia402 import STATE_OF, Cia402Axis
+from tonus.drivers.devices.cia402 import STATE_OF, controlword
 from tonus.drivers.devices.drive import Scale, read_scale
 from tonus.drivers.devices.force_cell import divisor
 from tonus.drivers.events import EventLog
@@ -95,6 +95,30 @@ def _convert(
         cell.age = age
 
 
+@njit(cache=True)
+def _command(
+    axes: NDArray[np.void],
+    commands: NDArray[np.void],
+    limits: tuple[Array, Array],
+    words: NDArray[np.int64],
+    torques: NDArray[np.int64],
+) -> bool:
+    """Controlwords, ``words`` holding those before, and torques (per mille); False: one that was
+    wanted is not finite. ``limits``: N m, and per mille a N m, of each axis."""
+    finite = True
+    for i in range(axes.shape[0]):
+        wanted, state, command = commands[i].torque, axes[i].state, commands[i].command
+        words[i] = controlword(state, command, words[i])
+        torques[i] = 0
+        if not math.isfinite(wanted):
+            finite = False
+        elif state == _ENABLED and command == _ENABLE:
+            # Clipped before it is scaled: no torque, however large, overflows on the way.
+            clipped = min(max(wanted, -limits[0][i]), limits[0][i])
+            torques[i] = int(np.rint(clipped * limits[1][i]))
+    return finite
+
+
 class Exchange:
     """Raw values of the last exchange, one place per axis or cell.
 
@@ -132,16 +156,14 @@ class Exchange:
         cables = robot.cables
         self._trains = list(zip(robot.drive_trains, robot.signs, strict=True))
         self._scales = (np.zeros(cables), np.zeros(cables), float(divisor(cell)))
-        self._axes = [Cia402Axis() for _ in range(cables)]
-        self._per_newton_metre = [0.0] * cables
-        self._torque_limits = [0.0] * cables
+        self._words, self._torques = np.zeros(cables, np.int64), np.zeros(cables, np.int64)
+        self._limits = (np.zeros(cables), np.zeros(cables))
+        """N m, and per mille a N m"""
         for axis, (train, sign) in enumerate(self._trains):
             self._set_scale(axis, Scale.of(train, sign))
         self._reported = False
         self._axis_table, self._cell_table = image.axes, image.cells
-        self._state = image.axes["state"]
-        self._command_torque = image.commands["torque"]
-        self._command = image.commands["command"]
+        self._commands = image.commands
 
     async def read_scale(self, axis: int, access: ObjectAccess, profile: DriveProfile) -> None:
         """Take over what an axis' drive counts in, now that it holds its settings. Raises
@@ -151,8 +173,8 @@ class Exchange:
     def _set_scale(self, axis: int, scale: Scale) -> None:
         self._scales[0][axis] = scale.radian_per_increment
         self._scales[1][axis] = scale.newton_metre_per_mille
-        self._per_newton_metre[axis] = scale.mille_per_newton_metre
-        self._torque_limits[axis] = scale.mille_limit * abs(scale.newton_metre_per_mille)
+        self._limits[0][axis] = scale.mille_limit * abs(scale.newton_metre_per_mille)
+        self._limits[1][axis] = scale.mille_per_newton_metre
 
     def forget(self) -> None:
         """Begin anew: no sample has been taken yet and nobody is mistrusted."""
@@ -161,8 +183,11 @@ class Exchange:
         self.error_codes[:] = 0
         self.cell_status[:] = 0
         self.cell_emergency[:] = 0
-        # Also so that it is compiled before a tick needs it.
+        # Also so that it is compiled before a tick needs it, as the commands of no axis are.
         self.fill(0)
+        none = slice(0)
+        words, torques = self._words[none], self._torques[none]
+        _command(self._axis_table[none], self._commands[none], self._limits, words, torques)
 
     def place(self, column: NDArray[Any], row: int) -> int:
         """Where an entry of one of the columns stands among `integers`."""
@@ -187,28 +212,12 @@ class Exchange:
         A torque goes out only to an axis that is enabled and is meant to be; every other axis gets
         0, so that nothing stale acts when it is enabled. A torque that is not finite becomes 0.
         """
-        wanted: list[float] = self._command_torque.tolist()
-        if self._reported or not math.isfinite(sum(wanted)):
-            self._report([math.isfinite(torque) for torque in wanted])
-        controlwords = []
-        torques = []
-        for axis, state, command, torque, limit, per_newton_metre in zip(
-            self._axes,
-            self._state.tolist(),
-            self._command.tolist(),
-            wanted,
-            self._torque_limits,
-            self._per_newton_metre,
-            strict=True,
-        ):
-            controlwords.append(axis.controlword(state, command))
-            if state == _ENABLED and command == _ENABLE and math.isfinite(torque):
-                # Clipped before it is scaled: no torque, however large, overflows on the way.
-                clipped = min(max(torque, -limit), limit)
-                torques.append(round(clipped * per_newton_metre))
-            else:
-                torques.append(0)
-        return controlwords, torques
+        finite = _command(
+            self._axis_table, self._commands, self._limits, self._words, self._torques
+        )
+        if self._reported or not finite:
+            self._report(np.isfinite(self._commands["torque"]).tolist())
+        return self._words.tolist(), self._torques.tolist()
 
     def _report(self, finite: list[bool]) -> None:
         """Begin or end the episode of each axis whose torque is no number."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numba import njit
+
 from tonus.drivers.process_image import AxisCommand, AxisState
 
 SHUTDOWN = 0x06
@@ -66,9 +69,12 @@ _WORDS: dict[AxisCommand, dict[AxisState, int]] = {
 # An axis without a fault has nothing to reset; it is left without power like the others.
 _WORDS[AxisCommand.RESET_FAULT] = _WORDS[AxisCommand.DISABLE]
 
-_NEXT: tuple[tuple[int, ...], ...] = tuple(
-    tuple(_WORDS[command].get(state, DISABLE_VOLTAGE) for state in AxisState)
-    for command in AxisCommand
+_NEXT = np.array(
+    [
+        [_WORDS[command].get(state, DISABLE_VOLTAGE) for state in AxisState]
+        for command in AxisCommand
+    ],
+    dtype=np.int64,
 )
 _COMMANDS = len(AxisCommand)
 _FAULT = int(AxisState.FAULT)
@@ -77,30 +83,18 @@ _RESET = int(AxisCommand.RESET_FAULT)
 _ENABLE = int(AxisCommand.ENABLE)
 
 
-class Cia402Axis:
-    """One axis: remembers the last word, because a fault reset is an edge and not a level."""
+@njit("int64(int64, int64, int64)", cache=True)
+def controlword(state: int, command: int, last: int) -> int:
+    """The word that takes an axis seen in ``state`` one transition towards ``command``; ``last`` is
+    the one before, because a fault reset is an edge and not a level.
 
-    __slots__ = ("_last",)
-
-    def __init__(self) -> None:
-        self._last = DISABLE_VOLTAGE
-
-    def controlword(self, state: int, command: int) -> int:
-        """The word that takes an axis seen in ``state`` one transition towards ``command``.
-
-        In FAULT a reset is sent as 0x00 and then 0x80, over and over, so that a lost frame or a
-        cause that is still there costs one more round and no more. A drive that is LOST while it
-        should be enabled keeps the word it had: it may still hear us, and a power cycle on its
-        side leaves it in Switch On Disabled, where 0x0F does nothing. A number that is no command
-        counts as DISABLE.
-        """
-        if state == _FAULT and command == _RESET:
-            word = DISABLE_VOLTAGE if self._last != DISABLE_VOLTAGE else FAULT_RESET
-        elif state == _LOST and command == _ENABLE:
-            word = self._last & ~FAULT_RESET
-        elif command < _COMMANDS:
-            word = _NEXT[command][state]
-        else:
-            word = _NEXT[0][state]
-        self._last = word
-        return word
+    In FAULT a reset is sent as 0x00 and then 0x80, over and over, so that a lost frame or a cause
+    that is still there costs one more round and no more. A drive that is LOST while it should be
+    enabled keeps the word it had: it may still hear us, and a power cycle on its side leaves it in
+    Switch On Disabled, where 0x0F does nothing. A number that is no command counts as DISABLE.
+    """
+    if state == _FAULT and command == _RESET:
+        return DISABLE_VOLTAGE if last != DISABLE_VOLTAGE else FAULT_RESET
+    if state == _LOST and command == _ENABLE:
+        return last & ~FAULT_RESET
+    return int(_NEXT[command if command < _COMMANDS else 0, state])
