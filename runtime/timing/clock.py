@@ -58,6 +58,16 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         return self._virtual_ns * 1e-9
 
+    def skip(self, to_ns: int) -> bool:
+        """Let time jump at once where nobody else has anything to do until after it; False: there
+        is somebody, and only waiting gives each its turn."""
+        scheduled = self._scheduled  # type: ignore[attr-defined]
+        others = self._ready or self._stopping  # type: ignore[attr-defined]
+        if others or (scheduled and scheduled[0]._when <= to_ns * 1e-9):
+            return False
+        self._virtual_ns = max(self._virtual_ns, to_ns)
+        return True
+
     def _run_once(self) -> None:
         if not self._ready:  # type: ignore[attr-defined]
             self._jump()

@@ -108,6 +108,34 @@ def test_virtual_ticks_are_exact_to_the_nanosecond(start_ns: int, period_ns: int
     assert misses(run(main(), virtual=True)) == (0, 0)
 
 
+def test_virtual_ticks_give_each_its_turn_at_its_own_time() -> None:
+    """Also where they do not go through the loop."""
+
+    async def main() -> list[tuple[str, int]]:
+        loop, seen = asyncio.get_running_loop(), list[tuple[str, int]]()
+        scheduler = Scheduler(PERIOD, PERIOD, VirtualPacing(), Stopwatch(running=False))
+
+        async def other() -> None:
+            for _ in range(3):
+                await asyncio.sleep(1.5 * PERIOD * 1e-9)
+                seen.append(("other", now_ns()))
+            loop.call_soon(lambda: seen.append(("soon", now_ns())))
+
+        task = loop.create_task(other())
+        for _ in range(6):
+            tick = await scheduler.next()
+            seen.append((f"tick {tick}", now_ns()))
+        await task
+        return seen
+
+    seen = run(main(), virtual=True)
+    half = PERIOD // 2
+    assert [at for _, at in seen] == sorted(at for _, at in seen)
+    assert [at for name, at in seen if name == "other"] == [3 * half, 6 * half, 9 * half]
+    assert [at for name, at in seen if name.startswith("tick")] == [k * PERIOD for k in range(1, 7)]
+    assert ("soon", 9 * half) in seen
+
+
 def test_a_tick_longer_than_its_period_skips_and_is_ours() -> None:
     numbers, late, scheduler = schedule(5, VirtualPacing(), computing(1, 0.0033))
     assert numbers == [0, 1, 4, 5, 6]
