@@ -201,9 +201,10 @@ class LocalBus(TonusBus):
             key = arbitration_key(identifier)
             if identifier <= BASE_ID:  # of the others there are too many to keep
                 self._keys[identifier] = key
-        frame = Frame(identifier, data, dlc, key)
-        port = self._port
-        return port.channel.send(port, frame, self._lab.now_ns)
+        port, now_ns = self._port, self._lab.now_ns
+        if dlc == len(data) and port.channel.put(port, key, identifier, data, now_ns):
+            return True
+        return port.channel.send(port, Frame(identifier, data, dlc, key), now_ns)
 
     def _send_periodic_internal(
         self,

@@ -453,6 +453,10 @@ class Channel:
         self._leave()
         self._calm = False
 
+    def put(self, port: Port, key: int, identifier: int, data: bytes, now_ns: int) -> bool:
+        """`send` without a frame's object; False: it takes one."""
+        return self._regular and self._wire.put(port.number, key, identifier, data, now_ns)
+
     def _puts(self, port: Port, frame: Frame, due_ns: int) -> bool:
         if frame.dlc != len(frame.data):
             return False
