@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import closing
+from multiprocessing import active_children
 from pathlib import Path
+from select import select
 
 import pytest
 from hil.runs import configured, virtual
@@ -16,7 +21,7 @@ from tonus.runtime.states import Operator, State
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay
-from tonus.tools.run.held import HeldRobot
+from tonus.tools.run.held import HeldRobot, HeldRun
 from tonus.tools.testing.held import HeldFactory
 
 BUSES = (
@@ -135,6 +140,90 @@ def test_a_fault_that_cannot_be_injected_is_refused_and_the_run_goes_on(
         with pytest.raises(ToolError, match="no node 99"):
             run.inject(Unplug(channel="can1", node=99))
         assert run.advance(0.01).state is State.HOLD
+
+
+@pytest.fixture
+def at_most() -> Iterator[Callable[[int], int]]:
+    """Fails a test that waits for an answer which never comes, after so many s of wall time."""
+
+    def late(number: int, frame: object) -> None:
+        raise TimeoutError("no answer")
+
+    before = signal.signal(signal.SIGALRM, late)
+    yield signal.alarm
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def children(pid: int | None) -> list[int]:
+    return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def kill_run() -> None:
+    """Kill the process of the run that is open, and wait for its end."""
+    (run,) = (run for robot in active_children() for run in children(robot.pid))
+    handle = os.pidfd_open(run)
+    os.kill(run, signal.SIGKILL)
+    select([handle], [], [], 10.0)
+    os.close(handle)
+
+
+@pytest.mark.parametrize("when", ["between requests", "during a request", "before its end"])
+def test_a_run_that_crashes_is_over_and_the_next_is_as_if_it_had_not_been(
+    robot: HeldRobot, tmp_path: Path, at_most: Callable[[int], int], when: str
+) -> None:
+    at_most(60)
+    with robot.operated(tmp_path / "before") as run:
+        undisturbed = run.advance(0.02)
+
+    def crash() -> None:
+        with robot.operated(tmp_path / "crashed") as run:
+            runs.append(run)
+            run.advance(0.01)
+            if when == "during a request":
+                threading.Timer(0.2, kill_run).start()
+            else:
+                kill_run()
+            if when != "before its end":
+                run.advance(60.0)
+
+    runs: list[HeldRun] = []
+    words = r"process ended without an answer \(signal SIGKILL\)"
+    with pytest.raises(ToolError, match=words) as told:
+        crash()
+    (run,) = runs
+    assert "\n" not in str(told.value)
+    assert run.over
+    assert run.result is None
+    with pytest.raises(ToolError, match="the run is over"):
+        run.finish()
+    with robot.operated(tmp_path / "after") as run:
+        seen = run.advance(0.02)
+        with pytest.raises(ToolError, match="no node 99"):
+            run.inject(Unplug(channel="can1", node=99))
+        run.end()
+    for each in ("record", "truth"):
+        assert getattr(seen, each).tobytes() == getattr(undisturbed, each).tobytes()
+    before, after = (messages(tmp_path / n / "run.mcap", 0) for n in ("before", "after"))
+    assert before == after
+    assert robot.play(tmp_path / "played").outcome.state is State.STANDBY
+
+
+def test_a_held_robot_whose_process_is_killed_says_so(
+    tmp_path: Path, at_most: Callable[[int], int]
+) -> None:
+    at_most(60)
+    config, scenario = configured("config/direct.yaml", duration=0.3)
+    others = active_children()
+    with closing(HeldRobot(config, scenario)) as robot:
+        assert robot.alive
+        (process,) = (each for each in active_children() if each not in others)
+        process.kill()
+        process.join()
+        assert not robot.alive
+        for _ in range(2):
+            with pytest.raises(ToolError, match="process has ended; bring up another"):
+                robot.play(tmp_path)
 
 
 def test_a_robot_that_does_not_come_up_says_why() -> None:

@@ -12,6 +12,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -22,10 +23,15 @@ from tonus.config.schema.scenario import Scenario
 from tonus.runtime.states import Operator, State
 from tonus.tools.errors import ToolError
 from tonus.tools.run.held_process import HeldProcess
-from tonus.tools.run.held_talk import Request, Seen
+from tonus.tools.run.held_talk import Answer, Request, Seen
 from tonus.tools.run.order import Result
 
 Holding = Literal["HOLD", "ACTIVE"]
+_GONE = "the held robot's process has ended; bring up another"
+
+
+class RunOverError(ToolError):
+    """The run has ended without a result: its process has crashed, or refused to begin."""
 
 
 class HeldRobot:
@@ -48,6 +54,8 @@ class HeldRobot:
         held = HeldProcess(config, self.scenario, seed, State[at], theirs)
         self._process = context.Process(target=held.serve, args=(self._connection,), daemon=True)
         self._open: HeldRun | None = None
+        self._number = self._first = 0
+        """of the last request, and of the one that the last run began with"""
         self._process.start()
         theirs.close()
         self._answer()
@@ -62,7 +70,7 @@ class HeldRobot:
                 f"those the robot was brought up with ({self.scenario.name})"
             )
         self._need_idle()
-        result = self._ask(Request("play", out, played, rings=os.environ.get(RUNTIME_DIR)))
+        result = self._begin(Request("play", out, played, rings=os.environ.get(RUNTIME_DIR)))
         assert isinstance(result, Result)
         return result
 
@@ -71,17 +79,23 @@ class HeldRobot:
         """A run that is advanced step by step, recorded in ``out``; it ends with the block. Raises
         `ToolError` while another is open."""
         self._need_idle()
-        first = self._ask(Request("operate", out, rings=os.environ.get(RUNTIME_DIR)))
+        first = self._begin(Request("operate", out, rings=os.environ.get(RUNTIME_DIR)))
         assert isinstance(first, Seen)
         run = self._open = HeldRun(self._ask, first, self.config.control.rates.period)
         try:
             yield run
         finally:
-            run.end()
+            if not run.over:
+                run.end()
+
+    @property
+    def alive(self) -> bool:
+        """Whether runs can start from it."""
+        return self._process.is_alive()
 
     def close(self) -> None:
         """The process ends, and what it holds is gone. Does nothing a second time."""
-        if self._open is not None:
+        if self._open is not None and not self._open.over:
             with suppress(ToolError):  # of one that has crashed
                 self._open.end()
         with suppress(OSError):  # of one that has ended by itself, or is closed
@@ -91,36 +105,46 @@ class HeldRobot:
         self._process.join()
 
     def _need_idle(self) -> None:
-        if self._open is not None and self._open.result is None:
+        if self._open is not None and not self._open.over:
             raise ToolError("a held robot plays one run at a time; end the other one first")
 
-    def _ask(self, request: Request) -> Result | Seen | None:
-        self._connection.send(request)
+    def _begin(self, request: Request) -> Result | Seen | None:
+        self._first = self._number + 1
+        return self._ask(request).value
+
+    def _ask(self, request: Request) -> Answer:
+        """Raises `RunOverError` where the run ends without a result, else `ToolError`."""
+        self._number += 1
+        try:
+            self._connection.send(replace(request, number=self._number))
+        except OSError:
+            raise RunOverError(_GONE) from None
         return self._answer()
 
-    def _answer(self) -> Result | Seen | None:
-        try:
-            answer: Result | Seen | str | None = self._connection.recv()
-        except EOFError:
-            raise ToolError("the held robot's process ended without an answer") from None
-        if isinstance(answer, str):
-            raise ToolError(answer)
-        return answer
+    def _answer(self) -> Answer:
+        while True:
+            try:
+                answer: Answer = self._connection.recv()
+            except (EOFError, OSError):
+                raise RunOverError(_GONE) from None
+            if answer.over and answer.error and answer.number == self._first:
+                raise RunOverError(answer.error)
+            if answer.number != self._number:
+                continue  # of a run that crashed when it had answered its last request
+            if answer.error:
+                raise ToolError(answer.error)
+            return answer
 
 
 class HeldRun:
     """One run from a held robot. Nothing happens but in `advance`."""
 
-    def __init__(
-        self,
-        ask: Callable[[Request], Result | Seen | None],
-        first: Seen,
-        period: float,
-    ) -> None:
-        self._ask, self._period = ask, period
+    def __init__(self, ask: Callable[[Request], Answer], first: Seen, period: float) -> None:
+        self._send, self._period = ask, period
         self.seen = first
+        self.over = False
         self.result: Result | None = None
-        """once it has ended"""
+        """once it is over, unless it has crashed"""
 
     def advance(self, seconds: float) -> Seen:
         """So much robot time, in whole ticks. Less where the run ends before. Raises
@@ -131,8 +155,6 @@ class HeldRun:
         answer = self._ask(Request("advance", ticks=round(seconds / self._period)))
         if isinstance(answer, Seen):
             self.seen = answer
-        else:
-            self.result = answer
         return self.seen
 
     def inject(self, fault: Fault) -> None:
@@ -146,22 +168,34 @@ class HeldRun:
         self._ask(Request("command", operator=operator))
 
     def finish(self) -> Result:
-        """A controlled stop, to STANDBY or FAULT."""
-        return self._over("finish")
+        """A controlled stop, to STANDBY or FAULT. Raises `ToolError` for a run that has
+        crashed."""
+        return self._ended("finish")
 
     def end(self) -> Result:
-        """Stop recording here and leave the robot as it is. Does nothing to a run that is over."""
-        return self._over("end")
+        """Stop recording here and leave the robot as it is. Does nothing to a run that is over.
+        Raises `ToolError` for one that has crashed."""
+        return self._ended("end")
 
-    def _over(self, kind: Literal["finish", "end"]) -> Result:
+    def _ended(self, kind: Literal["finish", "end"]) -> Result:
         if self.result is None:
-            answer = self._ask(Request(kind))
-            assert isinstance(answer, Result)
-            self.result = answer
+            self._need()
+            self._ask(Request(kind))
+        assert self.result is not None, "an answer that ends a run has its result"
         return self.result
 
+    def _ask(self, request: Request) -> Result | Seen | None:
+        try:
+            answer = self._send(request)
+        except RunOverError:
+            self.over = True
+            raise
+        if isinstance(answer.value, Result):
+            self.over, self.result = True, answer.value
+        return answer.value
+
     def _need(self) -> None:
-        if self.result is not None:
+        if self.over:
             raise ToolError("the run is over; begin another from the held robot")
 
 

@@ -31,7 +31,7 @@ from tonus.tools.forking import die_with_parent
 from tonus.tools.repeat import every
 from tonus.tools.run import fieldbuses, provenance
 from tonus.tools.run.composer import DRAIN_S
-from tonus.tools.run.held_talk import Request, Said, Seen
+from tonus.tools.run.held_talk import Answer, Request, Said, Seen
 from tonus.tools.run.late_sinks import LateSinks
 from tonus.tools.run.order import Result
 from tonus.tools.run.provenance import SCRIPT_START
@@ -57,6 +57,8 @@ class HeldProcess:
         self._console = Console(self._script)
         self._running: _Running | None = None
         """in a child"""
+        self._began = 0
+        """in a child: number of the request that it began with"""
         self._lab: Lab | None = None
         self._daemon: Daemon | None = None
 
@@ -65,6 +67,7 @@ class HeldProcess:
         die_with_parent()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_DFL)
+        code = 1
         try:
             if not rehearse(self._config, self._scenario):
                 raise ToolError(
@@ -73,17 +76,20 @@ class HeldProcess:
             outcome = clock.run(self._main(), virtual=True)
             if self._running is None:
                 raise ToolError(f"the robot did not reach {self._at.name}: {outcome.reason}")
-            self._connection.send(self._running.result(outcome))
+            self._running.ended(outcome)
+            code = 0
         except Exception as error:  # noqa: BLE001 - whoever asked is told, whatever it is
             if not isinstance(error, ToolError | LabError | DriverError):
                 traceback.print_exc()
-            self._connection.send(str(error) or type(error).__name__)
+            text = str(error) or type(error).__name__
+            self._connection.send(Answer(self._began, error=text, over=True))
+            code = 0
         finally:
             if self._running is not None:
                 self._running.close()
             sys.stdout.flush()
             sys.stderr.flush()
-            os._exit(0)
+            os._exit(code)
 
     async def _main(self) -> Outcome:
         config, sinks = self._config, self._sinks
@@ -129,7 +135,7 @@ class HeldProcess:
 
     def _stand(self) -> None:
         """In the parent for ever; in a child once there is one."""
-        self._connection.send(None)
+        self._connection.send(Answer(0))
         while True:
             try:
                 request: Request = self._connection.recv()
@@ -138,8 +144,7 @@ class HeldProcess:
             if request.kind == "close":
                 os._exit(0)
             if request.kind not in ("play", "operate"):  # to one that has crashed
-                self._connection.send("the run is over; begin another from the held robot")
-                continue
+                continue  # which has been told
             process = clock.fork()
             if process == 0:
                 die_with_parent()
@@ -148,12 +153,14 @@ class HeldProcess:
             _, status = os.waitpid(process, 0)
             code = os.waitstatus_to_exitcode(status)
             if code:
-                self._connection.send(f"the run ended without an answer (exit code {code})")
+                text = f"the run's process ended without an answer ({_how(code)})"
+                self._connection.send(Answer(request.number, error=text, over=True))
 
     def _take_up(self, request: Request) -> None:
         assert self._lab is not None
         assert self._daemon is not None
         played = request.scenario or self._scenario
+        self._began = request.number
         if request.rings is not None:
             os.environ[RUNTIME_DIR] = request.rings
         if request.scenario is None:
@@ -197,6 +204,7 @@ class _Running:
         self._sinks, self._connection = sinks, connection
         self._left = 0 if request.kind == "operate" else None
         """ticks until the next question; None: no end"""
+        self._asked = request.number
         self._refused = ""
         self._began_ns = clock.now_ns()
         self._wall = clock.wall_seconds()
@@ -228,7 +236,11 @@ class _Running:
         if self._left is None:
             return
         while self._left == 0:
-            self._connection.send(self._refused or self._seen())
+            self._connection.send(
+                Answer(self._asked, error=self._refused)
+                if self._refused
+                else Answer(self._asked, self._seen())
+            )
             self._refused = ""
             self._obey(self._connection.recv())
             if self._left is None:
@@ -236,13 +248,14 @@ class _Running:
         self._left -= 1
 
     def _obey(self, request: Request) -> None:
+        self._asked = request.number
         if request.kind == "advance":
             self._left = request.ticks
         elif request.kind == "finish":
             self._console.stop()
             self._left = None
         elif request.kind == "end":
-            self._connection.send(self.result(self._daemon.outcome))
+            self.ended(self._daemon.outcome)
             self.close()
             os._exit(0)
         elif request.fault is not None:
@@ -269,11 +282,18 @@ class _Running:
             events,
         )
 
-    def result(self, outcome: Outcome) -> Result:
+    def ended(self, outcome: Outcome) -> None:
+        """Complete the log; answer with the result."""
         self.recorder.drain()
         self.recorder.finish()
         seconds = clock.wall_seconds() - self._wall
-        return Result(outcome, self._log, seconds, unrecorded=self.recorder.stopped)
+        result = Result(outcome, self._log, seconds, unrecorded=self.recorder.stopped)
+        self._connection.send(Answer(self._asked, result, over=True))
 
     def close(self) -> None:
         self._cleanup.close()
+
+
+def _how(code: int) -> str:
+    """An exit code in words: "exit code 3", "signal SIGKILL"."""
+    return f"exit code {code}" if code > 0 else f"signal {signal.Signals(-code).name}"

@@ -13,6 +13,7 @@ from tonus.config.schema.faults import Fault
 from tonus.config.schema.scenario import Scenario
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.states import Operator, State
+from tonus.tools.run.order import Result
 
 
 class Said(NamedTuple):
@@ -54,3 +55,16 @@ class Request:
     operator: Operator = Operator.NONE
     rings: str | None = None
     """folder for rings, as the asking process has it by now"""
+    number: int = 0
+    """counts the requests to a robot; its answer carries it"""
+
+
+@dataclass(frozen=True)
+class Answer:
+    number: int
+    """of the request; with ``over`` and ``error`` also that of the request its run began with"""
+    value: Result | Seen | None = None
+    error: str = ""
+    """why the request was refused, or why the run is over without a result"""
+    over: bool = False
+    """the run has ended"""

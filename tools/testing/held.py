@@ -179,7 +179,7 @@ def _robot(config: Config, scenario: Scenario, seed: int, at: Holding) -> HeldRo
     """One that is held already, or brought up now."""
     base = undisturbed(scenario).model_copy(update={"duration": 1.0})
     key = (config.model_dump_json(), base.model_dump_json(), seed, at)
-    if key in _ROBOTS:
+    if key in _ROBOTS and _ROBOTS[key].alive:
         _ROBOTS.move_to_end(key)
         return _ROBOTS[key]
     while len(_ROBOTS) >= _MOST:
