@@ -81,6 +81,28 @@ def test_an_event_that_is_missing_is_told_with_the_last_ten(run: Run) -> None:
     assert lines[-1].strip().startswith("4.616 s  tick   4616  state: SAFE_STOP to STANDBY")
 
 
+def test_an_event_at_another_place_or_time_is_named(disturbed: Run) -> None:
+    with pytest.raises(ExpectationError) as caught:
+        disturbed.expect("drive_lost", where="axis 5")
+    assert caught.value.figure == (
+        "no event drive_lost at axis 5; drive_lost at can0/2 (axis 1) came at 2.490 s"
+    )
+    with pytest.raises(ExpectationError) as caught:
+        disturbed.expect("late*", after=3.0)
+    assert caught.value.figure == (
+        "no event late* after 3.000 s; late_pdo at axis 12 came at 2.450 s; "
+        "late_pdo at can0/2 (axis 1) came at 2.480 s"
+    )
+    with pytest.raises(ExpectationError) as caught:
+        disturbed.expect("state", where="HOLD to FAULT")
+    assert caught.value.figure.endswith(" s; 4 more")
+
+
+def test_a_wildcard_expects_only_what_it_finds(disturbed: Run) -> None:
+    assert disturbed.expect("*", after=2.45).event.name == "late_pdo"
+    assert [event.name for event in disturbed.unexpected()] == ["drive_lost"]
+
+
 def test_a_place_is_words_not_letters(disturbed: Run) -> None:
     assert disturbed.expect("late_pdo", where="axis 1").event.tick == 2480
     disturbed.never("late_pdo", where="axis 2")

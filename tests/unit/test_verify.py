@@ -90,6 +90,16 @@ def test_a_warning_that_nobody_expects_fails(tmp_path: Path) -> None:
     assert "FAILED  no other warning or error" in result.output
 
 
+def test_one_expectation_that_cannot_be_answered_leaves_the_others(tmp_path: Path) -> None:
+    unanswered = {"kind": "summary", "key": "k_eq", "at_most": 1.0}
+    path = scenario(tmp_path, "own", [unanswered, *GOOD])
+    result = carried_out(tmp_path, path)
+    assert result.exit_code == 1, result.output
+    _, missed, *good, _ = result.output.splitlines()
+    assert missed.startswith("  FAILED  summary key k_eq at_most 1.0; summary.json has no k_eq")
+    assert [each.split()[0] for each in good] == ["ok"] * (len(GOOD) + 1)
+
+
 @pytest.mark.parametrize(
     ("expect", "more", "said"),
     [
@@ -102,8 +112,27 @@ def test_a_warning_that_nobody_expects_fails(tmp_path: Path) -> None:
              | {"frequency": 0.01, "fade": 0.0}, "duration": 30.0},
             "leaves the workspace",
         ),
-        ([{"kind": "stays", "topic": "pose", "field": "no", "low": 0, "high": 1}], {}, "no signal"),
-        ([{"kind": "summary", "key": "no", "at_most": 1}], {}, "summary.json has no no"),
+        (
+            [*GOOD, {"kind": "stays", "topic": "posse", "field": "no", "low": 0, "high": 1}],
+            {},
+            "own.yaml: expect.4: there is no signal /tonus/posse.no; did you mean /tonus/pose?",
+        ),
+        (
+            [{**BAD[3], "field": "k_qe"}],
+            {},
+            "no signal /tonus/stiffness.k_qe; did you mean k_eq?",
+        ),
+        (
+            [{**BAD[5], "index": 3}],
+            {},
+            "/tonus/truth.position has no element 3; choose one from 0 to 2",
+        ),
+        ([{**BAD[3], "index": 0}], {}, "it is a scalar; leave it out"),
+        (
+            [{"kind": "never", "event": "cable_tron"}],
+            {},
+            "expect.0: no event is named cable_tron; did you mean cable_torn?",
+        ),
     ],
 )  # fmt: skip
 def test_what_cannot_be_judged_is_one_line(
@@ -112,3 +141,4 @@ def test_what_cannot_be_judged_is_one_line(
     text = line(carried_out(tmp_path, scenario(tmp_path, "own", expect, **more)))
     assert said in text
     assert "\n" not in text
+    assert not (tmp_path / "out").exists(), "it is refused before anything is played"

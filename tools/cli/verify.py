@@ -13,6 +13,7 @@ from tonus.tools.cli.settings import overrides_of
 from tonus.tools.errors import ToolError
 from tonus.tools.folders import make_folder
 from tonus.tools.verify import junit
+from tonus.tools.verify.names import need_names
 from tonus.tools.verify.play import Case, Judged, play_all
 
 
@@ -75,6 +76,10 @@ def _case(
         raise ToolError(f"{config}: lab: is missing; verify plays in the lab alone")
     if not scenario.expect:
         raise ToolError(f"{name}: expect: is missing; state what the run has to do")
+    try:
+        need_names(loaded, scenario.expect)
+    except ToolError as error:
+        raise ToolError(f"{name}: {error}") from None
     for finding in check(loaded, scenario):
         if not finding.ok:
             raise ToolError(f"{name}: {finding.where}: {finding.text}; {finding.remedy}")

@@ -22,7 +22,7 @@ from tonus.tools.campaign.strikes import NS, Strike, strikes
 from tonus.tools.errors import ToolError
 from tonus.tools.expect.failure import ExpectationError
 from tonus.tools.expect.found import Found
-from tonus.tools.expect.names import need_known
+from tonus.tools.expect.names import advice, full, need_known
 from tonus.tools.expect.signal import Signal
 from tonus.tools.expect.timeline import Timeline
 from tonus.tools.log.log import Event, Log
@@ -32,6 +32,8 @@ from tonus.tools.run.truth import TOPIC
 
 __tracebackhide__ = methodcaller("errisinstance", ExpectationError)
 """For pytest: the line that asks is of interest, and not where the answer is found."""
+_NEAREST = 3
+"""events that a failed `Run.expect` names beside the one that it asked for"""
 Injected = tuple[int, Fault]
 """A fault given to a lab by hand, and its time in ns on the log's clock."""
 
@@ -102,11 +104,10 @@ class Run:
 
         It has to happen from ``after`` (s) on and, where given, within ``within`` s of it.
         ``after`` is the first fault of the lab if ``within`` is given, otherwise the log's start;
-        `Found.after` is measured from it, or from the first fault. The event's name is expected
-        from then on: `unexpected` leaves it out.
+        `Found.after` is measured from it, or from the first fault. The name of the event found is
+        expected from then on: `unexpected` leaves it out.
         """
         self._need_named(event)
-        self._expected.add(event)
         struck = self.timeline.seconds(self.faults[0].at_ns) if self.faults else 0.0
         since = after if after is not None else struck
         searched = since if after is not None or within is not None else 0.0
@@ -115,6 +116,7 @@ class Run:
             time = self.timeline.seconds(each.time_ns)
             if time < searched:
                 continue
+            self._expected.add(each.name)
             # To the ns: a difference of decimals may be larger than the decimal it stands for.
             took = round(time - since, 9)
             if within is not None and took > within:
@@ -125,7 +127,7 @@ class Run:
                 raise self.failure(figure, time)
             return Found(each, time, took)
         limits = f" after {searched:.3f} s" if searched else ""
-        raise self.failure(f"no event {event}{place}{limits}")
+        raise self.failure(f"no event {event}{place}{limits}{self._nearest(event, where)}")
 
     def never(self, event: str, *, where: str = "") -> None:
         """No event of this name (``*`` and ``?`` as in file names) whose place or text has
@@ -165,9 +167,10 @@ class Run:
     def signal(self, topic: str, field: str) -> Signal:
         """A signal of docs/log.md. ``topic`` may leave out ``/tonus/``. Raises `ToolError` where
         the log has no such signal."""
-        name = topic if topic.startswith("/") else f"/tonus/{topic}"
+        name = full(topic)
         if not self.log.has(name, field):
-            raise ToolError(f"{self.path}: has no signal {name}.{field}; docs/log.md lists them")
+            hint = advice(name, field) or "docs/log.md lists them"
+            raise ToolError(f"{self.path}: has no signal {name}.{field}; {hint}")
         self.log.load([name, "/tonus/state"])
         times = self.log.times(name)
         last = np.searchsorted(self.log.times("/tonus/state"), times, side="right") - 1
@@ -223,6 +226,16 @@ class Run:
             return
         if all(bus.kind in SHIPPED for bus in configuration(self.log).fieldbus.parts):
             need_known(event)
+
+    def _nearest(self, event: str, where: str) -> str:
+        """Those of this name that came at another place or too early, the first at each place."""
+        first: dict[str, str] = {}
+        for each in self._named(event, ""):
+            told = each.where or each.text
+            time = self.timeline.seconds(each.time_ns)
+            first.setdefault(f"{each.name} {told}", f"{each.name} at {told} came at {time:.3f} s")
+        more = f"; {len(first) - _NEAREST} more" if len(first) > _NEAREST else ""
+        return "".join(f"; {each}" for each in list(first.values())[:_NEAREST]) + more
 
     def _named(self, name: str, where: str) -> list[Event]:
         return [

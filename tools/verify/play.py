@@ -46,8 +46,7 @@ class Judged:
 
 
 def play(case: Case) -> Judged:
-    """Play and judge one; log and summary stay in its folder. Raises `ToolError` for an expectation
-    that the log cannot answer."""
+    """Play and judge one; log and summary stay in its folder."""
     began = clock.wall_seconds()
     order = Order(case.config, case.scenario, case.out, case.seed, True, lambda _: None, live=False)
     result = run(order)
