@@ -81,7 +81,7 @@ def _file(path: Path, shown: str, key: Key, document: Document, chain: tuple[Pat
     document.folders[shown] = path.parent
     node = _compose(text, shown)
     if node is None:
-        raise ConfigError(shown, 1, "", "is empty", "write the configuration, see config/can.yaml")
+        raise ConfigError(shown, 1, "", "is empty", "write its keys, see docs/configuration.md")
     return _node(node, path, shown, key, document, (*chain, path.resolve()))
 
 

@@ -138,7 +138,9 @@ def _named(kind: str, name: str, file: str, line: int, key: str, base: Path = Pa
             path, shown = written, str(written)
     if not is_file(path):
         known = sorted(ours.stem for ours in folder.glob("*.yaml"))
-        problem = f"there is no {kind} {reprlib.repr(name)}"
+        # The suffix, or a folder, says that a file was meant, and not a shipped one's name.
+        of_file = Path(name).suffix or Path(name).name != name
+        problem = f"there is no {'file' if of_file else kind} {reprlib.repr(name)}"
         raise ConfigError(file, line, key, problem, _choose(path.stem, known))
     return read(path, shown)
 
@@ -207,12 +209,12 @@ def locate(name: str | Path) -> tuple[Path, str]:
     named = path.parent in (Path(), Path("config"))
     if named and is_file(ours):
         return ours, f"config/{path.name}"
-    known = sorted(f"config/{file.name}" for file in HERE.glob("*.yaml") if _complete(file))
+    known = sorted(file.stem for file in HERE.glob("*.yaml") if _complete(file))
     try:
         problem = "is a directory" if path.is_dir() else "there is no such file"
     except OSError:
         problem = "cannot be the name of a file"
-    raise ConfigError(str(path), 0, "", problem, _choose(f"config/{path.name}", known))
+    raise ConfigError(str(path), 0, "", problem, _choose(path.stem, known, shown="config/{}.yaml"))
 
 
 def _complete(file: Path) -> bool:
@@ -236,7 +238,9 @@ def _override(
         except (KeyError, IndexError, TypeError) as error:
             file, line = (stated, stated_line) if stated else document.place(path)
             problem = f"is not there, so {key} cannot be set"
-            raise ConfigError(file, line, dotted(path), problem, "add it") from error
+            names = list(place) if isinstance(place, dict) else []
+            remedy = _choose(part, names, "add it")
+            raise ConfigError(file, line, dotted(path), problem, remedy) from error
     if isinstance(place, dict):
         place[last] = value
         return (*path, last)
@@ -280,7 +284,11 @@ def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) ->
     elif kind == "value_error":
         problem, _, said = problem.partition("; ")
         remedy = said or remedy
-    elif kind not in ("too_short", "too_long"):
+    elif kind in ("too_short", "too_long"):
+        bound = error["ctx"].get("min_length" if kind == "too_short" else "max_length")
+        word = "least" if kind == "too_short" else "most"
+        problem = f"has {error['ctx']['actual_length']} items, and takes at {word} {bound}"
+    else:
         problem = f"{problem}, not {reprlib.repr(error['input'])}"
     file, line = document.place(key)
     return ConfigError(file, line, dotted(key), problem, remedy)
@@ -302,7 +310,7 @@ def _real_key(document: Document, loc: tuple[int | str, ...]) -> Key:
                 continue
         elif isinstance(place, list) and isinstance(part, int) and part < len(place):
             place = place[part]
-        elif not last:
+        elif not last or (isinstance(place, list) and isinstance(part, str)):
             continue
         key.append(part)
     return tuple(key)
@@ -335,8 +343,9 @@ def _models(annotation: Any) -> list[Any]:
     return found
 
 
-def _choose(name: str, known: list[str], otherwise: str | None = None) -> str:
+def _choose(name: str, known: list[str], otherwise: str | None = None, shown: str = "{}") -> str:
+    """The nearest name, else ``otherwise``, else all; each as ``shown``."""
     close = difflib.get_close_matches(name, known, n=1)
     if close:
-        return f"did you mean {close[0]}?"
-    return otherwise or f"choose one of {', '.join(known)}"
+        return f"did you mean {shown.format(close[0])}?"
+    return otherwise or f"choose one of {', '.join(map(shown.format, known))}"

@@ -82,15 +82,24 @@ def _csv(path: Path) -> dict[str, Array]:
     if not rows:
         raise TrajectoryError("file", f"{path} is empty", "give it columns t, x, y, z")
     names = [name.strip() for name in rows[0]]
+    if len(names) == 1 and ";" in names[0]:
+        text = f"{path} has semicolons between its columns"
+        raise TrajectoryError("file", text, "use commas there, and points in the numbers")
     if len(set(names)) != len(names):
         raise TrajectoryError("file", f"{path} names a column twice", "rename or remove one")
     values = np.empty((len(rows) - 1, len(names)))
     for index, row in enumerate(rows[1:]):
-        try:
-            values[index] = [float(cell) for cell in row]
-        except ValueError as error:
-            text = f"{path} row {index + 1}: needs {len(names)} numbers, has {','.join(row)[:60]!r}"
-            raise TrajectoryError("file", text, "correct it") from error
+        if len(row) != len(names):
+            text = f"{path} row {index + 1}: has {len(row)} values for {len(names)} columns"
+            raise TrajectoryError("file", text, "correct it")
+        for column, cell in enumerate(row):
+            try:
+                values[index, column] = float(cell)
+            except ValueError:
+                text = (
+                    f"{path} row {index + 1}: {names[column]} is {cell[:60]!r}, which is no number"
+                )
+                raise TrajectoryError("file", text, "correct it") from None
     return {name: values[:, column] for column, name in enumerate(names)}
 
 
@@ -113,7 +122,7 @@ def _parquet(path: Path) -> dict[str, Array]:
 
 def _unread(path: Path, error: Exception) -> TrajectoryError:
     said = getattr(error, "strerror", None) or str(error).splitlines()[0]
-    return TrajectoryError("file", f"{path} cannot be read: {said}", "correct file")
+    return TrajectoryError("file", f"{path} cannot be read: {said}", "correct the path or the file")
 
 
 def _wrong(table: Table, problem: str, remedy: str) -> TrajectoryError:

@@ -154,7 +154,7 @@ CASES = [
     ),
     Broken(
         "four cables", Edit(ROBOT, LOWER, ""), ROBOT, "frame",
-        "robot.geometry.frame", "at least 6 items", "give the missing items",
+        "robot.geometry.frame", "has 4 items, and takes at least 6", "give the missing items",
     ),
     Broken(
         "duplicate key", Edit(ROBOT, "  mass: 2.35", "  mass: 2.35\n  mass: 2.4"), ROBOT,
@@ -304,7 +304,8 @@ CASES = [
     ),
     Broken(
         "a value set below nothing", Edit(CONFIG, "scenario:", "set: {contrl.pid: 1}\nscenario:"),
-        CONFIG, "set:", "contrl", "is not there, so contrl.pid cannot be set", "add it",
+        CONFIG, "set:", "contrl", "is not there, so contrl.pid cannot be set",
+        "did you mean control?",
     ),
     Broken(
         "a value set out of range",
@@ -370,7 +371,7 @@ CASES = [
         "mapping too long", Edit(DRIVE, "0x60770010]", "0x60770010, 0x60640020]"), DRIVE, 2,
         "fieldbus.drive", "tpdo maps 96 bits, a CAN frame carries 64", "map fewer objects",
     ),
-    Broken("empty file", Write(ROBOT, b""), ROBOT, 1, "", "is empty", "see config/can.yaml"),
+    Broken("empty file", Write(ROBOT, b""), ROBOT, 1, "", "is empty", "see docs/configuration.md"),
     Broken("only a comment", Write(CONFIG, b"# x\n"), CONFIG, 1, "", "is empty", "can.yaml"),
     Broken(
         "not UTF-8", Write(ROBOT, b"name: paper\n# \xe9l\xe9ment\n"), ROBOT, 2, "",
@@ -435,6 +436,10 @@ def test_a_configuration_sets_values_of_what_it_includes_and_a_caller_has_the_la
 def test_a_configuration_that_is_not_there_is_answered_with_one_that_is() -> None:
     with pytest.raises(ConfigError, match=r"did you mean config/can\.yaml\?"):
         load("config/cann.yaml")
+    with pytest.raises(ConfigError, match=r"no such file; choose one of config/"):
+        load("config/nothing.yaml")  # whose suffix and folder are not what makes it like another
+    with pytest.raises(ConfigError, match=r"there is no file 'own/hodl.yaml'; did you mean hold\?"):
+        load_scenario("own/hodl.yaml")
 
 
 @pytest.mark.parametrize("name", ["x" * 300 + ".yaml", "a\0b.yaml", ""], ids=["long", "null", "no"])
@@ -455,6 +460,11 @@ SCENARIOS = [
         "name: s\ndescription: d\nduration: 1\nreference: {kind: path, waypoints: []}\n",
         4, "reference.waypoints", "give the missing items",
     ),
+    (
+        "name: s\ndescription: d\nduration: 1\nreference: {kind: waypoints, waypoints: []}\n",
+        4, "reference.waypoints", "has 0 items, and takes at least 1; give the missing items",
+    ),
+    ("", 1, "", "is empty; write its keys, see docs/configuration.md"),
     (
         "name: s\ndescription: d\nduration: 1\nreference:\n  kind: sine\n"
         "  direction: [0, 0, 0]\n  amplitude: 0.1\n  frequency: 1\n  fade: 0\n",
@@ -492,6 +502,8 @@ def test_an_override_without_a_place_is_an_error_of_the_configuration() -> None:
     for key in ("control.none.x", "name.x.y", "fieldbus.channels.9.name", "control.controler"):
         with pytest.raises(ConfigError):
             load("config/can.yaml", overrides={key: 1})
+    with pytest.raises(ConfigError, match=r"control.stifness: is not there, .* mean stiffness\?"):
+        load("config/can.yaml", overrides={"control.stifness.base": 1})
 
 
 def test_an_error_keeps_working_as_an_exception() -> None:

@@ -20,6 +20,7 @@ LOG, CUT, TEXT, FIFO, DENIED, FILE = "LOG", "CUT", "TEXT", "FIFO", "/dev/null/x"
 CASES: tuple[tuple[str, int, str], ...] = (
     # what is typed, exit code, words of the line
     ("nonsense", 2, "No such command"),
+    ("verfy", 2, "did you mean verify?"),
     ("--nonsense", 2, "No such option"),
     ("run", 2, "Missing argument"),
     ("run nope.yaml", 2, "no such file"),
@@ -80,6 +81,7 @@ CASES: tuple[tuple[str, int, str], ...] = (
     ("campaign faults --episodes 1 --out /dev/null/x", 2, "--out"),
     ("log", 2, ""),
     ("log nonsense LOG", 2, "No such command"),
+    ("log inof LOG", 2, "did you mean info?"),
     ("log info", 2, "Missing argument"),
     ("log info nope.mcap", 2, "no such file"),
     ("log info TEXT", 2, "is not an MCAP file"),

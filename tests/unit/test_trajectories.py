@@ -166,7 +166,9 @@ def test_the_angular_velocity_is_that_of_the_rotation() -> None:
     ("text", "said"),
     [
         ("t,x,y\n0,0,0\n", "has no column z"),
-        ("t,x,y,z\n0,0,0,0\n1,0,0\n", "row 2: needs 4 numbers"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0\n", "row 2: has 3 values for 4 columns"),
+        ("t,x,y,z\n0,0,0,0\n1,0,a,0\n", "row 2: y is 'a', which is no number; correct it"),
+        ("t;x;y;z\n0;0,5;0;0\n", "has semicolons between its columns; use commas there"),
         ("t,x,y,z\n0,0,0,0\n0,0,0,0\n", "row 2: t does not increase"),
         ("t,x,y,z\n0,0,0,0\n1,0,nan,0\n", "row 2: y is no number"),
         ("t,x,y,z\n0,0,0,0\n", "has 1 rows"),
@@ -258,6 +260,17 @@ def test_an_impossible_trajectory_is_refused_with_its_first_point(
     assert not finding.ok
     assert re.search(said, finding.text), finding.text
     assert re.search(r"first at \d+\.\d{3} s at \([+-]", finding.text)
+
+
+def test_the_largest_excess_is_named_too(tmp_path: Path) -> None:
+    config, _ = load("config/can.yaml")
+    far = scenario(tmp_path, _to(0.4, 0.0, 0.0))
+    text = next(each.text for each in scenario_rules(config, far) if each.rule == "reference")
+    found = re.search(r"by (\S+) mm, first at (\S+) s at .*; most at (\S+) s, by 150.0 mm", text)
+    assert found, text
+    excess, first, most = map(float, found.groups())
+    assert excess < 2.0
+    assert first < most
 
 
 def test_weak_cables_are_the_reason_that_is_named(tmp_path: Path) -> None:

@@ -41,10 +41,12 @@ class Followed:
 
 @dataclass(frozen=True)
 class _Broken:
-    """A limit that is not kept, first at a point ``row``."""
+    """A limit that is not kept, first at a point ``row``, and by ``most`` at a point ``worst``."""
 
     row: int
     text: str
+    worst: int
+    most: str
 
 
 def followed(scenario: Scenario) -> Followed:
@@ -72,8 +74,9 @@ def _quickest(reference: Reference) -> float:
 
 
 def first_failure(config: Config, way: Followed) -> str:
-    """The earliest point that cannot be followed, with the limit and by how much it is missed; of
-    several at one time the first in the order below. Empty: all can."""
+    """The earliest point that cannot be followed, with the limit and by how much it is missed, and
+    the point at which it is missed by most; of several at one time the first in the order below.
+    Empty: all can."""
     points = np.array(config.robot.home) + way.motion[:, 0]
     found: list[_Broken] = [*_space(config, points, way), *_speed(config, way)]
     # Outside its limits of space and speed it is refused anyway; what lies before is looked at.
@@ -85,14 +88,18 @@ def first_failure(config: Config, way: Followed) -> str:
         return ""
     first = min(found, key=lambda each: each.row)
     place = "({:+.3f}, {:+.3f}, {:+.3f}) m".format(*points[first.row])
-    return f"{first.text}, first at {way.times[first.row]:.3f} s at {place}"
+    text = f"{first.text}, first at {way.times[first.row]:.3f} s at {place}"
+    if first.worst != first.row:
+        text += f"; most at {way.times[first.worst]:.3f} s, by {first.most}"
+    return text
 
 
 def _space(config: Config, points: Array, way: Followed) -> Iterator[_Broken]:
     box = config.robot.workspace
     low, high = np.array([box.x, box.y, box.z]).T
     beyond = np.maximum(low - points, points - high)
-    row = _first(beyond.max(axis=1) > _ROUNDING)
+    excess = beyond.max(axis=1)
+    row = _first(excess > _ROUNDING)
     if row is not None:
         axis = int(beyond[row].argmax())
         limit = high[axis] if points[row, axis] > high[axis] else low[axis]
@@ -100,6 +107,8 @@ def _space(config: Config, points: Array, way: Followed) -> Iterator[_Broken]:
             row,
             f"leaves the workspace, which ends at {'xyz'[axis]} = {limit:+.3f} m, by "
             f"{1e3 * beyond[row, axis]:.1f} mm",
+            int(excess.argmax()),
+            f"{1e3 * excess.max():.1f} mm",
         )
     tilt = np.degrees(np.linalg.norm(way.turning[:, 0], axis=1))
     row = _first(tilt > box.tilt_deg + _ROUNDING)
@@ -108,6 +117,8 @@ def _space(config: Config, points: Array, way: Followed) -> Iterator[_Broken]:
             row,
             f"tilts by {tilt[row]:.2f} deg, {tilt[row] - box.tilt_deg:.2f} deg more than "
             f"robot.workspace.tilt_deg of {box.tilt_deg:g}",
+            int(tilt.argmax()),
+            f"{tilt.max() - box.tilt_deg:.2f} deg",
         )
 
 
@@ -122,6 +133,8 @@ def _speed(config: Config, way: Followed) -> Iterator[_Broken]:
             row,
             f"moves at {speed[row]:.3f} m/s, {speed[row] - limit:.3f} m/s faster than the envelope "
             f"lets pass ({limit:.3f} m/s)",
+            int(speed.argmax()),
+            f"{speed.max() - limit:.3f} m/s",
         )
 
 
@@ -131,25 +144,32 @@ def _cables(config: Config, at: Poses, way: Followed) -> Iterator[_Broken]:
     omega = np.array([angular_velocity(r, v) for r, v in way.turning[:count, :2]])
     rates = np.abs(_along(at, way.motion[:count, 1], omega))
     limits = robot.motor_speed / robot.gear_ratio * robot.drum_radius
-    row = _first((rates > limits).any(axis=1))
+    beyond = rates - limits
+    excess = beyond.max(axis=1)
+    row = _first(excess > 0.0)
     if row is not None:
-        cable = int((rates[row] - limits).argmax())
+        cable = int(beyond[row].argmax())
         yield _Broken(
             row,
             f"runs cable {cable} at {rates[row, cable]:.3f} m/s, "
-            f"{rates[row, cable] - limits[cable]:.3f} m/s faster than its motor can",
+            f"{beyond[row, cable]:.3f} m/s faster than its motor can",
+            int(excess.argmax()),
+            f"{excess.max():.3f} m/s",
         )
     gains = np.abs(_along(at, way.motion[:count, 2], way.turning[:count, 2]))
     spare = robot.current_limit * robot.tension_per_amp - config.control.tension.max
     most = np.maximum(spare, 0.0) / robot.drum_mass
-    row = _first((gains > most).any(axis=1))
+    beyond = gains - most
+    excess = beyond.max(axis=1)
+    row = _first(excess > 0.0)
     if row is not None:
-        cable = int((gains[row] - most).argmax())
+        cable = int(beyond[row].argmax())
         yield _Broken(
             row,
             f"accelerates cable {cable} by {gains[row, cable]:.1f} m/s2, "
-            f"{gains[row, cable] - most[cable]:.1f} m/s2 more than its motor can beside "
-            "control.tension.max",
+            f"{beyond[row, cable]:.1f} m/s2 more than its motor can beside control.tension.max",
+            int(excess.argmax()),
+            f"{excess.max():.1f} m/s2",
         )
 
 
@@ -184,6 +204,8 @@ def _tensions(config: Config, at: Poses, way: Followed) -> Iterator[_Broken]:
             int(chosen[row]),
             f"needs {force}, for which tensions must leave {bounds.min:g} to {bounds.max:g} N by "
             f"{-reserve[row]:.1f} N",
+            int(chosen[reserve.argmin()]),
+            f"{-reserve.min():.1f} N",
         )
 
 

@@ -127,7 +127,7 @@ class Run:
                 raise self.failure(figure, time)
             return Found(each, time, took)
         limits = f" after {searched:.3f} s" if searched else ""
-        raise self.failure(f"no event {event}{place}{limits}{self._nearest(event, where)}")
+        raise self.failure(f"no event {event}{place}{limits}{self._nearest(event)}")
 
     def never(self, event: str, *, where: str = "") -> None:
         """No event of this name (``*`` and ``?`` as in file names) whose place or text has
@@ -227,7 +227,7 @@ class Run:
         if all(bus.kind in SHIPPED for bus in configuration(self.log).fieldbus.parts):
             need_known(event)
 
-    def _nearest(self, event: str, where: str) -> str:
+    def _nearest(self, event: str) -> str:
         """Those of this name that came at another place or too early, the first at each place."""
         first: dict[str, str] = {}
         for each in self._named(event, ""):
