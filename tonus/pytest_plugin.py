@@ -51,10 +51,16 @@ def pytest_configure(config: pytest.Config) -> None:
     """Register the marks; refuse settings that mean nothing."""
     for mark in _MARKS:
         config.addinivalue_line("markers", mark)
-    if setting(config, "keep") not in ("failed", "all", "none"):
-        raise pytest.UsageError("tonus_keep is one of failed, all, none")
-    if not setting(config, "seed").isdecimal():
-        raise pytest.UsageError("tonus_seed is a whole number from 0 on")
+    keep, seed, out = (setting(config, name) for name in ("keep", "seed", "out"))
+    wrong = "tonus_{}: {!r} is not possible; choose {}"
+    if keep not in ("failed", "all", "none"):
+        raise pytest.UsageError(wrong.format("keep", keep, "failed, all or none"))
+    if not (seed.isascii() and seed.isdecimal()):
+        raise pytest.UsageError(wrong.format("seed", seed, "a whole number from 0 on"))
+    folder = config.rootpath / out
+    for place in (folder, *folder.parents):
+        if place.exists() and not place.is_dir():
+            raise pytest.UsageError(f"tonus_out: {place} is no folder; choose another")
 
 
 def setting(config: pytest.Config, name: str) -> str:
@@ -68,8 +74,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     mark = metafunc.definition.get_closest_marker("tonus_seeds")
     if mark is None:
         return
-    if len(mark.args) != 1 or not isinstance(mark.args[0], int) or mark.args[0] < 1:
-        raise pytest.UsageError(f"{metafunc.definition.nodeid}: tonus_seeds takes a number from 1")
+    if [type(each) for each in mark.args] != [int] or mark.args[0] < 1 or mark.kwargs:
+        text = "tonus_seeds takes one whole number, from 1 on"
+        raise pytest.Collector.CollectError(f"{metafunc.definition.nodeid}: {text}")
     first = int(setting(metafunc.config, "seed"))
     seeds = range(first, first + mark.args[0])
     if "tonus_seed" not in metafunc.fixturenames:
@@ -89,17 +96,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip a test whose needs the host does not meet."""
-    needs = [what for mark in item.iter_markers("tonus_needs") for what in mark.args]
-    if needs:
+    marks = list(item.iter_markers("tonus_needs"))
+    if marks:
         from tonus.tools.testing.needs import NEEDS, missing
 
-        for what in needs:
-            if what not in NEEDS:
-                known = ", ".join(NEEDS)
-                raise pytest.UsageError(f"{item.nodeid}: tonus_needs knows {known}, not {what!r}")
-            reason = missing(what)
-            if reason:
-                pytest.skip(f"needs {what}: {reason}")
+        known = f"{item.nodeid}: tonus_needs knows {', '.join(NEEDS)}"
+        for mark in marks:
+            if not mark.args or mark.kwargs:
+                pytest.fail(f"{known}; name one", pytrace=False)
+            for what in mark.args:
+                if what not in NEEDS:
+                    pytest.fail(f"{known}, not {what!r}", pytrace=False)
+                reason = missing(what)
+                if reason:
+                    pytest.skip(f"needs {what}: {reason}")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -124,8 +134,12 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Keep what a failed test's runs left, and say where; with how to run the test again."""
+    """Keep what a failed test's runs left, and say where; with how to run the test again. A mistake
+    in the use of a fixture is told without the code of Tonus."""
+    mistake = _mistake(call)
     report = yield
+    if mistake:
+        report.longrepr = f"{item.nodeid}: {mistake}"
     case = item.stash.get(_CASE, None)
     if case is None or call.when != "call":
         return report
@@ -146,6 +160,19 @@ def pytest_runtest_makereport(
     # In the report's dictionary, so that pytest-xdist brings it from its workers.
     report.__dict__["tonus"] = case.figures(call.duration)
     return report
+
+
+def _mistake(call: pytest.CallInfo[None]) -> str:
+    """The text of an error that has to be told by itself, for no line of the test is involved."""
+    if call.excinfo is None or not type(call.excinfo.value).__module__.startswith(
+        ("tonus.", "can.")
+    ):
+        return ""
+    from tonus.tools.testing.mistakes import MISTAKES, shorten
+
+    if not isinstance(call.excinfo.value, MISTAKES) or shorten(call.excinfo):
+        return ""
+    return str(call.excinfo.value)
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
@@ -183,6 +210,7 @@ def tonus_seed(request: pytest.FixtureRequest) -> int:
 
 @pytest.fixture
 def _tonus_case(request: pytest.FixtureRequest, tonus_seed: int) -> Iterator[Case]:
+    from tonus.tools.testing.arguments import mapping
     from tonus.tools.testing.case import Case
 
     node, config = request.node, request.config
@@ -190,16 +218,16 @@ def _tonus_case(request: pytest.FixtureRequest, tonus_seed: int) -> Iterator[Cas
     overrides: dict[str, Any] = {}
     for mark in reversed(list(node.iter_markers("tonus"))):  # the module's first, the test's last
         if mark.args or mark.kwargs.keys() - {"config", "overrides"}:
-            raise pytest.UsageError(f"{node.nodeid}: the mark tonus takes config= and overrides=")
+            pytest.fail(f"{node.nodeid}: tonus takes config= and overrides=", pytrace=False)
         chosen |= mark.kwargs
-        overrides |= mark.kwargs.get("overrides", {})
+        overrides |= mapping("overrides", mark.kwargs.get("overrides"))
     case = Case(
         node.nodeid,
         file=node.path,
         root=config.rootpath,
         invoked=config.invocation_params.dir,
         out=config.rootpath / setting(config, "out"),
-        config=str(chosen.get("config") or setting(config, "config")),
+        config=chosen.get("config", setting(config, "config")),
         overrides=overrides,
         seed=tonus_seed,
         options=[
@@ -266,10 +294,13 @@ def tonus_daemon(_tonus_case: Case) -> DaemonFactory:
 def tonus_measure(_tonus_case: Case, record_property: Any) -> Any:
     """Records a figure: ``tonus_measure(name, value, unit, at_most=)``."""
 
+    from tonus.tools.testing.arguments import real
+
     def measure(name: str, value: float, unit: str, at_most: float | None = None) -> float:
-        record_property(f"{name} [{unit}]", value)
         __tracebackhide__ = True
-        _tonus_case.measure(name, float(value), unit, at_most)
-        return float(value)
+        figure = real(name, value)
+        record_property(f"{name} [{unit}]", value)
+        _tonus_case.measure(name, figure, unit, at_most)
+        return figure
 
     return measure

@@ -157,7 +157,7 @@ def test_signals_by_state(run: Run) -> None:
     assert active.unit == "N"
     with pytest.raises(ExpectationError, match=r"tension.measured in FAULT: .* no sample"):
         tension.during(State.FAULT)
-    with pytest.raises(ValueError, match="no state 'MOVING'"):
+    with pytest.raises(ToolError, match="no state 'MOVING'"):
         tension.during("MOVING")
     with pytest.raises(ToolError, match=r"no signal /tonus/tension\.colour"):
         run.signal("tension", "colour")

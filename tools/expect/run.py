@@ -107,7 +107,10 @@ class Run:
         `Found.after` is measured from it, or from the first fault. The name of the event found is
         expected from then on: `unexpected` leaves it out.
         """
-        self._need_named(event)
+        self._need_named(event, where)
+        for name, value in (("within", within), ("after", after)):
+            if value is not None and not (isinstance(value, int | float) and value >= 0.0):
+                raise ToolError(f"{name}: {value!r} is not possible; give s, from 0 on")
         struck = self.timeline.seconds(self.faults[0].at_ns) if self.faults else 0.0
         since = after if after is not None else struck
         searched = since if after is not None or within is not None else 0.0
@@ -132,7 +135,7 @@ class Run:
     def never(self, event: str, *, where: str = "") -> None:
         """No event of this name (``*`` and ``?`` as in file names) whose place or text has
         the words ``where``."""
-        self._need_named(event)
+        self._need_named(event, where)
         for each in self._named(event, where):
             time = self.timeline.seconds(each.time_ns)
             raise self.failure(f"{each.name} happened at {time:.3f} s, {each.where}", time)
@@ -220,8 +223,11 @@ class Run:
     def _observed(self) -> Observed:
         return of_log(self.log)
 
-    def _need_named(self, event: str) -> None:
+    def _need_named(self, event: str, where: str = "") -> None:
         """Raises `ToolError` for a name that neither Tonus nor a fieldbus of somebody else has."""
+        for key, value in (("event", event), ("where", where)):
+            if not isinstance(value, str):
+                raise ToolError(f"{key}: {value!r} is no text; put it into quotes")
         if any(each.name == event for each in self.events):
             return
         if all(bus.kind in SHIPPED for bus in configuration(self.log).fieldbus.parts):

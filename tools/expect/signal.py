@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from operator import methodcaller
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonus.runtime.states import State
+from tonus.tools.errors import ToolError
 from tonus.tools.expect.failure import ExpectationError
 
 __tracebackhide__ = methodcaller("errisinstance", ExpectationError)
@@ -18,6 +20,10 @@ __tracebackhide__ = methodcaller("errisinstance", ExpectationError)
 Floats = NDArray[np.float64]
 Fail = Callable[[str, float | None], ExpectationError]
 """Makes the error for a figure and its time in s."""
+
+
+class NoElementError(ToolError, IndexError):
+    """An element that a signal does not have; ends a loop over its elements, too."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,7 @@ class Signal:
     """which part of the run this is, in words"""
 
     def during(self, *states: State | str) -> Signal:
-        """The samples in these states, by name or as `State`. Raises `ValueError` for a name that
+        """The samples in these states, by name or as `State`. Raises `ToolError` for a name that
         is no state."""
         wanted = [_state(each) for each in states]
         names = " or ".join(each.name for each in wanted)
@@ -57,13 +63,22 @@ class Signal:
         return replace(self, name=f"|{self.name}|", values=np.linalg.norm(self.values, axis=1))
 
     def __getitem__(self, index: int) -> Signal:
-        """One element of each sample (n, k): one cable, one axis."""
+        """One element of each sample (n, k): one cable, one axis. Raises `NoElementError`."""
         if self.values.ndim == 1:
-            raise IndexError(f"{self.name} is a scalar")
+            raise NoElementError(f"{self.name} is a scalar; leave the index out")
+        width = self.values.shape[1]
+        if not -width <= index < width:
+            remedy = f"choose one from 0 to {width - 1}"
+            raise NoElementError(f"{self.name} has no element {index}; {remedy}")
         return replace(self, name=f"{self.name}[{index}]", values=self.values[:, index])
 
     def stays(self, low: float, high: float) -> None:
-        """Every sample lies in [low, high]; what is not a number does not."""
+        """Every sample lies in [low, high]; what is not a number does not. Raises `ToolError` for
+        bounds between which nothing lies."""
+        if not low <= high:
+            raise ToolError(
+                f"{self.name} stays({low:g}, {high:g}): low <= high must hold; swap them"
+            )
         self._there()
         wrong = np.asarray(~((self.values >= low) & (self.values <= high)))
         if not wrong.any():
@@ -103,6 +118,8 @@ class Signal:
         """Root mean square of the samples' distance from ``about``; of a vector its Euclidean
         length. It has to be ``at_most`` that, where given."""
         self._there()
+        if not isinstance(at_most, int | float | None):
+            raise ToolError(f"{self.name} rms: at_most: {at_most!r} is no number; give one")
         apart = self.values - np.asarray(about, dtype=np.float64)
         squares = apart**2 if apart.ndim == 1 else (apart**2).sum(axis=1)
         found = float(np.sqrt(squares.mean()))
@@ -163,5 +180,7 @@ def _state(name: Any) -> State:
     try:
         return State[name]
     except KeyError:
-        known = ", ".join(each.name for each in State)
-        raise ValueError(f"there is no state {name!r}; choose one of {known}") from None
+        known = [each.name for each in State]
+        close = get_close_matches(str(name), known, 1)
+        remedy = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(known)}"
+        raise ToolError(f"there is no state {name!r}; {remedy}") from None

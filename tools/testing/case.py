@@ -20,6 +20,7 @@ from tonus.tools.draft import write_whole
 from tonus.tools.errors import ToolError
 from tonus.tools.expect import ExpectationError, Run
 from tonus.tools.expect.failure import SHOWN
+from tonus.tools.testing.arguments import mapping, named, seed
 
 __tracebackhide__ = methodcaller("errisinstance", ExpectationError)
 """For pytest, as in `tonus.tools.expect.run`."""
@@ -47,7 +48,7 @@ class Case:
         root: Path,
         invoked: Path,
         out: Path,
-        config: str,
+        config: str | Path,
         overrides: dict[str, Any],
         seed: int,
         options: Sequence[str] = (),
@@ -91,12 +92,18 @@ class Case:
     ) -> Config:
         """The test's configuration, or another. Raises `ConfigError`, and `ToolError` for
         overrides of a configuration that is loaded already."""
+        mapping("overrides", overrides)
+        named("config", self.config if name is None else name, Config)
         if isinstance(name, Config):
             if overrides:
                 raise ToolError("overrides need the name of a configuration, not a Config")
             return name
         changes = {**self.overrides, **(overrides or {})}
-        return load(self.place(name or self.config), overrides=changes)[0]
+        return load(self.place(self.config if name is None else name), overrides=changes)[0]
+
+    def seeded(self, chosen: int | None) -> int:
+        """The seed that a run is given, or that of the test. Raises `ToolError`."""
+        return self.seed if chosen is None else seed(chosen)
 
     def place(self, name: str | Path) -> str:
         """A file's path: beside the test, else in the project's root folder, else as it is, which
@@ -137,9 +144,11 @@ class Case:
             self.open.pop()()
 
     def undisturbed(self, expected: Sequence[str]) -> None:
-        """No run reported a warning or error that is not expected. Raises `ExpectationError`."""
+        """No run reported a warning or error that is not expected. Raises `ExpectationError`, and
+        `ToolError` for an event that there is none of."""
         for run in self.runs:
-            run.undisturbed(expected)
+            run.allow(*expected)
+            run.undisturbed()
 
     def keep(self, *, failed: bool) -> list[tuple[str, Path]]:
         """Copy logs and summaries, and of a failed test the report pages, to a folder that bears

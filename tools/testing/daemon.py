@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import Fault
 from tonus.runtime.timing import clock
 from tonus.tools.control_client import ControlClient
@@ -50,13 +51,14 @@ class DaemonFactory:
         case = self._case
         # Checked here: the command's process would say the same, but later.
         case.configuration(config, overrides)
+        load_scenario(case.place(scenario))
         case.closing.enter_context(_alone())
         daemon = Daemon(
             case,
             case.place(scenario),
-            case.place(config or case.config),
+            case.place(case.config if config is None else config),
             {"tracker.port": _free_port(), **case.overrides, **(overrides or {})},
-            case.seed if seed is None else seed,
+            case.seeded(seed),
         )
         case.closing.callback(daemon.kill)
         daemon.wait_for("STANDBY")

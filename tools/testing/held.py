@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from tonus.tools.log import open as open_log
 from tonus.tools.run.held import HeldRobot, HeldRun, Holding, undisturbed
 from tonus.tools.run.held_talk import Said
 from tonus.tools.run.order import Result
+from tonus.tools.testing.arguments import number
 from tonus.tools.testing.case import Case
 from tonus.tools.testing.lab import made
 from tonus.tools.testing.player import Faults, settled_scenario
@@ -50,9 +51,11 @@ class HeldFactory:
         Raises `ConfigError`, and `ToolError` for a robot that does not come up."""
         __tracebackhide__ = True
         case = self._case
-        settings, played, number = self._settled(scenario, (), None, config, overrides, seed)
+        if at not in get_args(Holding):
+            raise ToolError(f"at: {at!r} is not possible; HOLD or ACTIVE are")
+        settings, played, chosen = self._settled(scenario, (), None, config, overrides, seed)
         began = clock.wall_seconds()
-        robot = _robot(settings, played, number, at)
+        robot = _robot(settings, played, chosen, at)
         case.bring_up_s += clock.wall_seconds() - began
         run = case.closing.enter_context(robot.operated(case.folder()))
         held = Held(case, run)
@@ -72,11 +75,11 @@ class HeldFactory:
         """What ``tonus_run`` gives for the same arguments, from HOLD on, bit for bit. Faults that
         are due before HOLD are refused. Raises `ConfigError` and `ToolError`."""
         __tracebackhide__ = True
-        settings, played, number = self._settled(
+        settings, played, chosen = self._settled(
             scenario, faults, duration, config, overrides, seed
         )
         began = clock.wall_seconds()
-        result = _robot(settings, played, number, "HOLD").play(self._case.folder(), played)
+        result = _robot(settings, played, chosen, "HOLD").play(self._case.folder(), played)
         return _ran(self._case, result, clock.wall_seconds() - began, ())
 
     def _settled(
@@ -90,8 +93,8 @@ class HeldFactory:
     ) -> tuple[Config, Scenario, int]:
         case = self._case
         settings = case.configuration(config, overrides)
-        number = case.seed if seed is None else seed
-        return settings, settled_scenario(case, scenario, faults, duration), number
+        played = settled_scenario(case, scenario, faults, duration)
+        return settings, played, case.seeded(seed)
 
 
 class Held:
@@ -140,7 +143,7 @@ class Held:
     def advance(self, ms: float) -> None:
         """Let so many ms of robot time pass, in whole ticks."""
         __tracebackhide__ = True
-        self._run.advance(ms * 1e-3)
+        self._run.advance(number("advance", ms) * 1e-3)
         self._events += self._run.seen.events
 
     def fault(self, fault: Fault | str, **fields: Any) -> None:

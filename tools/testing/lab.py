@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 import can
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from tonus.config.faults import KINDS
 from tonus.config.schema.faults import FAULT, Fault
 from tonus.config.schema.lab import LabScript
 from tonus.config.schema.root import Config
@@ -18,6 +20,7 @@ from tonus.sim.lab.engine import Lab
 from tonus.sim.lab.faults import ActiveFault
 from tonus.sim.lab.truth import truth_dtype
 from tonus.tools.errors import ToolError
+from tonus.tools.testing.arguments import number
 from tonus.tools.testing.waiting_bus import WaitingBus
 
 if TYPE_CHECKING:
@@ -93,7 +96,8 @@ class VirtualLab:
         return network
 
     def advance(self, ms: float) -> None:
-        """Let so many ms of the lab's time pass."""
+        """Let so many ms of the lab's time pass. Raises `ToolError`."""
+        number("advance", ms)
         if self._networks:
             self.wait(lambda: False, ms * 1e-3)
         else:
@@ -137,13 +141,20 @@ def made(fault: Fault | str, fields: dict[str, Any]) -> Fault:
     """A fault by its kind and fields, or the one given. Raises `ToolError`."""
     __tracebackhide__ = True
     if not isinstance(fault, str):
+        if not hasattr(fault, "kind"):
+            raise ToolError(f"{fault!r} is no fault; give a kind, or one of tonus.faults")
         if fields:
             raise ToolError(f"fault {fault.kind}: its fields belong into its constructor")
         return fault
+    if fault not in KINDS:
+        close = get_close_matches(fault, KINDS, 1)
+        guess = f"did you mean {close[0]}?" if close else "tonus fault list names them"
+        raise ToolError(f"fault {fault}: there is no such kind; {guess}")
     try:
         return FAULT.validate_python({"kind": fault, **fields})
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"][1:]) or "kind"
-        remedy = "tonus fault list names the kinds and their fields"
-        raise ToolError(f"fault {fault}: {key}: {first['msg']}; {remedy}") from None
+        said = first["msg"][0].lower() + first["msg"][1:]
+        remedy = f"tonus fault {fault} --help lists its fields"
+        raise ToolError(f"fault {fault}: {key}: {said}; {remedy}") from None

@@ -17,6 +17,7 @@ from tonus.tools.expect import Run
 from tonus.tools.log import open as open_log
 from tonus.tools.run.composer import Order
 from tonus.tools.run.composer import run as carry_out
+from tonus.tools.testing.arguments import mapping, named, number, sequence
 from tonus.tools.testing.case import Case
 from tonus.tools.testing.lab import VirtualLab, made
 
@@ -51,13 +52,12 @@ class Player:
         """
         __tracebackhide__ = True
         case = self._case
-        changes = dict(overrides or {})
+        changes = {**mapping("overrides", overrides)}
         if controller is not None:
-            named = isinstance(controller, str)
-            changes["control.controller"] = controller if named else _name(controller)
+            changes["control.controller"] = _name(controller)
         settings = case.configuration(config, changes)
         played = settled_scenario(case, scenario, faults, duration)
-        chosen = case.seed if seed is None else seed
+        chosen = case.seeded(seed)
         began = clock.wall_seconds()
         order = Order(settings, played, case.folder(), chosen, True, lambda _: None, live=False)
         result = carry_out(order)
@@ -84,7 +84,7 @@ class LabFactory:
         Raises `ConfigError` and `LabError`."""
         __tracebackhide__ = True
         settings = self._case.configuration(config, overrides)
-        chosen = self._case.seed if seed is None else seed
+        chosen = self._case.seeded(seed)
         lab = VirtualLab(settings, script, seed=chosen)
         self._case.closing.callback(lab.close)
         return lab
@@ -114,21 +114,31 @@ def settled_scenario(
 ) -> Scenario:
     """A scenario by its name or file, with more faults and another duration. Raises `ConfigError`
     and `ToolError`."""
+    __tracebackhide__ = True
+    named("scenario", name, Scenario)
     scenario = name if isinstance(name, Scenario) else load_scenario(case.place(name))
-    added = tuple(
-        made(fault["kind"], {key: value for key, value in fault.items() if key != "kind"})
-        if isinstance(fault, Mapping)
-        else fault
-        for fault in faults
-    )
+    added = tuple(map(_fault, sequence("faults", faults)))
     lab = scenario.lab.model_copy(update={"faults": (*scenario.lab.faults, *added)})
     changes: dict[str, Any] = {"lab": lab}
     if duration is not None:
-        if not duration > 0.0:
-            raise ToolError(f"duration: {duration:g} s is not possible; choose a larger value")
-        changes["duration"] = duration
+        changes["duration"] = number("duration", duration, above_zero=True)
     return scenario.model_copy(update=changes)
 
 
-def _name(controller: Any) -> str:
+def _fault(given: Fault | Mapping[str, Any]) -> Fault:
+    if not isinstance(given, Mapping):
+        if isinstance(given, str):
+            raise ToolError(f"{given!r} is no fault; give a dict with kind, or one of tonus.faults")
+        return made(given, {})
+    fields = dict(given)
+    if "kind" not in fields:
+        raise ToolError(f"fault {fields}: has no kind; tonus fault list names the kinds")
+    return made(str(fields.pop("kind")), fields)
+
+
+def _name(controller: object) -> str:
+    if isinstance(controller, str):
+        return controller
+    if not isinstance(controller, type):
+        raise ToolError(f"controller: {controller!r} is no name or class; give one")
     return f"{controller.__module__}:{controller.__qualname__}"
