@@ -32,6 +32,34 @@ TEXT = {
     Fault.CELL_FROZEN: "the load cell repeats one reading",
     Fault.CONTROL_FAILED: "control raised an exception",
 }
+_AT_THE_CABLE = "inspect cable, drum and cell; replace what is damaged; reference again"
+REMEDY = {
+    Fault.NONE: "",
+    Fault.DRIVE_LOST: "check the drive's power and bus cable; then reset",
+    Fault.DRIVE_FAULT: "look the drive's error code up; correct the cause, then reset",
+    Fault.CELL_LOST: "check the amplifier's power and bus cable; then reset",
+    Fault.CELL_BAD: "check the cell's wiring; let the cables hang slack and tare again",
+    Fault.ENABLE_TIMEOUT: "check the drive's supply, enable input and error code; then reset",
+    Fault.REFERENCING_FAILED: "put the platform into its cradle, free every cable; then reset",
+    Fault.CONTACT_LIMIT: "free the platform; lower the contact force or raise its limit",
+    Fault.SPEED_LIMIT: "slow the scenario down; look for a disturbance in the log",
+    Fault.WORKSPACE_LIMIT: "look for the load or command that led there; then reset",
+    Fault.OVER_TENSION: "look for a blocked platform or a load that is too large; then reset",
+    Fault.SLACK_CABLE: "inspect the cable and its guides; check pretension; then reset",
+    Fault.EMERGENCY_STOP: "make the robot safe, release the switch; then reset",
+    Fault.NOT_FINITE: "report it with the log; check a controller of your own",
+    Fault.IMPLAUSIBLE_DRIVE: "check the encoder's cable and resolution; then reset",
+    Fault.IMPLAUSIBLE_CELL: "check the cell's wiring and calibration; then reset",
+    Fault.CABLE_TORN: _AT_THE_CABLE,
+    Fault.LENGTH_JUMP: _AT_THE_CABLE,
+    Fault.TENSION_ERROR: "turn the drum by hand; check motor, brake and cell; then reset",
+    Fault.LENGTH_DRIFT: "check how the cable lies on its drum; reference again",
+    Fault.DRUM_TORQUE: "turn the drum by hand; check motor, brake, encoder and cell; then reset",
+    Fault.DRUM_STUCK: "free the drum or its brake; check the encoder; then reset",
+    Fault.CELL_FROZEN: "check the amplifier; switch it off and on; then reset",
+    Fault.CONTROL_FAILED: "read the traceback in the process's log; report it with the log",
+}
+"""What a person should do, once the robot has stopped."""
 STOP_TEXT = {
     StopMode.ON_PATH: "along the path and down to the cradle",
     StopMode.DESCENT: "down with the remaining cables, by weight and damping",

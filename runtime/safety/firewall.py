@@ -21,10 +21,12 @@ EVENTS: dict[str, Meaning] = {
     "part_failed": Meaning(
         "an exception in code that runs beside control; which part, type and text",
         "counted; control goes on without what the part would have done",
+        "read the traceback in the process's log; report it with the log",
     ),
     "part_off": Meaning(
         "a part failed in every call, operation.firewall.failures times in a row",
         "it is not called again in this run; control goes on",
+        "read the traceback in the process's log; restart the daemon to use the part again",
     ),
 }
 _LINE = 300

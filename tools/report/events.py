@@ -1,4 +1,4 @@
-"""The page docs/events.md: every event name, what it means, and what is done about it.
+"""The page docs/events.md: every event name, what it means, what is done about it, what to do.
 
 python -m tonus.tools.report.events > docs/events.md
 """
@@ -13,7 +13,7 @@ from tonus.drivers.events import Meaning
 from tonus.runtime import events as daemon
 from tonus.runtime.safety import firewall
 from tonus.runtime.states import Fault
-from tonus.runtime.words import TEXT, reaction
+from tonus.runtime.words import REMEDY, TEXT, reaction
 
 _HEAD = """\
 # Events
@@ -63,7 +63,7 @@ control is not called again, the passive fallback replaces it until no drum turn
 def faults() -> dict[str, Meaning]:
     """The events of the faults, with the reaction of an armed robot."""
     return {
-        fault.name.lower(): Meaning(TEXT[fault], reaction(fault, armed=True))
+        fault.name.lower(): Meaning(TEXT[fault], reaction(fault, armed=True), REMEDY[fault])
         for fault in Fault
         if fault is not Fault.NONE
     }
@@ -85,8 +85,12 @@ def markdown() -> str:
 
 
 def _table(events: Mapping[str, Meaning]) -> str:
-    rows = [f"| `{name}` | {each.meaning} | {each.reaction} |" for name, each in events.items()]
-    return "\n".join(["| event | meaning | reaction |", "|---|---|---|", *rows]) + "\n"
+    rows = [
+        f"| `{name}` | {each.meaning} | {each.reaction} | {each.remedy} |"
+        for name, each in events.items()
+    ]
+    head = ["| event | meaning | reaction | what to do |", "|---|---|---|---|"]
+    return "\n".join([*head, *rows]) + "\n"
 
 
 if __name__ == "__main__":
