@@ -183,7 +183,7 @@ class Case:
         lines: list[str] = []
         if isinstance(error, ExpectationError):
             lines.append(error.figure)
-        elif self.runs:
+        elif self.runs and self.runs[-1].events:
             run = self.runs[-1]
             lines.append("the last events:")
             lines += [f"  {run.timeline.line(event)}" for event in run.events[-SHOWN:]]

@@ -56,9 +56,10 @@ class HeldFactory:
         settings, played, chosen = self._settled(scenario, (), None, config, overrides, seed)
         began = clock.wall_seconds()
         robot = _robot(settings, played, chosen, at)
-        case.bring_up_s += clock.wall_seconds() - began
+        ready = clock.wall_seconds()
+        case.bring_up_s += ready - began
         run = case.closing.enter_context(robot.operated(case.folder()))
-        held = Held(case, run)
+        held = Held(case, run, ready)
         case.open.append(held.end)
         return held
 
@@ -100,9 +101,9 @@ class HeldFactory:
 class Held:
     """One run. Nothing happens but in `advance`."""
 
-    def __init__(self, case: Case, run: HeldRun) -> None:
-        self._case, self._run = case, run
-        self._began = clock.wall_seconds()
+    def __init__(self, case: Case, run: HeldRun, began: float) -> None:
+        """``began``: s of wall time, before the run was forked."""
+        self._case, self._run, self._began = case, run, began
         self._events = list(run.seen.events)
         self._injected: list[tuple[int, Fault]] = []
         self._made: Run | None = None

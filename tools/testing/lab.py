@@ -71,8 +71,10 @@ class VirtualLab:
 
     def bus(self, channel: str, **options: Any) -> can.BusABC:
         """A python-can bus on a channel, such as "can0". Its ``recv`` waits in the lab's time.
-        ``options`` as those of ``can.Bus(interface="tonus")``. Raises
-        `can.CanInitializationError`."""
+        ``options`` as those of ``can.Bus(interface="tonus")``. Raises `ToolError` for a channel
+        that this lab does not have, as a lab with EtherCAT has none."""
+        if channel not in self.lab.channels:
+            raise ToolError(f"bus {channel!r}: {self._no_bus}")
         bus = WaitingBus(channel, wait=self.wait, **options)
         self._closing.callback(bus.shutdown)
         return bus
@@ -127,6 +129,12 @@ class VirtualLab:
         ``at``: s from now. Raises `ToolError` for fields that make no fault, `LabError` for one
         that is not possible in this lab."""
         self.lab.inject(made(fault, fields))
+
+    @property
+    def _no_bus(self) -> str:
+        if self.lab.channels:
+            return f"this lab has no such channel; choose one of {', '.join(self.lab.channels)}"
+        return "this lab has no CAN bus; use truth, fault and advance, or tonus_run and tonus_held"
 
     def close(self) -> None:
         """Give the channels back; called at the end of the test."""
