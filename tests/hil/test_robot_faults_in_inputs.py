@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from hil.runs import configured, virtual
+from loop import QUICK
 
+import tonus
+from tonus.tools.testing.held import HeldFactory
+
+pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.tonus_expect("*")]
 BUSES = ["config/can.yaml", "config/direct.yaml"]
-AT = 2.4
-"""s after the drives are enabled; the robot is in ACTIVE by then"""
 SLIP, SHIFT, OFFSET = 0.004, 0.003, 4.0
 """rad, m and N: too little for the envelope"""
 
 
 @pytest.mark.parametrize("path", BUSES)
-def test_sensors_that_are_wrong_are_wrong_to_the_daemon(path: str, tmp_path: Path) -> None:
+def test_sensors_that_are_wrong_are_wrong_to_the_daemon(path: str, tonus_held: HeldFactory) -> None:
     faults = [
-        {"kind": "encoder_slip", "axis": 2, "angle": SLIP, "at": AT},
-        {"kind": "cell_offset", "cell": 8, "force": OFFSET, "duration": 0.2, "at": AT},
-        {"kind": "cell_gain", "cell": 3, "gain": 1.05, "at": AT},
-        {"kind": "tracker_shift", "shift": [0.0, 0.0, SHIFT], "at": AT},
+        tonus.faults.EncoderSlip(axis=2, angle=SLIP),
+        tonus.faults.CellOffset(cell=8, force=OFFSET, duration=0.2),
+        tonus.faults.CellGain(cell=3, gain=1.05),
+        tonus.faults.ShiftedTracker(shift=(0.0, 0.0, SHIFT)),
     ]
-    config, scenario = configured(path, script={"faults": faults})
-    result, log = virtual(config, scenario, tmp_path)
-    assert not result.outcome.fault, result.outcome.reason
+    robot = tonus_held(config=path, at="ACTIVE")
+    robot.advance(200)
+    for fault in faults:
+        robot.fault(fault)
+    robot.advance(400)
+    assert robot.state == "ACTIVE", robot.reason
+    log = robot.end().log
     truth, cells, tracker = (log[f"/tonus/{name}"] for name in ("truth", "force_cells", "tracker"))
     times = log.times("/tonus/force_cells")
     nearest = np.searchsorted(log.times("/tonus/truth"), times).clip(0, len(truth) - 1)
@@ -55,10 +59,12 @@ def test_sensors_that_are_wrong_are_wrong_to_the_daemon(path: str, tmp_path: Pat
 
 
 @pytest.mark.parametrize("path", BUSES)
-def test_a_cut_cable_pulls_no_more_and_the_log_tells(path: str, tmp_path: Path) -> None:
-    faults = [{"kind": "cable_cut", "axis": 5, "at": AT}]
-    config, scenario = configured(path, script={"faults": faults})
-    _, log = virtual(config, scenario, tmp_path)
+def test_a_cut_cable_pulls_no_more_and_the_log_tells(path: str, tonus_held: HeldFactory) -> None:
+    robot = tonus_held(config=path, at="ACTIVE")
+    robot.advance(20)
+    robot.fault("cable_cut", axis=5)
+    robot.advance(100)
+    log = robot.end().log
     truth = log["/tonus/truth"]
     cut = truth["cut"][:, 5]
     begin = int(np.argmax(cut))
