@@ -132,7 +132,9 @@ def test_faults_by_class_and_by_kind(lab: VirtualLab) -> None:
     assert [each["fault"]["node"] for each in lab.faults] == [1, 2]
     with pytest.raises(ToolError, match=r"fault unplug: node: field required"):
         lab.fault("unplug", channel="can0")
-    with pytest.raises(ToolError, match=r"fault unplugged: there is no such kind; did you mean unplug"):
+    with pytest.raises(
+        ToolError, match=r"fault unplugged: there is no such kind; did you mean unplug"
+    ):
         lab.fault("unplugged")
     with pytest.raises(ToolError, match="belong into its constructor"):
         lab.fault(tonus.faults.Unplug(channel="can0", node=1), at=1.0)
