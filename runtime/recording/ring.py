@@ -178,6 +178,18 @@ class RingReader:
             memory = mmap.mmap(file.fileno(), 0)
         return cls(memory, path)
 
+    @classmethod
+    def look(cls, path: Path) -> RingReader:
+        """Beside the reader whose cursor the file keeps: begins at the next record, and can write
+        nothing, so `commit` raises ValueError. Raises RingError, or OSError."""
+        with path.open("rb") as file:
+            if os.fstat(file.fileno()).st_size < _META_START:
+                raise RingError(f"{path}: not a ring file")
+            memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        reader = cls(memory, path)
+        reader.position = reader.published
+        return reader
+
     @property
     def cursor(self) -> int:
         """Position after the last record that `commit` declared safe."""

@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -61,3 +62,22 @@ def test_every_record_is_read_once_in_order_or_counted_as_lost(
                 reader = RingReader.open(path)
                 expected = committed
         assert reader.published == written
+
+
+def test_a_second_reader_sees_what_comes_and_moves_no_cursor(tmp_path: Path) -> None:
+    path = tmp_path / "any.ring"
+    writer = RingWriter.create(path, SIZE, CAPACITY, {"kind": "record"})
+    writer.publish(payload(0), 1000)
+    recorder, before = RingReader.open(path), path.read_bytes()
+    viewer = RingReader.look(path)
+    assert not len(viewer.drain(CAPACITY)[0]), "it begins with what comes next"
+    viewer.position = 0
+    assert viewer.drain(CAPACITY)[0].tolist() == [1000]
+    with pytest.raises((TypeError, ValueError)):
+        viewer.commit()
+    assert path.read_bytes() == before
+    writer.publish(payload(1), 1001)
+    stamps, rows = viewer.drain(CAPACITY)
+    assert stamps.tolist() == [1001]
+    assert np.array_equal(rows[0], payload(1))
+    assert recorder.drain(CAPACITY)[0].tolist() == [1000, 1001]
