@@ -43,6 +43,7 @@ from tonus.tools.event_lines import EventLines, for_journal
 from tonus.tools.folders import make_folder
 from tonus.tools.repeat import every
 from tonus.tools.run import fieldbuses, provenance
+from tonus.tools.run.description import Description, describe_run
 from tonus.tools.run.idle_pacing import IdlePacing
 from tonus.tools.run.lab_process import LabProcess, start_lab
 from tonus.tools.run.order import Order, Result
@@ -131,6 +132,7 @@ class _Stage:
         self._console = Console(script)
         self._image = ProcessImage(config.robot.cables)
         self._rings = Rings(rings, config)
+        self._describe()
         self._firewall = Firewall(config.operation.firewall.failures)
         frames = self._rings.frames
         self._tap: FrameTap | None = None
@@ -231,6 +233,22 @@ class _Stage:
         grants = self._hygiene.grants if self._hygiene is not None else []
         unrecorded = recorder.stopped
         return Result(outcome, self._log, seconds, steal, grants, unrecorded, self._latencies)
+
+    def _describe(self) -> None:
+        """For viewers, which find the rings by it."""
+        order, files = self._order, self._attachments()
+        describe_run(
+            self._ring_folder,
+            Description(
+                files["config.yaml"].decode(),
+                files["scenario.yaml"].decode(),
+                order.config.name,
+                order.virtual,
+                order.serve,
+                None if self._control is None else str(self._control.path),
+                str(self._log.absolute()),
+            ),
+        )
 
     def _begin(self) -> None:
         self._folder.started()
