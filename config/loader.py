@@ -23,6 +23,7 @@ from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.config.schema.trajectory import Prepared
 from tonus.config.schema.tuning import Tuning
+from tonus.config.schema.view import View
 from tonus.config.trajectories import prepare
 from tonus.config.trajectories.samples import TrajectoryError
 
@@ -163,6 +164,11 @@ def load_protocol() -> Protocol:
 def load_least_stops() -> LeastStops:
     """What physics allows after a torn cable, config/least_stop.yaml."""
     return _validate(read(HERE / "least_stop.yaml", "config/least_stop.yaml"), LeastStops)
+
+
+def load_view() -> View:
+    """How often and how much `tonus view` shows, and whom it serves: config/view.yaml."""
+    return _validate(read(HERE / "view.yaml", "config/view.yaml"), View)
 
 
 def scenario_names() -> list[str]:

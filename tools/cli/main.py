@@ -25,6 +25,7 @@ COMMANDS = {
     "fault": "Inject a fault into a running lab.",
     "check": "Validate a configuration: bus load, workspace, margins.",
     "verify": "Play scenarios with expectations, as acceptance tests.",
+    "view": "Show the robot in a browser, live or from a log.",
     "doctor": "Measure whether this host can keep the period.",
     "workspace": "Map where the robot holds which forces.",
     "tune": "Tune controllers, or design the tension loop.",

@@ -1,0 +1,87 @@
+"""`tonus view`: the robot in a browser, live or from logs."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import click
+
+from tonus.runtime.timing import clock
+from tonus.tools import output
+from tonus.tools.errors import ToolError
+
+_APPEARS_S = 60.0
+
+
+@click.command()
+@click.argument("logs", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--operate", is_flag=True, help="Let the page command the robot, and its lab.")
+@click.option("--host", default="127.0.0.1", help="Address to serve on; another needs --token.")
+@click.option("--port", type=click.IntRange(0, 65535), help="Port; 0: any that is free.")
+@click.option("--token", help="Serve only those who know it; at least 16 characters.")
+@click.option("--run", "run_id", type=click.IntRange(min=1), hidden=True)
+def view(
+    logs: tuple[Path, ...],
+    *,
+    operate: bool,
+    host: str,
+    port: int | None,
+    token: str | None,
+    run_id: int | None,
+) -> None:
+    """Show the running daemon in a browser, or play LOGS back, several in one picture.
+
+    Without --operate the page shows and commands nothing. Ctrl-C ends the viewer, never the robot.
+    """
+    from tonus.tools.view.gate import Gate, is_local, new_token
+
+    if logs and operate:
+        raise click.UsageError("a log cannot be operated: leave --operate or the log out")
+    if not is_local(host) and token is None:
+        raise click.UsageError(f"{host} can be reached by others: give --token too")
+    if token is not None and len(token) < 16:
+        raise click.UsageError("--token is too short to be a secret: give 16 characters or more")
+    if operate and token is None:
+        token = new_token()
+    try:
+        from tonus.tools.view.live import Live, newest_run
+        from tonus.tools.view.playback import Playback
+        from tonus.tools.view.recorded import Recorded
+        from tonus.tools.view.viewer import Viewer
+    except ModuleNotFoundError as error:
+        raise ToolError(
+            f"the viewer needs the package {error.name}: pip install 'tonus[view]'"
+        ) from error
+    live, playback = None, None
+    if logs:
+        playback = Playback([Recorded(path) for path in logs])
+    else:
+        live = Live(newest_run() if run_id is None else _rings(run_id))
+    gate = Gate(host, port, token)
+    viewer = Viewer(gate, live, playback, operate=operate, follow=run_id is None)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: viewer.close())
+    if not is_local(host):
+        text = "whoever has the token and can reach this host can open the page"
+        click.echo(f"warning: {text}{', and command the robot' if operate else ''}", err=True)
+    output.make_optional()
+    click.echo(f"open {gate.address}  (Ctrl-C ends the viewer{', not the robot' if live else ''})")
+    try:
+        viewer.run()
+    finally:
+        viewer.release()
+
+
+def _rings(run_id: int) -> Path:
+    """Of the run of this process, which may be starting still."""
+    from tonus.config.places import runtime_dir
+
+    rings = runtime_dir() / f"run-{run_id}"
+    for _ in range(int(_APPEARS_S / 0.1)):
+        if (rings / "run.json").exists():
+            return rings
+        if not Path("/proc", str(run_id)).exists():
+            break
+        clock.pause(0.1)
+    raise ToolError(f"{rings}: this run has not begun")
