@@ -1,0 +1,152 @@
+"""A viewer as a process, and a page without a browser."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+from tonus.runtime.timing import clock
+
+TONUS = [sys.executable, "-m", "tonus.tools.cli"]
+ROOT = Path(__file__).resolve().parents[2]
+GOLDEN = ROOT / "tests" / "replay" / "golden" / "v6.mcap"
+TOKEN = "a-token-for-tests-only"  # noqa: S105
+PATIENCE_S = 60.0
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Viewer:
+    """`tonus view` with these arguments; ``with_token`` names the one it has."""
+
+    def __init__(self, folder: Path, *arguments: str, token: str | None = None) -> None:
+        self.port, self.token = free_port(), token
+        self.text = folder / f"view-{self.port}.txt"
+        command = [*TONUS, "view", "--port", str(self.port), *arguments]
+        if token is not None:
+            command += ["--token", token]
+        environment = {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
+        self.process = subprocess.Popen(
+            command, cwd=ROOT, env=environment, stdout=self.text.open("w"), stderr=subprocess.STDOUT
+        )
+        for _ in range(int(PATIENCE_S / 0.05)):
+            if "open http" in self.text.read_text() or self.process.poll() is not None:
+                break
+            clock.pause(0.05)
+        assert self.process.poll() is None, self.text.read_text()
+
+    @property
+    def origin(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    @property
+    def address(self) -> str:
+        return f"{self.origin}/?token={self.token}" if self.token else f"{self.origin}/"
+
+    def connect(
+        self, path: str = "/channel", origin: str | None = "", token: str | None = "", **more: Any
+    ) -> ClientConnection:
+        """As the page does, unless told otherwise."""
+        token = self.token if token == "" else token
+        headers = {"Cookie": f"tonus-{self.port}={token}"} if token else {}
+        return connect(
+            f"ws://127.0.0.1:{self.port}{path}",
+            origin=self.origin if origin == "" else origin,  # type: ignore[arg-type]
+            additional_headers=headers,
+            max_size=None,
+            **more,
+        )
+
+    def close(self) -> None:
+        self.process.terminate()
+        try:
+            self.process.wait(20)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            raise
+
+
+class Page:
+    """What a page gets, and asks for."""
+
+    def __init__(self, connection: ClientConnection) -> None:
+        self.connection = connection
+        self.events: list[dict[str, Any]] = []
+        self.hello = self.next("hello")
+        self.events += self.hello["events"]
+        self._number = 0
+
+    def next(self, kind: str) -> dict[str, Any]:
+        while True:
+            message: dict[str, Any] = json.loads(self.connection.recv(PATIENCE_S))
+            if message["kind"] == "events":
+                self.events += message["events"]
+            if message["kind"] == kind:
+                return message
+
+    def send(self, **message: Any) -> None:
+        self.connection.send(json.dumps(message))
+
+    def ask(self, **message: Any) -> dict[str, Any]:
+        """The reply to a request."""
+        self._number += 1
+        self.send(**message, id=self._number)
+        while True:
+            told = self.next("reply")
+            if told["id"] == self._number:
+                return dict(told["reply"])
+
+    def command(self, verb: str, **more: Any) -> dict[str, Any]:
+        return self.ask(do="command", verb=verb, **more)
+
+    def until(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """The first picture of which it holds."""
+        for _ in range(int(PATIENCE_S * 30)):
+            now = self.next("now")
+            if condition(now):
+                return now
+        raise AssertionError(f"it did not happen; last: {now}")
+
+    def state(self, *wanted: str) -> dict[str, Any]:
+        return self.until(lambda now: now["runs"][0]["state"] in wanted)
+
+
+@contextmanager
+def opened(viewer: Viewer) -> Iterator[Page]:
+    with viewer.connect() as connection:
+        yield Page(connection)
+
+
+class Served:
+    """A daemon that serves, with its lab."""
+
+    def __init__(self, folder: Path, config: str, *arguments: str) -> None:
+        self.text = folder / "run.txt"
+        environment = {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
+        command = [*TONUS, "run", config, "--serve", "--out", str(folder / "out"), *arguments]
+        self.process = subprocess.Popen(
+            command, cwd=ROOT, env=environment, stdout=self.text.open("w"), stderr=subprocess.STDOUT
+        )
+        for _ in range(int(2 * PATIENCE_S / 0.05)):
+            if "STANDBY" in self.text.read_text() or self.process.poll() is not None:
+                break
+            clock.pause(0.05)
+        assert self.process.poll() is None, self.text.read_text()
+
+    def close(self) -> None:
+        self.process.terminate()
+        self.process.wait(60)
