@@ -58,6 +58,11 @@ class DoorSocket:
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._socket, self._receive)
 
+    def poll(self, now_ns: int) -> None:
+        """Answer one request, if there is one: in virtual time, whose loop watches no sockets."""
+        del now_ns
+        self._receive()
+
     def close(self) -> None:
         self._loop.remove_reader(self._socket)
         self._socket.close()
@@ -90,3 +95,20 @@ def _sender(ancillary: list[tuple[int, int, bytes]]) -> int | None:
         if level == socket.SOL_SOCKET and kind == socket.SCM_CREDENTIALS:
             return int(_CREDENTIALS.unpack_from(data)[1])
     return None
+
+
+def remove_stale(path: Path, kind: socket.SocketKind = socket.SOCK_SEQPACKET) -> None:
+    """Take away the socket of a lab that is gone. Raises `LabError` if it still answers."""
+    if not path.exists():
+        return
+    if not path.is_socket():
+        raise LabError(f"{path} is in the way and not a socket; remove it")
+    with socket.socket(socket.AF_UNIX, kind) as probe:
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink()
+            return
+        except OSError as error:
+            raise LabError(f"{path} cannot be used: {error.strerror}") from error
+    raise LabError(f"a lab already runs at {path}; stop it, or choose another TONUS_RUNTIME_DIR")

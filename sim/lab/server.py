@@ -34,7 +34,7 @@ from tonus.sim.errors import LabError
 from tonus.sim.ethercat.port import SegmentPort
 from tonus.sim.ethercat.veth import close_pair, open_pair
 from tonus.sim.lab.door import Door
-from tonus.sim.lab.door_socket import DoorSocket
+from tonus.sim.lab.door_socket import DoorSocket, remove_stale
 from tonus.sim.lab.engine import Lab
 from tonus.sim.lab.timer import WakeUp
 
@@ -122,7 +122,7 @@ class _Server:
                 )
             openers[bus.kind](bus)
         door = self._directory / LAB_DOOR
-        _remove_stale(door, socket.SOCK_DGRAM)
+        remove_stale(door, socket.SOCK_DGRAM)
         self._door = DoorSocket(
             Door(self._lab), door, lambda: self._lab.advance(self._clock()), self._work
         )
@@ -160,7 +160,7 @@ class _Server:
 
     def _listen(self, channel: Channel) -> None:
         path = socket_path(self._directory, channel.name)
-        _remove_stale(path)
+        remove_stale(path)
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         listener.setblocking(False)
         try:
@@ -348,23 +348,6 @@ class _Server:
         # What is due first is kept: later frames are taken along with it.
         if not wake.due_ns or due_ns < wake.due_ns:
             wake.at(due_ns)
-
-
-def _remove_stale(path: Path, kind: socket.SocketKind = socket.SOCK_SEQPACKET) -> None:
-    """Take away the socket of a lab that is gone. Raises `LabError` if it still answers."""
-    if not path.exists():
-        return
-    if not path.is_socket():
-        raise LabError(f"{path} is in the way and not a socket; remove it")
-    with socket.socket(socket.AF_UNIX, kind) as probe:
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            path.unlink()
-            return
-        except OSError as error:
-            raise LabError(f"{path} cannot be used: {error.strerror}") from error
-    raise LabError(f"a lab already runs at {path}; stop it, or choose another TONUS_RUNTIME_DIR")
 
 
 async def serve(

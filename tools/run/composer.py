@@ -9,12 +9,13 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
-from tonus.config.places import runtime_dir
+from tonus.config.places import LAB_DOOR, runtime_dir
 from tonus.drivers.devices.tracker import TrackerInput, TrackerSource, UdpTracker
 from tonus.drivers.fieldbus import Fieldbus, FrameTap
 from tonus.drivers.process_image import ProcessImage
@@ -34,6 +35,8 @@ from tonus.runtime.timing import clock
 from tonus.runtime.timing.latencies import Latencies
 from tonus.runtime.timing.realtime import Hygiene, compared, demand, settled, stolen_jiffies
 from tonus.runtime.timing.scheduler import Pacing, TimerPacing, VirtualPacing
+from tonus.sim.lab.door import Door
+from tonus.sim.lab.door_socket import DoorSocket, remove_stale
 from tonus.sim.lab.engine import Lab
 from tonus.tools import output
 from tonus.tools.cli.live import Live
@@ -170,6 +173,8 @@ class _Stage:
             with self._lab() as lab:
                 fieldbus = fieldbuses.build(order.config, self._image, lab, self._tap)
                 daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False))
+                if order.serve:
+                    self._serve_lab(lab, daemon)
                 pacing = fieldbuses.steering(order.config, fieldbus, order.pacing or self._pacing)
                 # In this loop in virtual time only: a process of its own otherwise.
                 part = self._firewall.part("recorder")
@@ -277,6 +282,14 @@ class _Stage:
             yield lab
         finally:
             lab.close()
+
+    def _serve_lab(self, lab: Lab, daemon: Daemon) -> None:
+        """Its control socket, after each tick: in real time the lab's own process has it."""
+        path = runtime_dir() / LAB_DOOR
+        remove_stale(path, socket.SOCK_DGRAM)
+        door = DoorSocket(Door(lab), path, lambda: lab.advance(clock.now_ns()), lambda: None)
+        self._cleanup.callback(door.close)
+        daemon.serve("control socket of the lab", door.poll)
 
     def _lab_process(self) -> LabProcess | None:
         order = self._order
