@@ -24,8 +24,6 @@ from tonus.config.schema.scenario import Scenario
 from tonus.config.schema.trajectory import Prepared
 from tonus.config.schema.tuning import Tuning
 from tonus.config.schema.view import View
-from tonus.config.trajectories import prepare
-from tonus.config.trajectories.samples import TrajectoryError
 
 HERE = Path(__file__).resolve().parent
 """The folder of the shipped files itself, whichever link this module was imported through."""
@@ -195,6 +193,10 @@ def _prepared(document: Document, scenario: Scenario) -> Scenario:
     reference = scenario.reference
     if not isinstance(reference, Prepared) or reference.prepared is not None:
         return scenario
+    # Only where one is computed: they take scipy, which takes a second to load.
+    from tonus.config.trajectories import prepare
+    from tonus.config.trajectories.samples import TrajectoryError
+
     try:
         samples = prepare(reference, document.folder(("reference",)))
     except TrajectoryError as error:

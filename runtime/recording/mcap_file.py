@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import lz4.frame
 import numpy as np
@@ -65,6 +66,13 @@ class Index:
     """(n,) ns"""
     offset: NDArray[np.int64]
     """(n,) of their records, from the content's start"""
+
+
+class Announces(Protocol):
+    """Where messages go to: a file, or a server for viewers."""
+
+    def channel(self, topic: str, message: str, definition: str) -> int:
+        """Announce a topic of CDR messages with their ROS 2 definition; gives the channel's id."""
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.runtime.recording.mcap_file import Block, McapFile
+from tonus.runtime.recording.mcap_file import Announces, Block
+from tonus.runtime.recording.payloads import EVENT, FRAME, KEYFRAME
 from tonus.runtime.recording.ring import Meta, RingError
-from tonus.runtime.recording.taps import EVENT, FRAME, KEYFRAME
 from tonus.runtime.topics import from_json, record_dtype
 
 FRAME_DEFINITION = """\
@@ -66,7 +66,7 @@ class Encoder(Protocol):
 class RecordEncoder:
     """A record that holds one message of every topic, side by side."""
 
-    def __init__(self, file: McapFile, meta: Meta) -> None:
+    def __init__(self, file: Announces, meta: Meta) -> None:
         topics = from_json(meta["topics"])
         self.dtype = record_dtype(topics)
         self._parts: list[tuple[int, slice]] = []
@@ -89,7 +89,7 @@ class FrameEncoder:
     """Raw bus frames, one topic for each bus; frame_id is the bus's name, and sequence counts
     through all buses."""
 
-    def __init__(self, file: McapFile, meta: Meta) -> None:
+    def __init__(self, file: Announces, meta: Meta) -> None:
         self._channels: list[tuple[int, NDArray[np.void]]] = []
         for name in meta["channels"]:
             channel = file.channel(f"/can/{name}", "can_msgs/msg/Frame", FRAME_DEFINITION)
@@ -120,7 +120,7 @@ class FrameEncoder:
 class EventEncoder:
     """Events: few, and of any length, so one block each."""
 
-    def __init__(self, file: McapFile) -> None:
+    def __init__(self, file: Announces) -> None:
         self._channel = file.channel(EVENT_TOPIC, EVENT_MESSAGE, EVENT_DEFINITION)
 
     def __call__(
@@ -146,7 +146,7 @@ class EventEncoder:
 class KeyframeEncoder:
     """States of the cycle: few, and of any length."""
 
-    def __init__(self, file: McapFile) -> None:
+    def __init__(self, file: Announces) -> None:
         self._channel = file.channel(KEYFRAME_TOPIC, KEYFRAME_MESSAGE, KEYFRAME_DEFINITION)
 
     def __call__(
@@ -191,7 +191,7 @@ def _frame_template(name: str) -> NDArray[np.void]:
     return template
 
 
-def encoder(file: McapFile, events: EventEncoder, meta: Meta) -> Encoder:
+def encoder(file: Announces, events: EventEncoder, meta: Meta) -> Encoder:
     """The encoder for a ring's kind; announces its topics in ``file``."""
     kind = meta.get("kind")
     if kind == "record":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from enum import IntEnum
 from pathlib import Path
 from typing import Self
 
@@ -13,44 +12,27 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tonus.drivers.fieldbus import RAW_FRAME
+from tonus.runtime.recording.payloads import (
+    EVENT,
+    FRAME,
+    KEYFRAME,
+    KEYFRAME_BYTES,
+    SENT,
+    Level,
+)
 from tonus.runtime.recording.ring import RingWriter
 
-FRAME = np.dtype(
-    [
-        ("identifier", "<u4"),  # bit 31 extended, 30 remote, 29 error
-        ("channel", "u1"),  # index into the ring's meta "channels"
-        ("dlc", "u1"),
-        ("flags", "u1"),  # SENT
-        ("padding", "u1"),
-        ("data", "u1", (8,)),
-    ]
-)
-SENT = 1
-"""flag of a frame that we sent"""
-
-EVENT = np.dtype(
-    [
-        ("tick", "<u8"),
-        ("level", "u1"),  # Level
-        ("name", "S32"),
-        ("where", "S32"),
-        ("text", "S439"),
-    ]
-)
-
-KEYFRAME_BYTES = 1 << 17
-KEYFRAME = np.dtype([("tick", "<u8"), ("size", "<u8"), ("state", "u1", (KEYFRAME_BYTES,))])
-
-
-class Level(IntEnum):
-    """As in rcl_interfaces/msg/Log."""
-
-    DEBUG = 10
-    INFO = 20
-    WARNING = 30
-    ERROR = 40
-    FATAL = 50
-
+__all__ = [
+    "EVENT",
+    "FRAME",
+    "KEYFRAME",
+    "KEYFRAME_BYTES",
+    "SENT",
+    "EventRing",
+    "FrameRing",
+    "KeyframeRing",
+    "Level",
+]
 
 _FRAME = struct.Struct("<qIBBBx8s")
 _REMOTE = 1 << 30

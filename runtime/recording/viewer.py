@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.runtime.recording.cdr import Body, rows, set_stamp
-from tonus.runtime.recording.mcap_file import Block, McapFile
+from tonus.runtime.recording.mcap_file import Announces, Block
 from tonus.runtime.recording.viewer_messages import DEFINITIONS, JOINTS, MARKERS, POSE, TRANSFORMS
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ class Scene:
 class ViewerEncoder:
     """Messages of the ticks that are multiples of the scene's, once there is a pose."""
 
-    def __init__(self, file: McapFile, scene: Scene) -> None:
+    def __init__(self, file: Announces, scene: Scene) -> None:
         self._scene = scene
         self._frame, self._anchors = np.array(scene.frame), np.array(scene.platform)
         names = {
