@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from tonus.tools.run.latencies import buckets
 from tonus.tools.run.latencies import rows as latency_rows
 from tonus.tools.run.run_folder import discard_empty, new_folder, next_folder
 from tonus.tools.run.summary import Summary, missed_in, summarise, truth_at_cycles
+from tonus.tools.run.viewer_process import beside
 
 
 @click.command()
@@ -56,6 +58,7 @@ from tonus.tools.run.summary import Summary, missed_in, summarise, truth_at_cycl
     type=click.Path(path_type=Path),
     help="Folder; an earlier run in it moves to OUT/previous. Without it a new folder in out.",
 )
+@click.option("--view", is_flag=True, help="Show it in a browser: starts `tonus view` beside it.")
 @click.option("--force", is_flag=True, help="Run even what `tonus check` refuses.")
 @click.option("--json", "as_json", is_flag=True, help="Print summary.json and nothing else.")
 def run(
@@ -71,6 +74,7 @@ def run(
     serve: bool,
     socket: Path | None,
     out: Path | None,
+    view: bool,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -117,7 +121,8 @@ def run(
         link=out is None,
     )
     try:
-        good, disturbed = _play(order, as_json=as_json)
+        with beside(say) if view else nullcontext():
+            good, disturbed = _play(order, as_json=as_json)
     finally:
         if out is None:
             discard_empty(folder)
@@ -287,4 +292,5 @@ def _tell(summary: Summary, result: Result, files: list[Path], *, disturbed: boo
         click.echo(f"  {name:<15} {value}")
     click.echo(f"  {'folder':<15} {result.log.parent}")
     click.echo(f"  {'files':<15} {'  '.join(file.name for file in files)}")
+    click.echo(f"  {'see it again':<15} tonus view {result.log}")
     click.echo(f"{result.outcome.state.name}: {result.outcome.reason}")
