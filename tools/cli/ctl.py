@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
@@ -18,9 +18,12 @@ from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.tools import output
 from tonus.tools.cli.numbers import FiniteRange
+from tonus.tools.cli.tension_bars import bars
 from tonus.tools.control_client import ControlClient
 
 _LOOK_S = 0.1
+_BESIDE_BARS = 16
+"""characters of a line of bars that are none"""
 _ON_THE_WAY = {
     "arm": (State.REFERENCING.name, State.PRETENSION.name),
     "stop": (State.SAFE_STOP.name,),
@@ -69,7 +72,7 @@ def status(path: Path | None, as_json: bool) -> None:
 )
 @click.option("--count", type=click.IntRange(min=1), help="End after this number of requests.")
 def watch(path: Path | None, as_json: bool, rate: float, count: int | None) -> None:
-    """Show the status again and again; Ctrl-C ends it."""
+    """Show the status again and again, on a terminal in full screen; Ctrl-C ends it."""
     console = Console(highlight=False, soft_wrap=True)
     with ControlClient(path) as daemon:
         looks = _looks(daemon, rate, count)
@@ -77,9 +80,12 @@ def watch(path: Path | None, as_json: bool, rate: float, count: int | None) -> N
             for reply in looks:
                 click.echo(json.dumps(reply))
         elif console.is_terminal:
-            with Live(console=console, auto_refresh=False) as live:
+            with Live(console=console, auto_refresh=False, screen=True) as live:
                 for reply in looks:
-                    live.update(_table(reply), refresh=True)
+                    width = max(console.width - _BESIDE_BARS, 10)
+                    shown = Group(_table(reply), bars(reply["tension_n"], width))
+                    live.update(shown, refresh=True)
+            console.print(_line(reply), markup=False)
         else:
             for reply in looks:
                 console.print(_line(reply), markup=False)
