@@ -14,6 +14,8 @@ Port = Annotated[int, Field(ge=0, le=65535)]
 class View(Section):
     port: Port
     foxglove_port: Port
+    foxglove_hz: Positive
+    """of each topic there"""
     rate_hz: Positive
     """of the picture"""
     plot_hz: Positive

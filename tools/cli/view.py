@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import signal
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from tonus.runtime.timing import clock
 from tonus.tools import output
 from tonus.tools.errors import ToolError
+
+if TYPE_CHECKING:
+    from tonus.tools.view.foxglove_server import FoxgloveServer
+    from tonus.tools.view.live import Live
 
 _APPEARS_S = 60.0
 
@@ -20,6 +25,14 @@ _APPEARS_S = 60.0
 @click.option("--host", default="127.0.0.1", help="Address to serve on; another needs --token.")
 @click.option("--port", type=click.IntRange(0, 65535), help="Port; 0: any that is free.")
 @click.option("--token", help="Serve only those who know it; at least 16 characters.")
+@click.option(
+    "--foxglove",
+    type=click.IntRange(-1, 65535),
+    is_flag=False,
+    flag_value=-1,
+    metavar="[PORT]",
+    help="Serve the topics to Foxglove, Lichtblick and PlotJuggler too.",
+)
 @click.option("--run", "run_id", type=click.IntRange(min=1), hidden=True)
 def view(
     logs: tuple[Path, ...],
@@ -28,6 +41,7 @@ def view(
     host: str,
     port: int | None,
     token: str | None,
+    foxglove: int | None,
     run_id: int | None,
 ) -> None:
     """Show the running daemon in a browser, or play LOGS back, several in one picture.
@@ -36,6 +50,8 @@ def view(
     """
     from tonus.tools.view.gate import Gate, is_local, new_token
 
+    if logs and foxglove is not None:
+        raise click.UsageError("--foxglove serves a running daemon; those programs open logs")
     if logs and operate:
         raise click.UsageError("a log cannot be operated: leave --operate or the log out")
     if not is_local(host) and token is None:
@@ -59,6 +75,9 @@ def view(
     else:
         live = Live(newest_run() if run_id is None else _rings(run_id))
     gate = Gate(host, port, token)
+    server = None
+    if foxglove is not None and live is not None:
+        server = _foxglove(live, host, foxglove, operate=operate, token=token)
     viewer = Viewer(gate, live, playback, operate=operate, follow=run_id is None)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: viewer.close())
@@ -67,10 +86,24 @@ def view(
         click.echo(f"warning: {text}{', and command the robot' if operate else ''}", err=True)
     output.make_optional()
     click.echo(f"open {gate.address}  (Ctrl-C ends the viewer{', not the robot' if live else ''})")
+    if server is not None:
+        click.echo(f"Foxglove and others connect to ws://{host}:{server.port}")
     try:
         viewer.run()
     finally:
+        if server is not None:
+            server.close()
         viewer.release()
+
+
+def _foxglove(
+    live: Live, host: str, port: int, *, operate: bool, token: str | None
+) -> FoxgloveServer:
+    from tonus.tools.view.foxglove_server import FoxgloveServer
+    from tonus.tools.view.settings import settings
+
+    number = settings().foxglove_port if port < 0 else port
+    return FoxgloveServer(live, host, number, operate=operate, token=token)
 
 
 def _rings(run_id: int) -> Path:
