@@ -113,6 +113,17 @@ class Page:
     def command(self, verb: str, **more: Any) -> dict[str, Any]:
         return self.ask(do="command", verb=verb, **more)
 
+    def arm(self) -> None:
+        """To HOLD; the self-test may still have to come to its result."""
+        self.until(lambda now: "status" in now)
+        for _ in range(40):
+            reply = self.command("arm")
+            if reply["ok"]:
+                break
+            clock.pause(0.25)
+        assert reply["ok"], reply
+        self.state("HOLD")
+
     def until(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The first picture of which it holds."""
         for _ in range(int(PATIENCE_S * 30)):
@@ -137,7 +148,9 @@ class Served:
     def __init__(self, folder: Path, config: str, *arguments: str) -> None:
         self.text = folder / "run.txt"
         environment = {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
-        command = [*TONUS, "run", config, "--serve", "--out", str(folder / "out"), *arguments]
+        # Its lab has no load, which would push a platform that lies in its cradle.
+        command = [*TONUS, "run", config, "--serve", "--scenario", "hold"]
+        command += ["--out", str(folder / "out"), *arguments]
         self.process = subprocess.Popen(
             command, cwd=ROOT, env=environment, stdout=self.text.open("w"), stderr=subprocess.STDOUT
         )
@@ -150,3 +163,15 @@ class Served:
     def close(self) -> None:
         self.process.terminate()
         self.process.wait(60)
+
+
+def recorded(folder: Path) -> Path:
+    """The log of a short run in virtual time."""
+    out = folder / "recorded"
+    arguments = ["config/direct.yaml", "--virtual", "--scenario", "sine_z"]
+    arguments += ["--duration", "3", "--out", str(out)]
+    environment = {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
+    subprocess.run(
+        [*TONUS, "run", *arguments], cwd=ROOT, env=environment, check=True, capture_output=True
+    )
+    return out / "run.mcap"

@@ -13,7 +13,7 @@ Levels = tuple[float, float, float, float]
 """N: slack, low, pretension and high, where the colours stand"""
 
 SLACK = (20, 20, 20)
-LOW, PRE, HIGH = (0, 114, 178), (204, 204, 204), (213, 94, 0)
+LOW, PRE, HIGH = (0, 114, 178), (140, 140, 140), (213, 94, 0)
 GHOST = (120, 150, 190)
 _SCALE = np.array([LOW, PRE, HIGH], float)
 

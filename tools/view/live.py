@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
+from tonus.runtime.recording.payloads import EVENT
 from tonus.runtime.recording.ring import RingError, RingReader
-from tonus.runtime.recording.taps import EVENT
 from tonus.runtime.signals import cycle_dtype
 from tonus.sim.lab.truth import truth_dtype
 from tonus.tools.errors import ToolError

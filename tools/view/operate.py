@@ -155,9 +155,8 @@ class Operation:
         self._dead_man.close()
 
 
-def choices(status: Reply) -> list[Reply]:
-    """Each command: whether it is allowed now, and why not."""
-    state = State[status["state"]]
+def choices(status: Reply, state: State) -> list[Reply]:
+    """Each command: whether it is allowed in this state, and why not. ``status`` may be older."""
     found = []
     for verb in VERBS.values():
         if verb.operator is Operator.NONE:

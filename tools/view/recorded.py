@@ -109,7 +109,7 @@ class Recorded:
         part = self._log.between(number * _SLAB_S, (number + 1) * _SLAB_S)
         topics = [topic for topic in (*self._topics, _TRUTH) if topic in part]
         part.load(topics)
-        times = part.times(_TIMING)[:: self._step]
+        times = part.times(_TIMING)[part[_TIMING]["tick"] % self._step == 0]
         rows = {topic: np.searchsorted(part.times(topic), times, "right") - 1 for topic in topics}
         ready = np.ones(len(times), bool)
         for topic in self._topics:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from tonus.config.schema.lab import Phantom
@@ -16,7 +17,7 @@ from tonus.tools.view.colours import GHOST, Tint, of_tension
 from tonus.tools.view.moment import Array, Rows, Samples
 from tonus.tools.view.settings import settings
 
-_CABLE, _BEAM, _LINE = 0.005, 0.012, 0.004
+_CABLE, _BEAM, _LINE = 0.009, 0.012, 0.005
 """m, as drawn"""
 _WINCH_LENGTH = 0.05
 _STEP, _TURN_STEP, _TENSION_STEP, _FORCE_STEP = 1e-4, 0.01, 0.5, 0.3
@@ -149,7 +150,7 @@ class RobotScene:
             colours = of_tension(tension, self._levels)
             if self._tint is not None:
                 colours = self._tint.over(colours)
-            self._cables.colors = np.repeat(colours[:, None], 2, axis=1)
+            self._cables.colors = np.repeat(_linear(colours)[:, None], 2, axis=1)
         if self._moved("reference", pose["desired_position"], _STEP):
             self._ghost.position = pose["desired_position"]
 
@@ -229,6 +230,12 @@ def _phantom(scenario: Scenario | None) -> Phantom | None:
 
 def _unit(vector: Array) -> Array:
     return vector / np.linalg.norm(vector)
+
+
+def _linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """viser takes the colours of a line's ends as linear ones, and those of all else as sRGB."""
+    linear: NDArray[np.uint8] = (255.0 * (colours / 255.0) ** 2.2).astype(np.uint8)
+    return linear
 
 
 def _draw(handle: Any, points: Array) -> None:

@@ -11,9 +11,11 @@ import numpy as np
 
 from tonus.config.schema.root import Config
 from tonus.runtime.signals import topics
+from tonus.runtime.states import State
 from tonus.tools.run.truth import TOPIC as TRUTH
 from tonus.tools.view.moment import Array, Samples
 
+_FOLLOWING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 _NAME = re.compile(r"([a-z_]+)\.([a-z_]+)(?:\[(\d{1,3})\])?")
 
 
@@ -134,15 +136,18 @@ def _nothing(samples: Samples) -> Array:
 
 
 def _estimated(samples: Samples) -> Array:
-    pose = samples.rows["pose"]
-    return 1e3 * np.asarray(np.linalg.norm(pose["position"] - pose["desired_position"], axis=1))
+    return _away(samples, samples.rows["pose"]["position"])
 
 
 def _true(samples: Samples) -> Array:
-    if samples.truth is None:
-        return _nothing(samples)
-    away = samples.truth["position"] - samples.rows["pose"]["desired_position"]
-    return 1e3 * np.asarray(np.linalg.norm(away, axis=1))
+    return _nothing(samples) if samples.truth is None else _away(samples, samples.truth["position"])
+
+
+def _away(samples: Samples, position: Array) -> Array:
+    """mm from the reference, where the robot follows one."""
+    away = np.linalg.norm(position - samples.rows["pose"]["desired_position"], axis=1)
+    follows = np.isin(samples.rows["state"]["state"], _FOLLOWING)
+    return np.where(follows, 1e3 * away, np.nan)
 
 
 def _cycle(samples: Samples) -> Array:

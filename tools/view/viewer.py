@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import viser
 
+from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.tools.control_client import ControlClient
 from tonus.tools.errors import ToolError
@@ -69,6 +70,7 @@ class Viewer:
         # Shadows cost most of the time of a browser that draws without a graphics processor.
         server.scene.configure_default_lights(enabled=True, cast_shadow=False)
         server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.minimize()
         sources: list[Source] = [self._live] if self._live else []
         if self._playback:
             sources += self._playback.logs
@@ -84,7 +86,7 @@ class Viewer:
         self._plots = plots_of(self._config)
         self._known = frozenset(names_of(self._config))
         extent = float(np.abs(np.array(self._config.robot.geometry.frame)).max())
-        server.initial_camera.position = (1.9 * extent, -2.2 * extent, 1.1 * extent)
+        server.initial_camera.position = (1.7 * extent, -2.1 * extent, 1.0 * extent)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         self._moments: list[Moment] = []
         self._events: deque[Message] = deque(maxlen=settings().events)
@@ -105,7 +107,12 @@ class Viewer:
         socket = Path(self._live.description.socket)
         if self._operate:
             self._operation = Operation(socket)
-        threading.Thread(target=self._ask_status, args=(self._live, socket), daemon=True).start()
+        if self._operate or self._live.description.served:
+            # Of a script's run the rings tell enough.
+            asking = threading.Thread(
+                target=self._ask_status, args=(self._live, socket), daemon=True
+            )
+            asking.start()
 
     def _ask_status(self, live: Live, socket: Path) -> None:
         """Again and again, while this run is shown."""
@@ -246,6 +253,7 @@ class Viewer:
                 "runs": self._names,
                 "live": self._live is not None,
                 "operate": self._operation is not None,
+                "asked": self._operate or bool(self._live and self._live.description.served),
                 "lab": self._live is not None and config.lab is not None,
                 "virtual": self._live is not None and self._live.description.virtual,
                 "watch_s": settings().watch_s,
@@ -277,7 +285,9 @@ class Viewer:
         status = self._status
         if status is not None:
             told["status"] = status
-            told["choices"] = choices(status)
+            shown = told["runs"][0]["state"] if self._moments else ""
+            state = State[shown if shown in State.__members__ else status["state"]]
+            told["choices"] = choices(status, state)
         return told
 
     def _asked(self, client: Client, message: Message) -> None:

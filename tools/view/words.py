@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tonus.config.schema.root import Config
-from tonus.runtime.recording.taps import Level
+from tonus.runtime.recording.payloads import Level
 from tonus.runtime.signals import Bound, Grade
 from tonus.runtime.states import MEANING, NEXT, Fault, State, StopMode
 from tonus.runtime.words import STOP_TEXT, describe

@@ -67,7 +67,7 @@ function welcome(message) {
   byId("events").tBodies[0].replaceChildren();
   byId("marks").replaceChildren();
   hello.events.forEach(addEvent);
-  byId("operation").hidden = byId("tests").hidden = !hello.live;
+  byId("operation").hidden = byId("tests").hidden = !hello.asked;
   byId("estop").hidden = !hello.live;
   byId("estop").disabled = !hello.operate;
   if (!hello.operate) byId("estop").title = "This viewer only shows; start it with: tonus view --operate";
@@ -110,7 +110,7 @@ function showNow() {
     byId("speed").value = now.speed;
     byId("at").textContent = `${now.t.toFixed(2)} of ${hello.length_s.toFixed(1)} s`;
   }
-  if (hello && hello.live) showOperation();
+  if (hello && hello.asked) showOperation();
 }
 
 function showOperation() {
