@@ -22,9 +22,12 @@ CHROMIUM = next(
 TOKEN = "a-token-for-browsers"  # noqa: S105
 PATIENCE_MS = 120_000.0
 
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="no chromium on this host: apt-get install chromium"
-)
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="no chromium on this host: apt-get install chromium"
+    ),
+]
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
 
