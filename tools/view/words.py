@@ -8,9 +8,8 @@ from tonus.config.schema.root import Config
 from tonus.runtime.recording.payloads import Level
 from tonus.runtime.signals import Bound, Grade
 from tonus.runtime.states import MEANING, NEXT, Fault, State, StopMode
-from tonus.runtime.words import STOP_TEXT, describe
+from tonus.runtime.words import REMEDY, STOP_TEXT, describe
 from tonus.tools.view.moment import Happening, Rows
-from tonus.tools.view.remedies import REMEDY
 
 
 def state_of(config: Config, newest: Rows) -> dict[str, Any]:
