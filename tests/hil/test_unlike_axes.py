@@ -16,7 +16,7 @@ from tonus.config import load
 from tonus.config.loader import load_bounds
 from tonus.runtime.signals import TABLE
 from tonus.runtime.states import Fault, State
-from tonus.sim.devices.cia402.output import Output
+from tonus.sim.devices.cia402.axis_table import TARGET
 from tonus.sim.devices.samples import Samples
 from tonus.tools.campaign.invariants import within_bounds
 from tonus.tools.identify import identify
@@ -57,19 +57,15 @@ def test_a_robot_that_lists_the_defaults_for_every_axis_is_the_same_robot(tmp_pa
 def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
     """What every emulated drive sends and receives, in device units, in the order of time."""
     exchanged: Wire = defaultdict(list)
-    sample, target = Samples.at, Output.set_target
+    sample = Samples.at
 
     def at(samples: Samples, now_ns: int) -> list[int]:
         words = sample(samples, now_ns)
         exchanged["sent"].append((now_ns, *words[: 2 * CABLES]))
+        exchanged["torques"].append(tuple(samples.axes.integers[TARGET]))
         return words
 
-    def set_target(output: Output, value: int) -> None:
-        exchanged[f"torque {output._axis}"].append(value)
-        target(output, value)
-
     monkeypatch.setattr(Samples, "at", at)
-    monkeypatch.setattr(Output, "set_target", set_target)
     return exchanged
 
 
@@ -102,10 +98,9 @@ def test_motors_that_turn_the_other_way_move_the_platform_alike(
     flowing = sent[:, CABLES : 2 * CABLES]
     assert np.median(flowing, axis=0).min() > 20, "per mille, reeling in"
     assert (np.median(mirrored[:, CABLES : 2 * CABLES], axis=0) * SIGNS > 20).all()
-    for axis, sign in enumerate(SIGNS):
-        ours, theirs = (np.array(exchanged[f"torque {axis}"]) for exchanged in wires)
-        assert ours.max() > 20
-        assert np.mean(sign * theirs) == pytest.approx(np.mean(ours), rel=0.02)
+    ours, theirs = (np.array(exchanged["torques"]) for exchanged in wires)
+    assert (ours.max(axis=0) > 20).all()
+    assert np.mean(SIGNS * theirs, axis=0) == pytest.approx(np.mean(ours, axis=0), rel=0.02)
 
 
 def _same_motion(one: Log, other: Log) -> None:
