@@ -142,7 +142,8 @@ def test_a_flood_of_messages_ends_the_connection(viewer: Viewer) -> None:
         with suppress(ConnectionClosed):
             for _ in range(20 * settings().message_burst):
                 connection.send('{"do": "alive"}')
-        assert _ended(connection) == 1008
+        # What it had sent and nobody read may end the connection before the code arrives.
+        assert _ended(connection) in (1006, 1008)
     _is_well(viewer)
 
 

@@ -113,7 +113,7 @@ def test_a_session_from_arming_to_a_pulled_node_and_back(tmp_path: Path) -> None
         assert page.ask(do="lab", request=unplug)["ok"]
         fault = page.until(lambda now: now["runs"][0]["fault"] is not None)["runs"][0]["fault"]
         assert "can1" in fault["text"]
-        assert "supply" in fault["remedy"]
+        assert "power" in fault["remedy"]
         page.state("FAULT")
         assert any(each["name"] == "drive_lost" and each["remedy"] for each in page.events)
         assert any(each["name"] == "operator" and "uid" in each["text"] for each in page.events)

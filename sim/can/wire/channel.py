@@ -472,7 +472,11 @@ class Channel:
                 self.hand_out()
                 continue
             if self._plan is not None and wire.flying == self._plan.identifier:
-                self.wide_ns = stopped_ns
+                if wire.flying_bytes == 0:
+                    self.wide_ns = stopped_ns
+                else:  # with a counter, which is for each device to heed
+                    self._leave()
+                    self.run(to_ns)
                 return
             self.hand_out()
             self._land()

@@ -190,6 +190,11 @@ class RegularWire:
         return int(self.frames[_FLIGHT, IDENTIFIER])
 
     @property
+    def flying_bytes(self) -> int:
+        """Data of the frame on the wire."""
+        return int(self.frames[_FLIGHT, DLC])
+
+    @property
     def delivered_frames(self) -> int:
         """Frames that hosts may have."""
         return self._words[DELIVERED]
