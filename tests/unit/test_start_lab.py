@@ -9,13 +9,14 @@ import pytest
 
 from tonus.config import load
 from tonus.tools.errors import ToolError
-from tonus.tools.run import lab_process
-from tonus.tools.run.lab_process import LabProcess, start_lab
+from tonus.tools.run import child_process, lab_process
+from tonus.tools.run.child_process import ChildProcess
+from tonus.tools.run.lab_process import start_lab
 
 
 def start(
     monkeypatch: pytest.MonkeyPatch, folder: Path, command: tuple[str, ...], seconds: float
-) -> LabProcess:
+) -> ChildProcess:
     """With a program in the lab's place; its last argument is the job's file."""
     monkeypatch.setattr(lab_process, "_COMMAND", command)
     config, scenario = load("config/can.yaml", overrides={"lab.start_timeout_s": seconds})
@@ -28,13 +29,13 @@ def test_a_lab_that_says_no_whole_line_is_ended_in_time(
 ) -> None:
     assert shutil.which(command[0])
     processes = []
-    popen = lab_process.subprocess.Popen
+    popen = child_process.subprocess.Popen
 
     def opened(*args: object, **kwargs: object) -> object:
         processes.append(popen(*args, **kwargs))  # type: ignore[call-overload]
         return processes[-1]
 
-    monkeypatch.setattr(lab_process.subprocess, "Popen", opened)
+    monkeypatch.setattr(child_process.subprocess, "Popen", opened)
     with pytest.raises(ToolError, match=r"did not answer within 0.2 s.*lab.start_timeout_s"):
         start(monkeypatch, tmp_path, command, 0.2)
     (process,) = processes

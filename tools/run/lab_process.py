@@ -10,14 +10,10 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import selectors
 import signal
-import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,29 +26,15 @@ from tonus.sim.errors import LabError
 from tonus.sim.lab.engine import Lab, TruthSink
 from tonus.sim.lab.server import serve
 from tonus.tools import output
-from tonus.tools.errors import ToolError
+from tonus.tools.run.child_process import READY, ChildProcess, say, start_child
 from tonus.tools.run.truth import TruthRing
 
-_READY = b"ready"
 _COMMAND = (sys.executable, "-m", "tonus.tools.run.lab_process")
-_PIECE = 4096
-
-
-@dataclass
-class LabProcess:
-    """A lab at work, seen from the daemon."""
-
-    process: subprocess.Popen[bytes]
-
-    def stop(self, timeout_s: float = 10.0) -> None:
-        if self.process.stdin is not None:
-            self.process.stdin.close()
-        self.process.wait(timeout_s)
 
 
 def start_lab(
     config: Config, scenario: Scenario, seed: int, rings: Path, truth_capacity: int
-) -> LabProcess:
+) -> ChildProcess:
     """Start a lab on the configuration's buses and wait until it answers.
 
     Raises `ToolError` with the lab's own words when it cannot start, or when it does not answer
@@ -68,43 +50,8 @@ def start_lab(
     }
     path = rings / "lab.json"
     path.write_text(json.dumps(job), encoding="utf-8")
-    process = subprocess.Popen(
-        [*_COMMAND, str(path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        process_group=0,
-    )
-    answer = b""
-    try:
-        answer = _first_line(process, config.lab.start_timeout_s)
-    finally:
-        if answer != _READY:
-            process.kill()
-            process.wait()
-    if answer != _READY:
-        words = answer.decode(errors="replace").strip() or "it ended without a word"
-        raise ToolError(f"the lab did not start: {words}")
-    return LabProcess(process)
-
-
-def _first_line(process: subprocess.Popen[bytes], timeout_s: float) -> bytes:
-    """What a process says first, without the line's end; b"" if it ends before. Raises `ToolError`
-    if it says no whole line in time."""
-    assert process.stdout is not None
-    said, end = b"", clock.wall_seconds() + timeout_s
-    with selectors.DefaultSelector() as selector:
-        selector.register(process.stdout, selectors.EVENT_READ)
-        while b"\n" not in said:
-            if not selector.select(max(end - clock.wall_seconds(), 0.0)):
-                raise ToolError(
-                    f"the lab did not answer within {timeout_s:g} s; reduce the load on this "
-                    "host, or set lab.start_timeout_s higher"
-                )
-            piece = os.read(process.stdout.fileno(), _PIECE)
-            if not piece:
-                break
-            said += piece
-    return said.partition(b"\n")[0]
+    remedy = "reduce the load on this host, or set lab.start_timeout_s higher"
+    return start_child([*_COMMAND, str(path)], "the lab", config.lab.start_timeout_s, remedy)
 
 
 async def work(
@@ -138,16 +85,11 @@ async def _until_left_alone(job: dict[str, Any]) -> None:
     scenario = Scenario.model_validate(job["scenario"])
     truth = TruthRing(Path(job["truth"]), job["truth_capacity"], config.robot.cables)
     working = asyncio.get_running_loop().create_task(
-        work(config, scenario, job["seed"], truth.publish, lambda: _say(_READY + b"\n"))
+        work(config, scenario, job["seed"], truth.publish, lambda: say(READY))
     )
     asyncio.get_running_loop().add_reader(sys.stdin.fileno(), working.cancel)
     with suppress(asyncio.CancelledError):
         await working
-
-
-def _say(text: bytes) -> None:
-    sys.stdout.buffer.write(text)
-    sys.stdout.buffer.flush()
 
 
 def main() -> None:
@@ -158,7 +100,7 @@ def main() -> None:
     try:
         clock.run(_until_left_alone(job), virtual=False)
     except (LabError, OSError) as error:
-        _say(f"{error}\n".encode())
+        say(str(error).encode())
         sys.exit(2)
 
 
