@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tonus.config.schema.bus import CanopenBus, Channel
+from tonus.config.schema.supervisor import Supervisor
 
 FRAME_BITS = 44
 STUFFABLE_BITS = 34
@@ -55,8 +56,11 @@ def worst_frame_bits(data_bytes: int) -> int:
     return frame_bits(data_bytes) + stuff
 
 
-def channel_load(bus: CanopenBus, channel: Channel, period_us: int) -> ChannelLoad:
-    """The load of ``channel`` when SYNC is sent every ``period_us``."""
+def channel_load(
+    bus: CanopenBus, channel: Channel, period_us: int, supervisor: Supervisor | None = None
+) -> ChannelLoad:
+    """The load of ``channel`` when SYNC is sent every ``period_us``, with the heartbeat of a
+    supervisor if there is one."""
     sizes = [0]  # SYNC
     profiles = [bus.profile(drive.axis) for drive in channel.drives]
     for profile in profiles:
@@ -66,6 +70,8 @@ def channel_load(bus: CanopenBus, channel: Channel, period_us: int) -> ChannelLo
     per_ms = 1.0 / bus.master.heartbeat_ms
     per_ms += sum(1.0 / profile.heartbeat_ms for profile in profiles)
     per_ms += len(channel.force_cells) / bus.force_cell.heartbeat_ms
+    if supervisor is not None and supervisor.policy != "off":
+        per_ms += 1.0 / supervisor.period_ms
     bit_us = 1e6 / bus.bitrate
     heartbeats = per_ms * period_us * 1e-3
     return ChannelLoad(

@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tonus.config.document import Key, dotted
-from tonus.config.schema.place import DEFAULTS, LARGEST_JITTER_MS, LARGEST_STALE_TICKS
+from tonus.config.schema.place import (
+    DEFAULTS,
+    LARGEST_JITTER_MS,
+    LARGEST_PATIENCE_MS,
+    LARGEST_STALE_TICKS,
+)
 from tonus.config.schema.root import Config
 
 
@@ -38,6 +43,15 @@ def _risks(config: Config) -> Iterator[tuple[Key, str]]:
             ("control", "freshness", "stale_stop_ticks"),
             f"{freshness.stale_stop_ticks} ticks without a measurement stop nothing, on a robot "
             f"more than {LARGEST_STALE_TICKS} are too many",
+        )
+    supervisor = config.supervisor
+    if supervisor is not None and supervisor.policy == "use":
+        yield ("supervisor", "policy"), "use lets a robot be armed without its supervisor"
+    if supervisor is not None and supervisor.patience_ms > LARGEST_PATIENCE_MS:
+        yield (
+            ("supervisor", "patience_ms"),
+            f"{supervisor.patience_ms:g} ms are how long it lets a wrong daemon go on, on a robot "
+            f"more than {LARGEST_PATIENCE_MS} are too many",
         )
     if config.tolerance.jitter_ms > LARGEST_JITTER_MS:
         yield (

@@ -197,6 +197,21 @@ EVENTS: dict[str, Meaning] = {
         "the estimate rests on the cables meanwhile",
         "check the network interface and its address",
     ),
+    "supervisor_stopped": Meaning(
+        "the supervisor found a requirement broken and stops the drives",
+        "its heartbeat has ended; the drives brake and disable by themselves",
+        "look the requirement up in supervisor.md; keep the log: daemon or supervisor is wrong",
+    ),
+    "supervisor_lost": Meaning(
+        "no heartbeat of the supervisor on a channel",
+        "the drives there brake and disable by themselves",
+        "look whether its process runs, and at the channel; a reset arms nothing without it",
+    ),
+    "supervisor_back": Meaning(
+        "the supervisor's heartbeat is received again",
+        "",
+        "",
+    ),
     "dropped": Meaning(
         "more events than can be kept between two ticks",
         "counted",

@@ -95,6 +95,8 @@ class ProcessImage:
         self.commands = np.zeros(cables, AXIS_OUTPUT)
         self.bus_ns = 0
         """from the last exchange to its last answer, where the bus knows; no input of control"""
+        self.obstacles: dict[str, str] = {}
+        """what the bus has against arming, by what it is looked at; no input of control"""
         self.axes["age"] = NEVER
         self.cells["age"] = NEVER
         self.tracker["quaternion"] = (1.0, 0.0, 0.0, 0.0)

@@ -45,6 +45,7 @@ class SeveralFieldbuses:
         for bus in sorted(config.fieldbus.buses, key=lambda each: each.sends_last):
             axes, cells = bus.devices
             image_of_part = ProcessImage(config.robot.cables)
+            image_of_part.obstacles = image.obstacles
             part = build(config.model_copy(update={"fieldbus": bus}), image_of_part)
             part.image.commands["command"] = AxisCommand.DISABLE
             self._parts.append(_Part(bus, part, axes, cells))

@@ -269,6 +269,8 @@ class DriveProfile(Device):
     watches_master: bool = True
     """it has a heartbeat consumer, 0x1016; false: on CANopen nothing stops it without the daemon,
     which `tonus check` takes in a lab only"""
+    watches_supervisor: bool = True
+    """it has a second one, 0x1016:2; false: the supervisor cannot stop it (docs/supervisor.md)"""
     heartbeat_margin_ms: NonNegative = 0.0
     """the drive's consumer must wait at least this much longer than the producer's period"""
     on_communication_error: Annotated[int, Field(ge=0, le=2)] | None

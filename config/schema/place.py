@@ -13,6 +13,10 @@ RelaxedKey = Literal[
     "realtime.overrun_ticks",
     "control.freshness.stale_stop_ticks",
     "tolerance.jitter_ms",
+    "supervisor.policy",
+    "supervisor.period_ms",
+    "supervisor.timeout_ms",
+    "supervisor.patience_ms",
 ]
 DEFAULTS: dict[Key, tuple[Any, Any]] = {
     ("realtime", "policy"): ("require", "prefer"),
@@ -24,11 +28,17 @@ DEFAULTS: dict[Key, tuple[Any, Any]] = {
     # EPOS4: a consumer waits at least 20 ms longer than the producer's period. The lab shares
     # its host, whose stalls of some ten milliseconds are no failure of the daemon.
     ("tolerance", "jitter_ms"): (20, 60),
+    ("supervisor", "policy"): ("require", "use"),
+    # EPOS4: a consumer waits at least 20 ms longer than the producer's period.
+    ("supervisor", "period_ms"): (2, 5),
+    ("supervisor", "timeout_ms"): (22, 60),
+    ("supervisor", "patience_ms"): (5, 40),
 }
 """Of a robot, and of a configuration with a lab section."""
 LARGEST_STALE_TICKS = 10
 """that need no word under ``relaxed``"""
 LARGEST_JITTER_MS = 20
+LARGEST_PATIENCE_MS = 10
 
 
 def with_defaults(data: Any) -> Any:

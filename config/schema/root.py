@@ -15,6 +15,7 @@ from tonus.config.schema.operation import Operation
 from tonus.config.schema.place import RelaxedKey, with_defaults
 from tonus.config.schema.realtime import RealTime
 from tonus.config.schema.robot import Response, Robot
+from tonus.config.schema.supervisor import Supervisor
 from tonus.config.schema.tolerance import Tolerance
 from tonus.config.schema.tracker import Tracker
 
@@ -29,6 +30,8 @@ class Config(Section):
     realtime: RealTime
     recording: Recording
     operation: Operation = Operation()
+    supervisor: Supervisor | None = None
+    """null: none judges the daemon"""
     scenario: str
     """the scenario that runs when none is named"""
     lab: Lab | None = None

@@ -16,7 +16,7 @@ from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.identifiers import HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
 from tonus.drivers.canopen.nmt import Command, NmtState
-from tonus.drivers.canopen.node import Node, Role
+from tonus.drivers.canopen.node import Node, Role, Watch
 from tonus.drivers.canopen.process_data import (
     Encode,
     Refusal,
@@ -27,6 +27,7 @@ from tonus.drivers.canopen.process_data import (
 from tonus.drivers.canopen.reception import Field
 from tonus.drivers.canopen.recovery import Recovery
 from tonus.drivers.canopen.supervision import Supervision, Watched
+from tonus.drivers.canopen.supervisor_monitor import SupervisorMonitor
 from tonus.drivers.canopen.syncs import Arrival
 from tonus.drivers.cia301.pdo import Mapping
 from tonus.drivers.cia301.setting import Setting
@@ -100,6 +101,7 @@ class CanopenFieldbus:
             self._exchange, self._events, bus.master, config.tolerance, period_us
         )
         self._recovery = Recovery(self._supervision, self._exchange, self._events)
+        self._supervisor = SupervisorMonitor(config.supervisor, period_us, image, self._events)
         self._ticking = False
         self._pump_task: asyncio.Task[None] | None = None
         self._buses: list[Channel] = []
@@ -138,6 +140,7 @@ class CanopenFieldbus:
         for channel in self._buses:
             channel.sync(tick)
         self._supervision.look_for_silence(tick)
+        self._supervisor.look(tick)
         self._exchange.fill(tick)
 
     def publish(self, tick: int) -> None:
@@ -192,6 +195,7 @@ class CanopenFieldbus:
             channel.shutdown()
         self._buses, self._nodes, self._outputs, self._drives = [], [], [], {}
         self._supervision.clear()
+        self._supervisor.forget()
 
     # -- bring-up ---------------------------------------------------------------------------
 
@@ -221,6 +225,7 @@ class CanopenFieldbus:
                 self._events,
             )
             self._buses.append(channel)
+            self._supervisor.listen(channel)
             self._add_drives(channel, number)
             self._add_cells(channel, number)
 
@@ -240,7 +245,13 @@ class CanopenFieldbus:
     def _drive_role(self, axis: int, profile: DriveProfile) -> Role:
         settings = drives.settings(self._config.robot.drive_trains[axis], profile)
         tolerance = self._config.tolerance
-        watch_ms = master_timeout_ms(self._bus, profile, tolerance) if profile.watches_master else 0
+        watches = []
+        if profile.watches_master:
+            timeout_ms = master_timeout_ms(self._bus, profile, tolerance)
+            watches.append(Watch("master", self._bus.master.node_id, timeout_ms))
+        supervisor = self._config.supervisor
+        if supervisor is not None and supervisor.policy != "off" and profile.watches_supervisor:
+            watches.append(Watch("supervisor", supervisor.node_id, supervisor.timeout_ms))
         behaviour = profile.on_communication_error
         if behaviour is not None:
             why = "behaviour on a communication error"
@@ -251,7 +262,7 @@ class CanopenFieldbus:
             profile.tpdo,
             settings,
             drive=True,
-            consumer_ms=watch_ms,
+            watches=tuple(watches),
             errors=Errors(profile),
             finish=lambda access: self._exchange.read_scale(axis, access, profile),
         )

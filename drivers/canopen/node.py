@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from tonus.config.schema.bus import Master
 from tonus.config.schema.drive import Device, Identity
@@ -36,6 +37,14 @@ class NodeError(DriverError):
     """A node is missing or is not the device it should be."""
 
 
+class Watch(NamedTuple):
+    """A heartbeat that a device waits for."""
+
+    whose: str
+    node_id: int
+    timeout_ms: int
+
+
 @dataclass(frozen=True)
 class Role:
     """What a node is for and what it must hold."""
@@ -47,8 +56,8 @@ class Role:
     settings: tuple[Setting, ...]
     drive: bool = False
     """CiA 402: it has a fault to be reset"""
-    consumer_ms: int = 0
-    """0x1016: how long the device waits for the master's heartbeat, 0 for ever"""
+    watches: tuple[Watch, ...] = ()
+    """0x1016, in the order of its entries"""
     errors: Errors = field(default_factory=Errors)
     finish: Callable[[ObjectAccess], Awaitable[None]] | None = None
     """called when the settings are in place, to read what depends on them"""
@@ -108,10 +117,10 @@ class Node:
         self.started = True
 
     async def release(self) -> None:
-        """Leave the node so that the end of our heartbeat is no fault to it."""
+        """Leave the node so that the end of a heartbeat is no fault to it."""
         self.started = False
-        if self.role.consumer_ms:
-            await self.sdo.write(0x1016, 1, bytes(4))
+        for entry, _ in enumerate(self.role.watches, start=1):
+            await self.sdo.write(0x1016, entry, bytes(4))
 
     async def error_code(self) -> int:
         """0x603F of a drive, 0 for no fault. A drive need not have that object (CiA 402): then its
@@ -205,10 +214,12 @@ class Node:
 
     def _heartbeat_settings(self) -> tuple[Setting, ...]:
         produce = Setting(0x1017, 0, self.role.device.heartbeat_ms, 2, "heartbeat period, ms")
-        if not self.role.consumer_ms:
-            return (produce,)
-        consume = self._master.node_id << 16 | self.role.consumer_ms
-        return (Setting(0x1016, 1, consume, 4, "watch over the master's heartbeat"), produce)
+        consume = (
+            Setting(0x1016, entry, each.node_id << 16 | each.timeout_ms, 4,
+                    f"watch over the {each.whose}'s heartbeat")
+            for entry, each in enumerate(self.role.watches, start=1)
+        )  # fmt: skip
+        return (*consume, produce)
 
     async def _until(self, condition: Callable[[], bool], timeout_ms: float) -> bool:
         loop = asyncio.get_running_loop()

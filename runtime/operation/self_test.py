@@ -55,6 +55,7 @@ class SelfTest:
             _judged("tare", self._tared(cycle), self._tare(cycle)),
             _judged("tensions", "all cables are slack", self._tensions(cycle)),
             _judged("tracker", "sees the platform in its cradle", self._tracker(image)),
+            *(Finding(item, ok=False, text=text) for item, text in image.obstacles.items()),
         )
 
     def forget(self) -> None:

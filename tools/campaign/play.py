@@ -27,6 +27,7 @@ from tonus.tools.campaign.observed import FAULTED, GOOD, End, Observed
 from tonus.tools.campaign.strikes import strikes
 from tonus.tools.log.log import Event
 from tonus.tools.run import fieldbuses
+from tonus.tools.run.supervision import supervised
 from tonus.tools.run.turning import TurningPacing
 
 
@@ -149,18 +150,21 @@ class Playing:
         lab.open()
         try:
             fieldbus = fieldbuses.build(config, image, lab)
-            daemon = Daemon(
-                config,
-                self.scenario,
-                fieldbus,
-                TrackerInput(image, lab.tracker),
-                self.script,
-                ring=self._cycles,
-                events=self._event,
-                stopwatch=clock.Stopwatch(running=False),
-            )
-            pacing = fieldbuses.steering(config, fieldbus, lambda: TurningPacing(self._before_tick))
-            return await daemon.run(pacing, lambda _: None, lambda: None)
+            with supervised(config, self._cycles) as ring:
+                daemon = Daemon(
+                    config,
+                    self.scenario,
+                    fieldbus,
+                    TrackerInput(image, lab.tracker),
+                    self.script,
+                    ring=ring,
+                    events=self._event,
+                    stopwatch=clock.Stopwatch(running=False),
+                )
+                pacing = fieldbuses.steering(
+                    config, fieldbus, lambda: TurningPacing(self._before_tick)
+                )
+                return await daemon.run(pacing, lambda _: None, lambda: None)
         finally:
             lab.close()
 

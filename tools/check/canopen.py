@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from tonus.config import Config
 from tonus.config.busload import channel_load
 from tonus.config.schema.bus import CanopenBus, Channel
+from tonus.config.schema.supervisor import Supervisor
 from tonus.drivers.canopen import identifiers
 from tonus.tools.check.finding import Finding
 
@@ -26,8 +27,8 @@ def check_canopen(config: Config, bus: CanopenBus) -> Iterator[Finding]:
     yield from _period(bus, period_us)
     yield from _channel_names(bus)
     for channel in bus.channels:
-        yield from _load(bus, channel, period_us)
-        yield from _identifiers(bus, channel)
+        yield from _load(bus, channel, period_us, config.supervisor)
+        yield from _identifiers(bus, channel, config.supervisor)
 
 
 def _period(bus: CanopenBus, period_us: int) -> Iterator[Finding]:
@@ -51,8 +52,10 @@ def _channel_names(bus: CanopenBus) -> Iterator[Finding]:
     )
 
 
-def _load(bus: CanopenBus, channel: Channel, period_us: int) -> Iterator[Finding]:
-    load = channel_load(bus, channel, period_us)
+def _load(
+    bus: CanopenBus, channel: Channel, period_us: int, supervisor: Supervisor | None
+) -> Iterator[Finding]:
+    load = channel_load(bus, channel, period_us, supervisor)
     yield Finding(
         "bus load",
         load.share <= bus.load_limit,
@@ -64,7 +67,7 @@ def _load(bus: CanopenBus, channel: Channel, period_us: int) -> Iterator[Finding
     )
 
 
-def _nodes(bus: CanopenBus, channel: Channel) -> Iterator[_Node]:
+def _nodes(bus: CanopenBus, channel: Channel, supervisor: Supervisor | None) -> Iterator[_Node]:
     every = (
         identifiers.EMCY,
         identifiers.SDO_RESPONSE,
@@ -72,6 +75,9 @@ def _nodes(bus: CanopenBus, channel: Channel) -> Iterator[_Node]:
         identifiers.HEARTBEAT,
     )
     yield _Node("the master", bus.master.node_id, (identifiers.HEARTBEAT,))
+    if supervisor is not None and supervisor.policy != "off":
+        own = (identifiers.EMCY, identifiers.HEARTBEAT)
+        yield _Node("the supervisor", supervisor.node_id, own)
     for each in channel.drives:
         profile = bus.profile(each.axis)
         pdos = _pdos(profile.rpdo, profile.tpdo)
@@ -86,9 +92,11 @@ def _pdos(rpdo: tuple[int, ...], tpdo: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(identifier for mapping, identifier in used if mapping)
 
 
-def _identifiers(bus: CanopenBus, channel: Channel) -> Iterator[Finding]:
+def _identifiers(
+    bus: CanopenBus, channel: Channel, supervisor: Supervisor | None
+) -> Iterator[Finding]:
     where = f"fieldbus.channels {channel.name}"
-    nodes = list(_nodes(bus, channel))
+    nodes = list(_nodes(bus, channel, supervisor))
     owners: dict[int, str] = {}
     clash = ""
     for node in nodes:
@@ -100,7 +108,7 @@ def _identifiers(bus: CanopenBus, channel: Channel) -> Iterator[Finding]:
         not clash,
         where,
         clash or f"{channel.name}: {len(nodes)} nodes, all different",
-        "give every node of a channel, the master included, its own node id",
+        "give every node of a channel, master and supervisor included, its own node id",
     )
     owners = {identifiers.NMT: "NMT", identifiers.SYNC: "SYNC"}
     clash = ""

@@ -25,6 +25,7 @@ from tonus.runtime.operation.control_socket import ControlSocket, ControlSocketE
 from tonus.runtime.operation.notify import Notifier
 from tonus.runtime.operation.operator import Console, Script
 from tonus.runtime.operation.rehearsal import rehearse
+from tonus.runtime.ports import Ring
 from tonus.runtime.recording.recorder import Recorder
 from tonus.runtime.recording.taps import KEYFRAME_BYTES, Level
 from tonus.runtime.recording.viewer import Scene
@@ -46,14 +47,17 @@ from tonus.tools.event_lines import EventLines, for_journal
 from tonus.tools.folders import make_folder
 from tonus.tools.repeat import every
 from tonus.tools.run import fieldbuses, provenance
+from tonus.tools.run.child_process import ChildProcess
 from tonus.tools.run.description import Description, describe_run
 from tonus.tools.run.idle_pacing import IdlePacing
-from tonus.tools.run.lab_process import LabProcess, start_lab
+from tonus.tools.run.lab_process import start_lab
 from tonus.tools.run.order import Order, Result
 from tonus.tools.run.recorder_process import RecorderProcess, start
 from tonus.tools.run.ring_directory import ring_directory
 from tonus.tools.run.rings import Rings
 from tonus.tools.run.run_folder import LOG, RunFolder
+from tonus.tools.run.supervision import supervised
+from tonus.tools.run.supervisor_process import supervisor_of
 
 __all__ = ["Order", "Result", "run"]
 
@@ -170,9 +174,10 @@ class _Stage:
                 if lines is not None:
                     lines.tell()
 
-            with self._lab() as lab:
+            cycles = self._rings.cycles
+            with self._lab() as lab, supervised(order.config, cycles) as ring:
                 fieldbus = fieldbuses.build(order.config, self._image, lab, self._tap)
-                daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False))
+                daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False), ring)
                 if order.serve:
                     self._serve_lab(lab, daemon)
                 pacing = fieldbuses.steering(order.config, fieldbus, order.pacing or self._pacing)
@@ -204,11 +209,16 @@ class _Stage:
         realtime = self._realtime
         lab = self._lab_process()
         recorder = self._recorder_process()
+        config = order.config.model_copy(update={"realtime": self._realtime})
+        supervisor = supervisor_of(config, self._ring_folder, order.say)
+        if supervisor is not None:
+            self._cleanup.callback(supervisor.stop)
         early, spin = realtime.early_wake_us * 1000, realtime.spin_us * 1000
 
         async def main() -> Outcome:
             fieldbus = fieldbuses.build(order.config, self._image, tap=self._tap)
-            daemon = self._daemon(fieldbus, None, clock.Stopwatch(running=True))
+            stopwatch = clock.Stopwatch(running=True)
+            daemon = self._daemon(fieldbus, None, stopwatch, self._rings.cycles)
             self._latencies = daemon.latencies
             # Before the bring-up, since it takes longer than the drives wait for a heartbeat.
             self._hygiene = hygiene = Hygiene(realtime)
@@ -228,6 +238,8 @@ class _Stage:
             self._notifier.stopping()
             if self._hygiene is not None:
                 self._hygiene.release()
+            if supervisor is not None:
+                supervisor.stop()
             left = recorder.stop()
             if left is not None:
                 order.say(f"the recorder was killed; what it left is in {left}")
@@ -291,7 +303,7 @@ class _Stage:
         self._cleanup.callback(door.close)
         daemon.serve("control socket of the lab", door.poll)
 
-    def _lab_process(self) -> LabProcess | None:
+    def _lab_process(self) -> ChildProcess | None:
         order = self._order
         if order.config.lab is None:
             return None
@@ -330,7 +342,9 @@ class _Stage:
         self._cleanup.callback(recorder.stop)
         return recorder
 
-    def _daemon(self, fieldbus: Fieldbus, lab: Lab | None, stopwatch: clock.Stopwatch) -> Daemon:
+    def _daemon(
+        self, fieldbus: Fieldbus, lab: Lab | None, stopwatch: clock.Stopwatch, ring: Ring
+    ) -> Daemon:
         config, image = self._order.config, self._image
         source: TrackerSource
         if lab is not None:
@@ -345,7 +359,7 @@ class _Stage:
             fieldbus,
             TrackerInput(image, source),
             self._console,
-            ring=self._rings.cycles,
+            ring=ring,
             events=self._rings.events.write,
             stopwatch=stopwatch,
             keyframes=self._keep_state,

@@ -38,6 +38,7 @@ from tonus.tools.run.provenance import SCRIPT_START
 from tonus.tools.run.ring_directory import ring_directory
 from tonus.tools.run.rings import Rings
 from tonus.tools.run.run_folder import LOG, RunFolder
+from tonus.tools.run.supervision import supervised
 from tonus.tools.run.turning import TurningPacing
 
 _WITHIN_S = 60.0
@@ -103,21 +104,23 @@ class HeldProcess:
         )
         lab.open()
         fieldbus = fieldbuses.build(config, image, lab, sinks)
-        daemon = self._daemon = Daemon(
-            config,
-            self._scenario,
-            fieldbus,
-            TrackerInput(image, lab.tracker),
-            self._console,
-            ring=sinks,
-            events=sinks.event,
-            stopwatch=clock.Stopwatch(running=False),
-            keyframes=sinks.keyframe,
-        )
-        # From the start on, as in any run: a timer more may change the order of others due with it.
-        every(DRAIN_S, self._drain)
-        pacing = fieldbuses.steering(config, fieldbus, lambda: TurningPacing(self._before_tick))
-        return await daemon.run(pacing, lambda _: None, lambda: None)
+        with supervised(config, sinks) as ring:
+            daemon = self._daemon = Daemon(
+                config,
+                self._scenario,
+                fieldbus,
+                TrackerInput(image, lab.tracker),
+                self._console,
+                ring=ring,
+                events=sinks.event,
+                stopwatch=clock.Stopwatch(running=False),
+                keyframes=sinks.keyframe,
+            )
+            # From the start on, as in any run: a timer more may change the order of others due
+            # with it.
+            every(DRAIN_S, self._drain)
+            pacing = fieldbuses.steering(config, fieldbus, lambda: TurningPacing(self._before_tick))
+            return await daemon.run(pacing, lambda _: None, lambda: None)
 
     def _drain(self) -> None:
         if self._running is not None:

@@ -1,0 +1,128 @@
+"""The supervisor: a second process that judges the daemon from the bus and from its record."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from tonus.config.schema.base import Count, NodeId, NonNegative, Positive, Section, Share
+from tonus.config.schema.realtime import Priority, Processors
+
+
+def _off(value: object) -> object:
+    """YAML reads a bare off as false, and nothing else can be meant by it here."""
+    return "off" if value is False else value
+
+
+class Requirement(IntEnum):
+    """What the supervisor demands while a drive is enabled; docs/supervisor.md. Its emergency
+    frame carries the number."""
+
+    TICK = 1
+    TORQUE = 2
+    FROZEN = 3
+    UNEXPLAINED = 4
+    OPPOSED = 5
+    TENSION = 6
+    CONTACT = 7
+    SPEED = 8
+    STIFFNESS = 9
+    COMMAND_LOGGED = 10
+    MEASURED_LOGGED = 11
+    DISARMED = 12
+    STOP_ENDS = 13
+    STALE = 14
+
+
+REQUIREMENT_TEXTS: dict[Requirement, str] = {
+    Requirement.TICK: "the daemon records a tick in time",
+    Requirement.TORQUE: "an enabled drive is sent a torque in time",
+    Requirement.FROZEN: "the torques change while the robot is controlled or a drum turns",
+    Requirement.UNEXPLAINED: "a drive's torque is explained by its tension and its drum's motion",
+    Requirement.OPPOSED: "a torque does not drive its cable's tension away from the reference",
+    Requirement.TENSION: "no tension is beyond its bound",
+    Requirement.CONTACT: "no contact force is beyond its bound",
+    Requirement.SPEED: "the drums' speeds allow the platform to be within its speed bound",
+    Requirement.STIFFNESS: "K_eq is within its bounds and rises no faster than allowed",
+    Requirement.COMMAND_LOGGED: "the torque on the bus is the one that the daemon records",
+    Requirement.MEASURED_LOGGED: "the force that the daemon records is the one on the bus",
+    Requirement.DISARMED: "no drive is enabled while the daemon says that it is disarmed",
+    Requirement.STOP_ENDS: "a controlled stop comes to its end",
+    Requirement.STALE: "no torque is sent to a drive whose measurements have stopped",
+}
+
+
+class Supervisor(Section):
+    """Judges while a drive is enabled, and stops the robot by ending its heartbeat."""
+
+    policy: Annotated[Literal["require", "use", "off"], BeforeValidator(_off)]
+    """require: the robot is not armed unless the supervisor's heartbeat is received on every CAN
+    channel; use: it is started, and the robot is armed without it too; off: there is none. Left out
+    it is what `tonus.config.schema.place` says, like ``period_ms``, ``timeout_ms``, ``patience_ms``
+    """
+    node_id: NodeId
+    """of its heartbeat and its emergency frame, on every channel"""
+    period_ms: Count
+    """how often it judges, and sends its heartbeat"""
+    timeout_ms: Count
+    """0x1016:2, how long drives wait for its heartbeat"""
+    patience_ms: Positive
+    """how long a condition may last, where no other time is stated"""
+    axis_torque_ms: Positive
+    """how long one drive of several may be without a torque"""
+    stale_ms: Positive
+    """how long a drive that is sent a torque may be without a measurement"""
+    disarmed_ms: Positive
+    """how long a drive may stay enabled after the daemon said that it is disarmed"""
+    stopping_ms: Positive
+    """how long a bound for all states may be exceeded"""
+    stop_s: Positive
+    """longest controlled stop"""
+    quiet_s: Positive
+    """how long no drive may be enabled before the heartbeat begins, or begins again"""
+    frozen_frames: Count
+    """RPDOs of all drives in a row to the last bit equal"""
+    frozen_speed: Positive
+    """m/s of cable above which torques have to change in every state"""
+    window_ms: Positive
+    """over which a drive's torque is compared with its cable and its drum"""
+    unexplained_force: Positive
+    """N at the cable: friction, and what the window blurs"""
+    unexplained_share: Share
+    """and of the torque itself: the gearbox's efficiency"""
+    opposed_force: Positive
+    """N between torque and tension, in the direction away from the reference"""
+    opposed_error: Positive
+    """N between tension and reference"""
+    margin: Positive
+    """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
+    tension_stopping: Positive
+    """N, in every state"""
+    contact_stopping: Positive
+    """N, in every state"""
+    speed_stopping: Positive
+    """m/s, in every state"""
+    logged_tension: Positive
+    """N by which a recorded force may differ from the one on the bus"""
+    logged_ticks: Annotated[int, Field(ge=1, le=64)]
+    """newest records among which the torque on the bus has to be"""
+    priority: Priority
+    """SCHED_FIFO; it need not be above the daemon's: a supervisor that is kept from its turn is
+    silent, and the robot stops"""
+    cpu: Processors | None = None
+    spread: NonNegative = 0.15
+    """m from the middle of the workspace to the poses at which the structure matrix is taken"""
+
+    @model_validator(mode="after")
+    def _survives_a_lost_heartbeat(self) -> Supervisor:
+        if self.timeout_ms < 2 * self.period_ms + 1:
+            raise ValueError(
+                f"timeout_ms is {self.timeout_ms}: one lost heartbeat of {self.period_ms} ms would "
+                f"stop the robot; set it to at least {2 * self.period_ms + 1}"
+            )
+        return self
+
+
+__all__ = ["REQUIREMENT_TEXTS", "Requirement", "Supervisor"]

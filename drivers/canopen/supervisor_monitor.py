@@ -1,0 +1,96 @@
+"""What the daemon hears of the supervisor: its heartbeat on each channel, and why it stopped."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement, Supervisor
+from tonus.drivers.canopen.channel import Channel
+from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT
+from tonus.drivers.events import EventLog
+from tonus.drivers.process_image import ProcessImage
+
+EMERGENCY = struct.Struct("<HBBf")
+"""Error code 0xFF00 plus the requirement's number, error register, axis or cell from 0 (0xFF:
+none), and what was found, in the unit of the requirement."""
+ERROR_CODE = 0xFF00
+NOWHERE = 0xFF
+ITEM = "supervisor"
+
+
+@dataclass
+class _Heard:
+    channel: str
+    tick: int = 0
+    fresh: bool = False
+    beating: bool = False
+
+
+class SupervisorMonitor:
+    """Events, and an obstacle to arming where the policy requires a supervisor."""
+
+    def __init__(
+        self,
+        settings: Supervisor | None,
+        period_us: int,
+        image: ProcessImage,
+        events: EventLog,
+    ) -> None:
+        self._settings = settings if settings is None or settings.policy != "off" else None
+        self._image, self._events = image, events
+        self._patience = 0
+        if self._settings is not None:
+            self._patience = self._settings.timeout_ms * 1000 // period_us
+        self._heard: list[_Heard] = []
+
+    def listen(self, channel: Channel) -> None:
+        if self._settings is None:
+            return
+        heard = _Heard(channel.name)
+        self._heard.append(heard)
+        channel.handlers[HEARTBEAT + self._settings.node_id] = lambda _: self._on_heartbeat(heard)
+        channel.handlers[EMCY + self._settings.node_id] = lambda data: self._on_emergency(
+            heard, data
+        )
+
+    def forget(self) -> None:
+        self._heard = []
+        self._image.obstacles.pop(ITEM, None)
+
+    def look(self, tick: int) -> None:
+        """Once a tick."""
+        for heard in self._heard:
+            if heard.fresh:
+                heard.fresh = False
+                heard.tick = tick
+            elif heard.beating and tick - heard.tick > self._patience:
+                heard.beating = False
+                text = f"no heartbeat for more than {self._patience} ticks"
+                self._events.begin("supervisor_lost", heard.channel, text)
+        if self._settings is not None and self._settings.policy == "require":
+            silent = [heard.channel for heard in self._heard if not heard.beating]
+            if silent:
+                self._image.obstacles[ITEM] = f"is not heard on {', '.join(silent)}"
+            else:
+                self._image.obstacles.pop(ITEM, None)
+
+    def _on_heartbeat(self, heard: _Heard) -> None:
+        heard.fresh = heard.beating = True
+        if self._events.end("supervisor_lost", heard.channel):
+            self._events.counted("supervisor_back", heard.channel, "heartbeat received again")
+
+    def _on_emergency(self, heard: _Heard, data: bytes) -> None:
+        if len(data) != EMERGENCY.size:
+            text = f"emergency of {len(data)} bytes"
+            self._events.counted("short_emcy", f"{heard.channel}/supervisor", text)
+            return
+        code, _, place, value = EMERGENCY.unpack(data)
+        number = code - ERROR_CODE
+        try:
+            said = REQUIREMENT_TEXTS[Requirement(number)]
+        except ValueError:
+            said = "unknown here"
+        where = "" if place == NOWHERE else f" at {place}"
+        text = f"SUP-{number}{where}, {value:.4g}: broken is: {said}"
+        self._events.counted("supervisor_stopped", heard.channel, text, kind=data)

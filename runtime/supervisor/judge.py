@@ -1,0 +1,196 @@
+"""The requirements, each as a condition on one observation, and how long it may hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.config.schema.root import Config
+from tonus.config.schema.supervisor import Requirement, Supervisor
+from tonus.runtime.states import State
+from tonus.runtime.supervisor.observation import Observation
+from tonus.runtime.supervisor.record import Claim, Floats
+
+NOWHERE = -1
+CONTROLLED = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
+_DISARMED = (State.OFF, State.STANDBY, State.FAULT)
+_STIFF = (State.HOLD, State.ACTIVE)
+_ROUNDING = 1
+
+
+@dataclass(frozen=True)
+class Violation:
+    requirement: Requirement
+    where: int
+    """axis, or `NOWHERE`"""
+    value: float
+
+
+class Judge:
+    """Call it with each observation; remembers only since when each condition holds."""
+
+    def __init__(self, config: Config, settings: Supervisor) -> None:
+        control = config.control
+        self._settings = settings
+        self._most_tension = control.tension.max * settings.margin
+        self._most_contact = control.envelope.contact_limit * settings.margin
+        self._most_speed = control.envelope.speed_limit * settings.margin
+        self._most_stiffness = control.stiffness.maximum * settings.margin
+        self._most_rise = control.stiffness.rise_rate * settings.margin
+        self._tare = control.sequence.tare_limit
+        self._twists = _twists(config, settings.spread)
+        self._since: dict[tuple[Requirement, int], int] = {}
+        self._stopping_ns: int | None = None
+        self._before: Claim | None = None
+        patience = dict.fromkeys(Requirement, settings.patience_ms)
+        patience[Requirement.TICK] = patience[Requirement.TORQUE] = 0.0  # ages by themselves
+        patience[Requirement.FROZEN] = patience[Requirement.UNEXPLAINED] = 0.0
+        patience[Requirement.STIFFNESS] = patience[Requirement.STOP_ENDS] = 0.0
+        patience[Requirement.DISARMED] = settings.disarmed_ms
+        patience[Requirement.STALE] = 0.0
+        self._patience_ns = {key: round(value * 1e6) for key, value in patience.items()}
+
+    def __call__(self, seen: Observation) -> Violation | None:
+        """The first requirement that has been broken for longer than it may be."""
+        present: dict[tuple[Requirement, int], int] = {}
+        found: Violation | None = None
+        for broken, patience_ns in self._broken(seen):
+            key = (broken.requirement, broken.where)
+            since = present[key] = self._since.get(key, seen.now_ns)
+            if found is None and seen.now_ns - since >= patience_ns:
+                found = broken
+        self._since = present
+        return found
+
+    def _broken(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
+        for each in (*self._daemon(seen), *self._bus(seen), *self._controlled(seen)):
+            yield each, self._patience_ns[each.requirement]
+        long_ns = round(self._settings.stopping_ms * 1e6)
+        for each in self._always(seen):
+            yield each, long_ns
+
+    def _daemon(self, seen: Observation) -> Iterator[Violation]:
+        """Of the record alone: SUP-1, 9, 12, 13."""
+        claim, settings = seen.claim, self._settings
+        age = np.inf if claim is None else (seen.now_ns - claim.at_ns) * 1e-6
+        if age > settings.patience_ms:
+            yield Violation(Requirement.TICK, NOWHERE, age)
+        if claim is None:
+            return
+        yield from self._stiffness(seen.claims)
+        if claim.state in _DISARMED:
+            yield Violation(Requirement.DISARMED, NOWHERE, claim.state)
+        if claim.state != State.SAFE_STOP:
+            self._stopping_ns = None
+        elif self._stopping_ns is None:
+            self._stopping_ns = seen.now_ns
+        elif seen.now_ns - self._stopping_ns > settings.stop_s * 1e9:
+            lasted = (seen.now_ns - self._stopping_ns) * 1e-9
+            yield Violation(Requirement.STOP_ENDS, NOWHERE, lasted)
+
+    def _stiffness(self, claims: list[Claim]) -> Iterator[Violation]:
+        for claim in claims:
+            before, self._before = self._before, claim
+            if claim.state not in _STIFF:
+                continue
+            if not claim.stiffness <= self._most_stiffness:
+                yield Violation(Requirement.STIFFNESS, NOWHERE, claim.stiffness)
+            if before is not None and before.state in _STIFF and claim.at_ns > before.at_ns:
+                rise = (claim.stiffness - before.stiffness) / ((claim.at_ns - before.at_ns) * 1e-9)
+                if not rise <= self._most_rise:
+                    yield Violation(Requirement.STIFFNESS, NOWHERE, rise)
+
+    def _bus(self, seen: Observation) -> Iterator[Violation]:
+        """Of frames, in every state: SUP-2, 3, 10, 14."""
+        settings, enabled = self._settings, seen.enabled
+        least = float(seen.torque_age[enabled].min())
+        if least > settings.patience_ms:
+            yield Violation(Requirement.TORQUE, NOWHERE, least)
+        yield from _at(Requirement.TORQUE, seen, seen.torque_age, settings.axis_torque_ms, enabled)
+        fewest = int(seen.same[enabled].min())
+        if fewest >= settings.frozen_frames:
+            state = None if seen.claim is None else seen.claim.state
+            if state in CONTROLLED[1:] or np.nanmax(abs(seen.rate)) > settings.frozen_speed:
+                yield Violation(Requirement.FROZEN, NOWHERE, fewest)
+        logged = (abs(seen.mille - seen.claimed) <= _ROUNDING).any(axis=0)
+        wrong = enabled & np.isfinite(seen.torque) & ~logged & (seen.mille != 0)
+        yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong)
+        sent = (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
+        yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)
+
+    def _controlled(self, seen: Observation) -> Iterator[Violation]:
+        """In states whose control is to keep the envelope: SUP-4 to 8 and 11."""
+        claim, settings, enabled = seen.claim, self._settings, seen.enabled
+        if claim is None or claim.state not in CONTROLLED:
+            return
+        unexplained = abs(seen.unexplained) - settings.unexplained_share * abs(seen.mean_torque)
+        limit = settings.unexplained_force
+        yield from _at(Requirement.UNEXPLAINED, seen, unexplained, limit, enabled)
+        pull = seen.torque - seen.tension
+        error = claim.reference[seen.axes] - seen.tension
+        opposed = (abs(pull) > settings.opposed_force) & (abs(error) > settings.opposed_error)
+        opposed &= (pull > 0.0) != (error > 0.0)
+        yield from _at(Requirement.OPPOSED, seen, pull, None, enabled & opposed)
+        yield from _at(Requirement.TENSION, seen, seen.tension, self._most_tension, enabled)
+        if abs(seen.contact) > self._most_contact:
+            yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
+        speed = self._speed(seen)
+        if speed > self._most_speed:
+            yield Violation(Requirement.SPEED, NOWHERE, speed)
+        off = abs(claim.tension[seen.axes] - seen.tension)
+        limit = settings.logged_tension
+        yield from _at(Requirement.MEASURED_LOGGED, seen, off, limit, enabled)
+        if not np.abs(claim.tare).max() <= self._tare:
+            yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, float(np.abs(claim.tare).max()))
+
+    def _always(self, seen: Observation) -> Iterator[Violation]:
+        """Bounds of every state, wide enough for what a torn cable does to a good stop."""
+        settings = self._settings
+        limit = settings.tension_stopping
+        yield from _at(Requirement.TENSION, seen, seen.tension, limit, seen.enabled)
+        if abs(seen.contact) > settings.contact_stopping:
+            yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
+        speed = self._speed(seen)
+        if speed > settings.speed_stopping:
+            yield Violation(Requirement.SPEED, NOWHERE, speed)
+
+    def _speed(self, seen: Observation) -> float:
+        """m/s: the least platform speed, of all poses tried, that gives the drums their rates."""
+        if len(seen.rate) != self._twists.shape[2]:
+            return np.nan  # some of the axes are on another bus
+        velocities: Floats = self._twists @ seen.rate
+        return float(np.sqrt((velocities**2).sum(axis=1)).min())
+
+
+def _at(
+    requirement: Requirement,
+    seen: Observation,
+    values: Floats,
+    limit: float | None,
+    where: NDArray[np.bool_],
+) -> Iterator[Violation]:
+    """Each axis of ``where`` whose value is beyond the limit; None: each of them."""
+    beyond = where if limit is None else where & (values > limit)
+    for row in np.flatnonzero(beyond).tolist():
+        yield Violation(requirement, int(seen.axes[row]), float(values[row]))
+
+
+def _twists(config: Config, spread: float) -> Floats:
+    """From rates of the cables (n,), reeling in, to the platform's velocity (3,) at each of 27
+    poses round the workspace's middle: (27, 3, n). The cables' rates are the structure matrix,
+    transposed, times the twist."""
+    geometry = config.robot.geometry
+    frame, platform = np.array(geometry.frame), np.array(geometry.platform)
+    space = config.robot.workspace
+    middle = np.array([sum(space.x), sum(space.y), sum(space.z)]) / 2.0
+    steps = np.array(np.meshgrid(*[(-spread, 0.0, spread)] * 3)).reshape(3, -1).T
+    found = []
+    for position in middle + steps:
+        along = frame - position - platform
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        rows = np.hstack([along, np.cross(platform, along)])
+        found.append(np.linalg.pinv(rows)[:3])
+    return np.array(found)

@@ -1,0 +1,95 @@
+"""One CAN channel, read for the supervisor alone: the newest frame of each identifier."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import can
+from can.interfaces.socketcan import SocketcanBus
+
+from tonus.runtime.supervisor.wiring import Value
+
+_CAN_FRAME = struct.Struct("<IB3xQ")
+"""struct can_frame of linux/can.h"""
+_MOST = 4096
+"""frames of one look: a flood must not hold the supervisor"""
+Fetch = Callable[[], Iterable[tuple[int, int, int]]]
+"""Identifier, length and data as a little-endian word of every frame that has arrived."""
+
+
+class Watched(NamedTuple):
+    """An identifier, the length its frames must have, and the numbers that are summed."""
+
+    identifier: int
+    size: int
+    values: tuple[Value, ...]
+
+
+class Heard:
+    """What was received under one identifier: the newest data, when it was read, how many frames,
+    how many of them in a row equal to the one before, and the sum of each number."""
+
+    __slots__ = ("at_ns", "count", "same", "size", "totals", "values", "word")
+
+    def __init__(self, size: int, values: tuple[Value, ...]) -> None:
+        self.size, self.values = size, values
+        self.word = self.at_ns = self.count = self.same = 0
+        self.totals = [0.0] * len(values)
+
+    def take(self, word: int, now_ns: int) -> None:
+        self.same = self.same + 1 if self.count and word == self.word else 0
+        self.word, self.at_ns = word, now_ns
+        self.count += 1
+        for place, value in enumerate(self.values):
+            self.totals[place] += value.number(word)
+
+
+class Listener:
+    """A frame of another length than its PDO's is not taken."""
+
+    def __init__(self, bus: can.BusABC, watched: Iterable[Watched]) -> None:
+        self.bus = bus
+        self.heard = {each.identifier: Heard(each.size, each.values) for each in watched}
+        self._fetch = _fetch(bus)
+
+    def read(self, now_ns: int) -> None:
+        """Raises `can.CanError` and OSError."""
+        heard = self.heard
+        for identifier, size, word in self._fetch():
+            found = heard.get(identifier)
+            if found is not None and size == found.size:
+                found.take(word, now_ns)
+
+
+def _fetch(bus: can.BusABC) -> Fetch:
+    receive = getattr(bus, "receive_frames", None)
+    if receive is not None:
+        return lambda: (
+            (each[1], each[2], each[5] & 0xFFFFFFFFFFFFFFFF) for each in receive(_MOST).tolist()
+        )
+    if isinstance(bus, SocketcanBus):
+        return lambda: _from_kernel(bus)
+    return lambda: _messages(bus)
+
+
+def _from_kernel(bus: SocketcanBus) -> Iterable[tuple[int, int, int]]:
+    """Without python-can's message, which takes longer than a millisecond has room for."""
+    bus.socket.setblocking(False)
+    for _ in range(_MOST):
+        try:
+            data = bus.socket.recv(_CAN_FRAME.size)
+        except BlockingIOError:
+            return
+        yield _CAN_FRAME.unpack(data)
+
+
+def _messages(bus: can.BusABC) -> Iterable[tuple[int, int, int]]:
+    for _ in range(_MOST):
+        message = bus.recv(timeout=0)
+        if message is None:
+            return
+        if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+            word = int.from_bytes(message.data, "little")
+            yield message.arbitration_id, message.dlc, word

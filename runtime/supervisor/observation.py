@@ -1,0 +1,192 @@
+"""What the supervisor has before it when it judges, in SI units at the cables."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.config.schema.supervisor import Supervisor
+from tonus.runtime.supervisor.listener import Heard
+from tonus.runtime.supervisor.record import Claim, Floats
+from tonus.runtime.supervisor.wiring import Cell, Wiring
+
+_POWER, _ENABLED = 0x6F, 0x27
+"""CiA 402, statusword: Operation enabled"""
+_MS = 1e-6
+Listened = Mapping[tuple[str, int], Heard]
+"""By channel and identifier."""
+
+
+@dataclass
+class Observation:
+    """Arrays have a row for each axis on the bus; not a number: never received, or not known."""
+
+    now_ns: int
+    axes: NDArray[np.int64]
+    """numbers"""
+    enabled: NDArray[np.bool_]
+    """by the newest statusword"""
+    measured_age: Floats
+    """ms since the drive's last PDO"""
+    torque_age: Floats
+    """ms since the last PDO to it"""
+    same: NDArray[np.int64]
+    """PDOs to it in a row that were equal to the one before"""
+    mille: NDArray[np.int64]
+    """torque on the bus, per mille of rated torque"""
+    torque: Floats
+    """N at the cable"""
+    rate: Floats
+    """m/s, reeling in"""
+    tension: Floats
+    """N, tared as the daemon says"""
+    contact: float
+    """N"""
+    unexplained: Floats
+    """N of the torque's mean over the window that neither tension nor motion explain"""
+    mean_torque: Floats
+    """N, of the same window"""
+    claims: list[Claim]
+    """new since the last look, in their order"""
+    claim: Claim | None
+    """the newest"""
+    claimed: NDArray[np.int64]
+    """torques of the newest records (k, axes), per mille"""
+
+
+class _Sample:
+    """What a window's end needs, of one look."""
+
+    def __init__(self, at_ns: int, length: Floats, sums: Floats, counts: NDArray[np.int64]) -> None:
+        self.at_ns, self.length, self.sums, self.counts = at_ns, length, sums, counts
+
+
+class Observer:
+    """Makes an observation of what was received and recorded."""
+
+    def __init__(self, wiring: Wiring, settings: Supervisor, contact_cell: int) -> None:
+        self._axes, self._settings = wiring.axes, settings
+        self._cell_of = {cell.number: cell for cell in wiring.cells}
+        self._contact = self._cell_of.get(contact_cell)
+        self._numbers = np.array([axis.number for axis in wiring.axes], np.int64)
+        self._newton = np.array([np.nan if a.newton is None else a.newton for a in wiring.axes])
+        self._mass = np.array([axis.mass for axis in wiring.axes])
+        self._damping = np.array([axis.damping for axis in wiring.axes])
+        self._per_newton_metre = np.array(
+            [np.nan if a.newton is None else a.per_newton_metre for a in wiring.axes]
+        )
+        self._claim: Claim | None = None
+        self._claimed: deque[NDArray[np.int64]] = deque(maxlen=settings.logged_ticks)
+        self._samples: deque[_Sample] = deque()
+
+    def __call__(self, now_ns: int, heard: Listened, claims: list[Claim]) -> Observation:
+        for claim in claims:
+            wanted = claim.torque[self._numbers] * self._per_newton_metre
+            self._claimed.append(np.rint(np.nan_to_num(wanted)).astype(np.int64))
+            self._claim = claim
+        tared = self._claim.tare if self._claim is not None else None
+        sent = [heard[axis.channel, axis.sent] for axis in self._axes]
+        received = [heard[axis.channel, axis.received] for axis in self._axes]
+        mille = np.array(
+            [int(a.torque.number(h.word)) for a, h in zip(self._axes, sent, strict=True)], np.int64
+        )
+        cells = [self._cell_of.get(axis.number) for axis in self._axes]
+        length = np.array(
+            [
+                axis.position.number(each.word) * axis.metre if each.count else np.nan
+                for axis, each in zip(self._axes, received, strict=True)
+            ]
+        )
+        rate, unexplained, mean = self._moved(now_ns, length, sent, cells, heard, tared)
+        return Observation(
+            now_ns,
+            self._numbers,
+            np.array(
+                [
+                    each.count > 0 and axis.statusword.unsigned(each.word) & _POWER == _ENABLED
+                    for axis, each in zip(self._axes, received, strict=True)
+                ],
+                bool,
+            ),
+            _ages(now_ns, received),
+            _ages(now_ns, sent),
+            np.array([each.same for each in sent], np.int64),
+            mille,
+            mille * self._newton,
+            rate,
+            np.array([_force(cell, heard, tared) for cell in cells]),
+            _force(self._contact, heard, tared),
+            unexplained,
+            mean,
+            claims,
+            self._claim,
+            np.array(self._claimed, np.int64).reshape(len(self._claimed), len(self._axes)),
+        )
+
+    def _moved(
+        self,
+        now_ns: int,
+        length: Floats,
+        sent: list[Heard],
+        cells: list[Cell | None],
+        heard: Listened,
+        tared: Floats | None,
+    ) -> tuple[Floats, Floats, Floats]:
+        """Rates between the last two looks; over the window, what of the mean torque neither the
+        mean tension nor the drum's change of motion explains, and that mean."""
+        found = [heard[cell.channel, cell.received] if cell is not None else None for cell in cells]
+        sums = np.array(
+            [
+                [each.totals[0] for each in sent],
+                [_sum(cell, each) for cell, each in zip(cells, found, strict=True)],
+            ]
+        )
+        counts = np.array(
+            [[each.count for each in sent], [0 if each is None else each.count for each in found]]
+        )
+        samples = self._samples
+        samples.append(_Sample(now_ns, length, sums, counts))
+        window_ns = self._settings.window_ms * 1e6
+        while len(samples) > 3 and now_ns - samples[1].at_ns >= window_ns:
+            samples.popleft()
+        nothing = np.full(len(length), np.nan)
+        if len(samples) < 3:
+            return nothing, nothing, nothing
+        first, second, last = samples[0], samples[1], samples[-1]
+        rate = _rate(samples[-2], last)
+        if now_ns - first.at_ns < window_ns:
+            return rate, nothing, nothing
+        change = (rate - _rate(first, second)) / ((last.at_ns - first.at_ns) * 1e-9)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            means = (sums - first.sums) / (counts - first.counts)
+        torque = means[0] * self._newton
+        tare = np.zeros(len(length)) if tared is None else tared[self._numbers]
+        motion = self._mass * change + self._damping * rate
+        return rate, torque - (means[1] - tare) - motion, torque
+
+
+def _rate(first: _Sample, last: _Sample) -> Floats:
+    return (last.length - first.length) / ((last.at_ns - first.at_ns) * 1e-9)
+
+
+def _ages(now_ns: int, frames: list[Heard]) -> Floats:
+    return np.array([(now_ns - each.at_ns) * _MS if each.count else np.inf for each in frames])
+
+
+def _force(cell: Cell | None, heard: Listened, tared: Floats | None) -> float:
+    if cell is None or tared is None:
+        return np.nan
+    each = heard[cell.channel, cell.received]
+    if not each.count:
+        return np.nan
+    return cell.force.number(each.word) * cell.newton - float(tared[cell.number])
+
+
+def _sum(cell: Cell | None, each: Heard | None) -> float:
+    if cell is None or each is None:
+        return np.nan
+    return each.totals[each.values.index(cell.force)] * cell.newton

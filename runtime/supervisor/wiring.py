@@ -1,0 +1,146 @@
+"""Which bits of which frame are which axis' or cell's numbers, from the configuration alone."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.root import Config
+
+_TPDO, _RPDO = 0x180, 0x200
+_STATUSWORD, _POSITION, _TARGET_TORQUE = 0x6041, 0x6064, 0x6071
+_REAL_VALUE = 0x6130
+_PROCESS_VALUES = (_REAL_VALUE, 0x7130, 0x9130)
+_REAL = struct.Struct("<f")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number in a frame's eight bytes, read as one little-endian word."""
+
+    shift: int
+    bits: int
+    real: bool = False
+    """a float of 32 bits; else an integer with a sign"""
+
+    def unsigned(self, word: int) -> int:
+        return word >> self.shift & (1 << self.bits) - 1
+
+    def number(self, word: int) -> float:
+        bits = self.unsigned(word)
+        if self.real:
+            return float(_REAL.unpack(bits.to_bytes(4, "little"))[0])
+        return bits - (bits >> self.bits - 1 << self.bits)
+
+
+@dataclass(frozen=True)
+class Axis:
+    number: int
+    channel: str
+    sent: int
+    """identifier of what the drive is sent"""
+    received: int
+    """identifier of what it answers"""
+    sent_bytes: int
+    received_bytes: int
+    torque: Value
+    statusword: Value
+    position: Value
+    newton: float | None
+    """at the cable for one per mille of rated torque; None: only the drive knows its scale"""
+    per_newton_metre: float
+    """per mille for one newton metre at the drum"""
+    metre: float
+    """of cable for one increment, reeling in"""
+    mass: float
+    """kg of the drum at the cable"""
+    damping: float
+    """N s/m of its bearings"""
+
+
+@dataclass(frozen=True)
+class Cell:
+    number: int
+    channel: str
+    received: int
+    received_bytes: int
+    force: Value
+    newton: float
+    """for one unit"""
+
+
+class Wiring:
+    """Every axis and cell on a CAN channel of the configuration."""
+
+    def __init__(self, config: Config) -> None:
+        self.channels: list[tuple[str, str, int]] = []
+        """python-can interface, name and bit rate of each channel"""
+        self.axes: list[Axis] = []
+        self.cells: list[Cell] = []
+        for bus in config.fieldbus.parts:
+            if isinstance(bus, CanopenBus):
+                self._add(config, bus)
+
+    def _add(self, config: Config, bus: CanopenBus) -> None:
+        robot = config.robot
+        for channel in bus.channels:
+            self.channels.append((bus.interface, channel.name, bus.bitrate))
+            for drive in channel.drives:
+                axis, profile = drive.axis, bus.profile(drive.axis)
+                train, sign = robot.drive_trains[axis], robot.signs[axis]
+                ratio, radius = train.gearbox.ratio, train.drum.radius
+                own = profile.scaling.torque == profile.scaling.position == "motor"
+                mille = sign * train.motor.rated_torque * 1e-3
+                turn = sign * 2.0 * math.pi / train.motor.increments_per_revolution
+                self.axes.append(
+                    Axis(
+                        axis,
+                        channel.name,
+                        _RPDO + drive.node_id,
+                        _TPDO + drive.node_id,
+                        _bytes(profile.rpdo),
+                        _bytes(profile.tpdo),
+                        _value(profile.rpdo, _TARGET_TORQUE),
+                        _value(profile.tpdo, _STATUSWORD),
+                        _value(profile.tpdo, _POSITION),
+                        mille * ratio / radius if own else None,
+                        1.0 / (mille * ratio),
+                        turn / ratio * radius,
+                        train.drum.inertia / radius**2,
+                        train.drum.viscous_friction / radius**2,
+                    )
+                )
+            for node in channel.force_cells:
+                mapping = bus.force_cell.mapping(len(node.cells))
+                for entry, number in zip(_process_values(mapping), node.cells, strict=False):
+                    real = entry >> 16 == _REAL_VALUE
+                    self.cells.append(
+                        Cell(
+                            number,
+                            channel.name,
+                            _TPDO + node.node_id,
+                            _bytes(mapping),
+                            _value(mapping, entry >> 16, entry >> 8 & 0xFF),
+                            1.0 if real else 10.0**-bus.force_cell.decimal_digits,
+                        )
+                    )
+
+
+def _process_values(mapping: Sequence[int]) -> Iterator[int]:
+    return (entry for entry in mapping if entry >> 16 in _PROCESS_VALUES)
+
+
+def _value(mapping: Sequence[int], index: int, subindex: int = 0) -> Value:
+    shift = 0
+    for entry in mapping:
+        if (entry >> 16, entry >> 8 & 0xFF) == (index, subindex):
+            return Value(shift, entry & 0xFF, index == _REAL_VALUE)
+        shift += entry & 0xFF
+    raise ValueError(f"no PDO maps 0x{index:04X}:{subindex}")
+
+
+def _bytes(mapping: Sequence[int]) -> int:
+    return sum(entry & 0xFF for entry in mapping) // 8

@@ -1,0 +1,50 @@
+"""Whether the supervisor can stop every drive, and only for a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from tonus.config import Config
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.supervisor import Supervisor
+from tonus.tools.check.finding import Finding
+
+_KEY = "supervisor"
+
+
+def check_supervisor(config: Config, bus: CanopenBus) -> Iterator[Finding]:
+    """Every rule's outcome, in a fixed order; nothing raises."""
+    settings = config.supervisor
+    if settings is None or settings.policy == "off":
+        named = config.lab is not None or "supervisor.policy" in config.relaxed
+        yield Finding(
+            "supervisor",
+            named,
+            _KEY,
+            "nothing but the daemon itself judges what the daemon does",
+            "add supervisor: !include supervisor.yaml, or write supervisor.policy under relaxed",
+        )
+        return
+    for key, profile in bus.every_profile.items():
+        if not profile.watches_supervisor:
+            yield Finding(
+                "supervisor",
+                config.lab is not None,
+                f"{key}.watches_supervisor",
+                f"{profile.name} has no second heartbeat consumer: the supervisor cannot stop it",
+                "use a drive that has 0x1016:2",
+            )
+            continue
+        yield _patience(settings, profile.heartbeat_margin_ms, profile.name)
+
+
+def _patience(settings: Supervisor, margin_ms: float, name: str) -> Finding:
+    least = settings.period_ms + margin_ms
+    return Finding(
+        "supervisor",
+        settings.timeout_ms >= least,
+        f"{_KEY}.timeout_ms",
+        f"drives wait {settings.timeout_ms} ms for its heartbeat, sent every {settings.period_ms} "
+        f"ms; {name} needs {least:g} ms",
+        f"set it to at least {least:g}",
+    )

@@ -1,0 +1,89 @@
+"""The supervisor of a run: on the loop of the daemon in virtual time, else a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.root import Config
+from tonus.runtime.ports import Ring
+from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.runtime.timing.clock import now_ns
+from tonus.tools.errors import ToolError
+
+_KEPT = 256
+"""records, more than there are between two looks"""
+
+
+def wanted(config: Config) -> bool:
+    """Whether a run is supervised: there is a supervisor, and a CAN channel that it acts on."""
+    supervisor = config.supervisor
+    on_can = any(isinstance(bus, CanopenBus) for bus in config.fieldbus.parts)
+    return supervisor is not None and supervisor.policy != "off" and on_can
+
+
+def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
+    """A bus of the supervisor's own on a channel."""
+    return can.Bus(interface=interface, channel=channel, bitrate=bitrate)
+
+
+class Overheard:
+    """A ring whose records the supervisor of the same process takes as well."""
+
+    def __init__(self, ring: Ring) -> None:
+        self._ring = ring
+        self._new: deque[tuple[int, NDArray[np.void]]] = deque(maxlen=_KEPT)
+
+    def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None:
+        self._ring.publish(payload, stamp_ns)
+        self._new.append((stamp_ns, payload.copy()))
+
+    def __call__(self) -> list[tuple[int, np.void]]:
+        """New records with their stamps, once."""
+        new = [(stamp_ns, payload[0]) for stamp_ns, payload in self._new]
+        self._new.clear()
+        return new
+
+
+@contextmanager
+def supervised(config: Config, ring: Ring) -> Iterator[Ring]:
+    """In virtual time: the ring to give to the daemon, while its supervisor, if it has one, works
+    on the running loop. Raises `ToolError` where a channel cannot be opened, and afterwards what
+    the supervisor itself died of."""
+    if not wanted(config):
+        yield ring
+        return
+    overheard = Overheard(ring)
+    try:
+        supervisor = Supervisor(config, overheard, open_bus)
+    except (can.CanError, OSError) as error:
+        raise ToolError(f"the supervisor cannot listen: {error}") from error
+    period_ns = supervisor.settings.period_ms * 1_000_000
+    # Between two ticks: what a tick has sent and recorded is seen as of one tick.
+    due_ns = now_ns() // period_ns * period_ns + config.control.rates.period_ns // 2
+    task = asyncio.get_running_loop().create_task(_again(supervisor, due_ns, period_ns))
+    try:
+        yield overheard
+    finally:
+        died = task.exception() if task.done() else None
+        task.cancel()
+        supervisor.close()
+        if died is not None:
+            raise died
+
+
+async def _again(supervisor: Supervisor, due_ns: int, period_ns: int) -> None:
+    loop = asyncio.get_running_loop()
+    while True:
+        due_ns += period_ns
+        arrived = loop.create_future()
+        loop.call_at(due_ns * 1e-9, arrived.set_result, None)
+        await arrived
+        supervisor.step(now_ns())
