@@ -67,5 +67,6 @@ def test_every_event_but_good_news_says_what_a_person_should_do() -> None:
     assert without == {
         *("state", "operator", "drums_observed", "tracker_back", "pose_good"),
         *("recording_resumed", "heartbeat_back", "operational_again", "recovered"),
+        "supervisor_back",
         *("bus_recovered", "ring_closed", "slave_recovered"),
     }

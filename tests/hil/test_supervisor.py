@@ -1,0 +1,203 @@
+"""The supervisor stops a robot whose daemon has died or is wrong, and no other: SUP-1 to SUP-14.
+
+Each daemon is changed in mid-run, in virtual time and on CAN. What counts is the last drive that
+reports the end of the supervisor's heartbeat, as a bus of the test's own receives it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.supervised import DRIVES, Run, configured
+from tonus.config.loader import load_scenario
+from tonus.config.schema.supervisor import Requirement
+from tonus.drivers.exchange import Exchange
+from tonus.runtime.control.allocation import Allocation
+from tonus.runtime.control.passivity import Limiter
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.daemon import Daemon
+from tonus.runtime.safety.fallback import Fallback
+from tonus.runtime.safety.faults import Faults
+from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.tools.campaign.observed import Observed
+from tonus.tools.campaign.play import Playing
+from tonus.tools.run.supervision import Overheard
+
+WITHIN_MS = 25.0
+AXIS = 2
+Change = Callable[[pytest.MonkeyPatch], None]
+
+
+def _after(owner: type, name: str, change: Callable[..., Any]) -> Change:
+    """``change(result, *arguments)`` takes the place of what a method gives."""
+    original = getattr(owner, name)
+
+    def changed(*arguments: Any) -> Any:
+        return change(original(*arguments), *arguments)
+
+    return lambda patch: patch.setattr(owner, name, changed)
+
+
+def _instead(owner: type, name: str, change: Any) -> Change:
+    return lambda patch: patch.setattr(owner, name, change)
+
+
+def _blind(patch: pytest.MonkeyPatch) -> None:
+    """The daemon finds no fault any more."""
+    patch.setattr(Faults, "add", lambda *_: False)
+
+
+def _both(*changes: Change) -> Change:
+    def all_of_them(patch: pytest.MonkeyPatch) -> None:
+        for change in changes:
+            change(patch)
+
+    return all_of_them
+
+
+def _torque_on_the_bus(change: Callable[[Any], Any]) -> Change:
+    def changed(result: tuple[Any, Any], *_: Any) -> tuple[Any, Any]:
+        words, torques = result
+        return words, change(torques.copy())
+
+    return _after(Exchange, "commands", changed)
+
+
+def _torque_in_control(change: Callable[[Any], Any]) -> Change:
+    def changed(_: None, cycle: ControlCycle, image: Any, *rest: Any) -> None:
+        del cycle, rest
+        image.commands["torque"] = change(image.commands["torque"].copy())
+
+    return _after(ControlCycle, "act", changed)
+
+
+class _Frozen:
+    """Keeps the first value."""
+
+    def __init__(self) -> None:
+        self.value: Any = None
+
+    def __call__(self, value: Any) -> Any:
+        self.value = value if self.value is None else self.value
+        return self.value
+
+
+def _opposite(torques: Any) -> Any:
+    torques[AXIS] = -torques[AXIS]
+    return torques
+
+
+def _stiff(_: float, limiter: Limiter, *__: Any) -> float:
+    limiter.value = 6000.0
+    return limiter.value
+
+
+def _raises(*_: Any) -> None:
+    raise RuntimeError("changed")
+
+
+def _run(monkeypatch: pytest.MonkeyPatch, change: Change, **given: Any) -> tuple[Run, Observed]:
+    scenario, seconds = given.pop("scenario", "sine_z"), given.pop("seconds", 0.3)
+    config, _ = configured(**given.pop("overrides", {}))
+    run = Run(config, load_scenario(scenario), lambda: change(monkeypatch), **given)
+    with monkeypatch.context():
+        seen = run.play(seconds)
+    monkeypatch.undo()
+    return run, seen
+
+
+AT_ONCE: dict[str, tuple[Change, set[Requirement]]] = {
+    "the daemon stands still": (_instead(Daemon, "_tick", lambda *_: None), {Requirement.TICK}),
+    "the supervisor is gone": (_instead(Supervisor, "step", lambda *_: None), set()),
+    "nothing is recorded": (
+        _instead(Overheard, "publish", lambda *_: None),
+        {Requirement.TICK},
+    ),
+    "torques frozen on the bus": (_torque_on_the_bus(_Frozen()), {Requirement.FROZEN}),
+    "torques frozen in control": (_torque_in_control(_Frozen()), {Requirement.FROZEN}),
+    "a sign wrong on the bus": (_torque_on_the_bus(_opposite), {Requirement.COMMAND_LOGGED}),
+    "K_eq without its limiter": (_after(Limiter, "__call__", _stiff), {Requirement.STIFFNESS}),
+}
+
+
+@pytest.mark.parametrize("name", AT_ONCE)
+def test_a_wrong_daemon_is_stopped_within_25_ms(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    change, requirements = AT_ONCE[name]
+    run, seen = _run(monkeypatch, change)
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert run.slowest_ms <= WITHIN_MS
+    assert {number for number, _ in run.said} == requirements
+
+
+def _tensed(_: None, allocation: Allocation, *__: Any) -> None:
+    allocation.reference[:] = 240.0
+
+
+LATER: dict[str, tuple[Change, float]] = {
+    "tensions beyond their bound, no fault found": (
+        _both(_blind, _after(Allocation, "distribute", _tensed)),
+        25.0,
+    ),
+    "a sign wrong in control, no fault found": (
+        _both(_blind, _torque_in_control(_opposite)),
+        40.0,
+    ),
+    "control raises and has no fallback": (
+        _both(
+            _instead(ControlCycle, "act", _raises),
+            _instead(Fallback, "step", lambda *_, **__: None),
+        ),
+        100.0,
+    ),
+}
+"""With the longest time to the last drive, ms: what is wrong has to show first."""
+
+
+@pytest.mark.parametrize("name", LATER)
+def test_a_daemon_whose_mistake_has_to_show(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    change, longest_ms = LATER[name]
+    run, seen = _run(monkeypatch, change)
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert run.slowest_ms <= longest_ms
+    after = seen.truth_ns > run.changed_ns
+    speed = np.linalg.norm(seen.truth["velocity"][after], axis=1)
+    assert speed.max() <= 0.8
+
+
+def test_a_contact_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the instant at which it is truly beyond the supervisor's bound."""
+    pushed = {"control.envelope.enabled": False}
+    run, seen = _run(
+        monkeypatch, _blind, scenario="contact_near", overrides=pushed, seconds=6.0, at=0.1
+    )
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert {number for number, _ in run.said} == {Requirement.CONTACT}
+    beyond = seen.truth_ns[seen.truth["contact_force"] > 27.5][0]
+    assert (max(run.stopped_ns.values()) - beyond) * 1e-6 <= WITHIN_MS
+
+
+def test_a_daemon_in_order_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    run, seen = _run(monkeypatch, lambda _: None, seconds=1.0)
+    assert not run.said
+    assert not run.stopped_ns
+    assert not [each.name for each in seen.events if "supervisor" in each.name]
+
+
+def test_its_requirement_is_in_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, seen = _run(monkeypatch, _torque_on_the_bus(_opposite))
+    found = {(each.name, each.where): each.text for each in seen.events}
+    assert "SUP-10 at 2" in found["supervisor_stopped", "can1"]
+    assert ("supervisor_lost", "can1") in found
+
+
+def test_without_it_the_robot_is_not_armed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Supervisor, "step", lambda *_: None)
+    config, _ = configured(**{"supervisor.policy": "require"})
+    playing = Playing(config, load_scenario("hold"), 1, tail=0.1, longest=5.0)
+    end = playing.run().end
+    assert end is not None
+    assert "supervisor: is not heard on can0, can1, can2, can3" in end.reason

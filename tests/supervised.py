@@ -1,0 +1,93 @@
+"""Runs in virtual time with a supervisor, in which the daemon is changed from some instant on, and
+what a bus of the test's own hears of the drives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import can
+
+from tonus.config import Config, load
+from tonus.config.schema.scenario import Scenario
+from tonus.runtime.states import State
+from tonus.runtime.timing import clock
+from tonus.tools.campaign.observed import Observed
+from tonus.tools.campaign.play import Playing
+
+STRICT = {
+    "supervisor.period_ms": 2,
+    "supervisor.timeout_ms": 17,
+    "supervisor.patience_ms": 5,
+}
+"""As on a robot, but for the margin that EPOS4 drives want (docs/supervisor.md)."""
+DRIVES = range(1, 9)
+_EMERGENCY, _HEARTBEAT_LOST = 0x080, 0x8130
+_SUPERVISOR = 126
+
+
+def configured(path: str = "config/can.yaml", **overrides: object) -> tuple[Config, Scenario]:
+    return load(path, overrides={**STRICT, **overrides})
+
+
+class Over(Exception):  # noqa: N818 - nothing is wrong
+    """The run has been seen for as long as was asked."""
+
+
+@dataclass
+class Run:
+    """Plays until some seconds after a change at ``at`` s in ``state``."""
+
+    config: Config
+    scenario: Scenario
+    change: Callable[[], None] = lambda: None
+    state: State = State.ACTIVE
+    at: float = 0.5
+    changed_ns: int = 0
+    stopped_ns: dict[int, int] = field(default_factory=dict)
+    """by node: when its drive lost the supervisor's heartbeat"""
+    said: list[tuple[int, float]] = field(default_factory=list)
+    """requirement and value, of each emergency frame of the supervisor"""
+    _buses: list[can.BusABC] = field(default_factory=list)
+
+    def play(self, seconds: float = 0.3) -> Observed:
+        self._left = round(seconds / self.config.control.rates.period)
+        self._playing = Playing(
+            self.config, self.scenario, 1, tail=0.5, longest=60.0, turn=self._before_tick
+        )
+        return self._playing.run()
+
+    @property
+    def slowest_ms(self) -> float:
+        """From the change to the last drive that stopped by itself; infinite if not all did."""
+        if len(self.stopped_ns) < len(DRIVES):
+            return float("inf")
+        return (max(self.stopped_ns.values()) - self.changed_ns) * 1e-6
+
+    def _before_tick(self, playing: Playing) -> None:
+        if not self._buses:
+            names = [channel.name for channel in self.config.fieldbus.channels]  # type: ignore[attr-defined]
+            self._buses = [can.Bus(interface="tonus", channel=name) for name in names]
+        self._listen()
+        rows = playing._cycles.rows
+        if self.changed_ns == 0:
+            state = rows[-1]["state"] if len(rows) else None
+            if state is not None and state["state"] == self.state and state["elapsed"] >= self.at:
+                self.changed_ns = clock.now_ns()
+                self.change()
+        elif self._left == 0:
+            for bus in self._buses:
+                bus.shutdown()
+            raise Over  # a daemon that was changed may not come to an end by itself
+        self._left -= self.changed_ns > 0
+
+    def _listen(self) -> None:
+        for bus in self._buses:
+            while (frame := bus.recv(timeout=0)) is not None:
+                node = frame.arbitration_id - _EMERGENCY
+                if node in DRIVES:
+                    if int.from_bytes(frame.data[:2], "little") == _HEARTBEAT_LOST:
+                        self.stopped_ns.setdefault(node, round(frame.timestamp * 1e9))
+                elif node == _SUPERVISOR:
+                    number = int.from_bytes(frame.data[:2], "little") - 0xFF00
+                    self.said.append((number, frame.timestamp))

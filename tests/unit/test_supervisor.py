@@ -1,0 +1,597 @@
+"""The supervisor's parts by themselves: every requirement on both sides of its limit, what it reads
+of frames and records, when its heartbeat begins and ends."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from can.interfaces.socketcan import SocketcanBus
+
+from tonus.config import Config, load
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.bus.canopen import CellNode
+from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
+from tonus.runtime.recording.ring import RingReader, RingWriter
+from tonus.runtime.signals import cycle_dtype
+from tonus.runtime.states import State
+from tonus.runtime.supervisor.judge import NOWHERE, Judge, Violation
+from tonus.runtime.supervisor.listener import Heard, Listener, Watched
+from tonus.runtime.supervisor.observation import Observation, Observer
+from tonus.runtime.supervisor.record import Claim, claims, of_ring
+from tonus.runtime.supervisor.supervisor import Supervisor, told
+from tonus.runtime.supervisor.wiring import Value, Wiring
+
+MS = 1_000_000
+N = 8
+STRICT = {
+    "supervisor.period_ms": 2,
+    "supervisor.timeout_ms": 22,
+    "supervisor.patience_ms": 5,
+    "supervisor.policy": "require",
+}
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+# --- the judge -----------------------------------------------------------------------------------
+
+
+def claim(state: State = State.ACTIVE, at_ms: float = 100.0, **given: Any) -> Claim:
+    tension = np.full(N, 45.0)
+    zero = np.zeros(N)
+    found = Claim(round(at_ms * MS), state, zero, tension, tension, np.zeros(N + 1), 0.0, 3210.0)
+    return replace(found, **given)
+
+
+def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Observation:
+    """Everything in order at ``at_ms``, but for what is given."""
+    said = claim(at_ms=at_ms) if said is None else said
+    found = Observation(
+        now_ns=round(at_ms * MS),
+        axes=np.arange(N),
+        enabled=np.ones(N, bool),
+        measured_age=np.zeros(N),
+        torque_age=np.zeros(N),
+        same=np.zeros(N, np.int64),
+        mille=np.full(N, 100),
+        torque=np.full(N, 45.0),
+        rate=np.zeros(N),
+        tension=np.full(N, 45.0),
+        contact=0.0,
+        unexplained=np.zeros(N),
+        mean_torque=np.full(N, 45.0),
+        claims=[said],
+        claim=said,
+        claimed=np.full((3, N), 100),
+    )
+    return replace(found, **given)
+
+
+def at(row: int, value: float, others: float = 0.0) -> Any:
+    found = np.full(N, others)
+    found[row] = value
+    return found
+
+
+def judged(config: Config, *looks: Observation) -> list[Violation | None]:
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    return [judge(look) for look in looks]
+
+
+def lasting(config: Config, for_ms: float, state: State = State.ACTIVE, **given: Any) -> Any:
+    """The verdict at the end of a condition that lasts."""
+    first = seen(100.0, claim(state, 100.0), **given)
+    last = seen(100.0 + for_ms, claim(state, 100.0 + for_ms), **given)
+    return judged(config, first, last)[-1]
+
+
+def test_a_robot_in_order_is_let_go_on(config: Config) -> None:
+    for state in State:
+        if state not in (State.OFF, State.STANDBY, State.FAULT):
+            assert lasting(config, 1000.0, state) is None
+
+
+SUDDEN = [
+    (Requirement.TICK, {"said": claim(at_ms=94.0)}, {"said": claim(at_ms=96.0)}),
+    (Requirement.TORQUE, {"torque_age": np.full(N, 6.0)}, {"torque_age": at(3, 5.0, 6.0)}),
+    (Requirement.TORQUE, {"torque_age": at(3, 151.0)}, {"torque_age": at(3, 149.0)}),
+    (Requirement.FROZEN, {"same": np.full(N, 6)}, {"same": at(2, 5, 9)}),
+    (
+        Requirement.UNEXPLAINED,
+        {"unexplained": at(4, -92.0)},
+        {"unexplained": at(4, -91.0)},
+    ),
+    (
+        Requirement.STIFFNESS,
+        {"said": claim(stiffness=5400.0)},
+        {"said": claim(stiffness=5300.0)},
+    ),
+    (Requirement.STIFFNESS, {"said": claim(stiffness=float("nan"))}, {}),
+    (Requirement.STALE, {"measured_age": at(5, 21.0)}, {"measured_age": at(5, 19.0)}),
+]
+
+
+@pytest.mark.parametrize(("requirement", "broken", "kept"), SUDDEN)
+def test_what_is_judged_at_once(
+    config: Config, requirement: Requirement, broken: Any, kept: Any
+) -> None:
+    found = judged(config, seen(**broken))[0]
+    assert found is not None
+    assert found.requirement is requirement
+    assert judged(config, seen(**kept))[0] is None
+
+
+FOR_A_WHILE = [
+    (Requirement.OPPOSED, {"torque": at(1, -20.0, 45.0), "tension": at(1, 42.0, 45.0)}),
+    (Requirement.OPPOSED, {"torque": at(1, 110.0, 45.0), "tension": at(1, 48.0, 45.0)}),
+    (Requirement.TENSION, {"tension": at(6, 221.0, 45.0), "torque": at(6, 221.0, 45.0)}),
+    (Requirement.CONTACT, {"contact": 27.6}),
+    (Requirement.CONTACT, {"contact": -27.6}),
+    (Requirement.COMMAND_LOGGED, {"mille": at(7, 98, 100)}),
+    (Requirement.MEASURED_LOGGED, {"tension": at(0, 61.0, 45.0)}),
+]
+
+
+@pytest.mark.parametrize(("requirement", "given"), FOR_A_WHILE)
+def test_what_may_be_so_for_a_while(
+    config: Config, requirement: Requirement, given: dict[str, Any]
+) -> None:
+    assert lasting(config, 4.0, **given) is None
+    found = lasting(config, 5.0, **given)
+    assert found is not None
+    assert found.requirement is requirement
+    if requirement is not Requirement.COMMAND_LOGGED:
+        assert lasting(config, 50.0, State.SAFE_STOP, **given) is None
+
+
+KEPT = [
+    {"torque": at(1, -20.0, 45.0), "tension": at(1, 43.5, 45.0)},
+    {"torque": at(1, -10.0, 45.0), "tension": at(1, 42.0, 45.0)},
+    {"torque": at(1, 110.0, 45.0), "tension": at(1, 42.0, 45.0)},
+    {"tension": at(6, 219.0, 205.0), "torque": np.full(N, 210.0)},
+    {"contact": 27.4},
+    {"mille": at(7, 99, 100)},
+    {"mille": at(7, 0, 100)},
+    {"mille": at(7, 98, 100), "torque": at(7, np.nan, 45.0)},
+    {"tension": at(0, 59.0, 45.0)},
+    {"tension": np.full(N, np.nan), "contact": float("nan"), "rate": np.full(N, np.nan)},
+]
+
+
+@pytest.mark.parametrize("given", KEPT, ids=range(len(KEPT)))
+def test_what_is_within_its_limit(config: Config, given: dict[str, Any]) -> None:
+    reference = claim(reference=np.full(N, 205.0)) if "205" in str(given) else None
+    first = seen(100.0, said=reference, **given)
+    if reference is not None:
+        first = replace(first, claims=[], claim=replace(reference, tension=np.full(N, 205.0)))
+    looks = [replace(first, now_ns=(100 + k) * MS, claim=replace(first.claim, at_ns=(100 + k) * MS))  # type: ignore[type-var]
+             for k in range(20)]  # fmt: skip
+    assert judged(config, *looks) == [None] * 20
+
+
+def test_a_condition_that_ends_begins_anew(config: Config) -> None:
+    loud = {"contact": 30.0}
+    looks = [seen(100 + k, **({} if k == 3 else loud)) for k in range(7)]
+    assert judged(config, *looks) == [None] * 7
+
+
+@pytest.mark.parametrize(
+    ("given", "requirement"),
+    [
+        ({"tension": at(6, 261.0, 45.0)}, Requirement.TENSION),
+        ({"contact": 36.0}, Requirement.CONTACT),
+        ({"rate": np.array([1, 1, 1, 1, -1, -1, -1, -1]) * 3.0}, Requirement.SPEED),
+    ],
+)
+def test_the_wide_bounds_hold_in_a_stop_too(
+    config: Config, given: dict[str, Any], requirement: Requirement
+) -> None:
+    assert lasting(config, 109.0, State.SAFE_STOP, **given) is None
+    found = lasting(config, 110.0, State.SAFE_STOP, **given)
+    assert found is not None
+    assert found.requirement is requirement
+
+
+def test_the_speed_of_the_drums_bounds_that_of_the_platform(config: Config) -> None:
+    """Rates made from a motion of the platform in the middle: just within, and just beyond."""
+    geometry = config.robot.geometry
+    frame, platform = np.array(geometry.frame), np.array(geometry.platform)
+    for speed, expected in ((0.274, None), (0.6, Requirement.SPEED)):
+        for direction in np.eye(3):
+            along = frame - platform
+            rates = along @ (speed * direction) / np.linalg.norm(along, axis=1)
+            found = lasting(config, 5.0, rate=rates, mille=np.full(N, 100))
+            assert (found and found.requirement) == expected
+    some = lasting(config, 5.0, rate=np.full(N - 1, 9.0))
+    assert some is None, "some axes on another bus: not judged"
+
+
+def test_frozen_torques_outside_of_control(config: Config) -> None:
+    same = {"same": np.full(N, 6)}
+    assert judged(config, seen(said=claim(State.REFERENCING), **same)) == [None]
+    moving = at(0, -0.06)
+    for state in (State.REFERENCING, State.SAFE_STOP):
+        found = judged(config, seen(said=claim(state), rate=moving, **same))[0]
+        assert found is not None
+        assert found.requirement is Requirement.FROZEN
+    silent = replace(seen(**same), claim=None, claims=[])
+    assert [found and found.requirement for found in judged(config, silent)] == [Requirement.TICK]
+
+
+def test_how_fast_the_stiffness_rises(config: Config) -> None:
+    def rise(newton_per_metre: float, first: State = State.ACTIVE, dt_ms: float = 1.0) -> Any:
+        before = claim(first, 99.0)
+        after = claim(at_ms=99.0 + dt_ms, stiffness=3210.0 + newton_per_metre)
+        return judged(config, seen(claims=[before, after]))[0]
+
+    assert rise(18.0) is None
+    assert rise(-3000.0) is None
+    assert rise(19.0).requirement is Requirement.STIFFNESS
+    assert rise(19.0, State.PRETENSION) is None
+    assert rise(19.0, dt_ms=0.0) is None, "one tick, recorded twice"
+
+
+def test_a_drive_enabled_while_disarmed(config: Config) -> None:
+    for state in (State.OFF, State.STANDBY, State.FAULT):
+        assert lasting(config, 49.0, state) is None
+        assert lasting(config, 50.0, state).requirement is Requirement.DISARMED
+
+
+def test_a_stop_that_does_not_end(config: Config) -> None:
+    def stopping(at_ms: float, state: State = State.SAFE_STOP) -> Observation:
+        return seen(at_ms, claim(state, at_ms))
+
+    assert judged(config, stopping(0), stopping(39_999), stopping(40_001))[:2] == [None, None]
+    last = judged(config, stopping(0), stopping(40_001))[1]
+    assert last is not None
+    assert last.requirement is Requirement.STOP_ENDS
+    again = [stopping(0), stopping(30_000, State.HOLD), stopping(50_000)]
+    assert judged(config, *again) == [None] * 3
+
+
+def test_a_tare_beyond_its_limit(config: Config) -> None:
+    tare = np.zeros(N + 1)
+    tare[3] = -5.1
+    said = claim(tare=tare)
+    first, last = seen(said=said), seen(105.0, replace(said, at_ns=105 * MS))
+    found = judged(config, first, last)[1]
+    assert found is not None
+    assert (found.requirement, found.where) == (Requirement.MEASURED_LOGGED, NOWHERE)
+
+
+# --- frames and records --------------------------------------------------------------------------
+
+
+def test_numbers_of_a_frame() -> None:
+    assert Value(16, 16).number(0xFFFE_0001) == -2
+    assert Value(0, 16).unsigned(0xFFFE_8001) == 0x8001
+    word = int.from_bytes(b"\0\0" + struct.pack("<f", -1.5), "little")
+    assert Value(16, 32, real=True).number(word) == -1.5
+
+
+class FakeBus(can.BusABC):
+    """Gives what it is told, and keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.waiting: list[can.Message] = []
+        self.sent: list[can.Message] = []
+        self.broken = False
+        super().__init__("fake")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        del timeout
+        if self.broken:
+            raise can.CanOperationError("gone")
+        return (self.waiting.pop(0) if self.waiting else None), True
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        del timeout
+        if self.broken:
+            raise can.CanOperationError("gone")
+        self.sent.append(msg)
+
+
+WATCHED = [Watched(0x201, 4, (Value(16, 16),))]
+
+
+def test_a_listener_on_messages() -> None:
+    bus = FakeBus()
+    listener = Listener(bus, WATCHED)
+    good = can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x0f\0\5\0")
+    bus.waiting = [
+        good,
+        good,
+        can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x0f\0\7\0"),
+        can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x0f\0\7"),
+        can.Message(arbitration_id=0x201, is_extended_id=True, data=b"\x0f\0\x09\0"),
+        can.Message(arbitration_id=0x202, is_extended_id=False, data=b"\x0f\0\x09\0"),
+    ]
+    listener.read(7)
+    heard = listener.heard[0x201]
+    assert (heard.count, heard.same, heard.at_ns, heard.totals) == (3, 0, 7, [17.0])
+    bus.waiting = [good] * 3
+    listener.read(8)
+    assert (heard.count, heard.same) == (6, 2)
+
+
+def test_a_listener_on_arrays_of_frames() -> None:
+    row = np.dtype([("s", "i8"), ("i", "u4"), ("n", "u1"), ("o", "u1"), ("p", "u2"), ("d", "i8")])
+    word = -1 << 32 | 0x0005_000F
+    bus = FakeBus()
+    bus.receive_frames = lambda _: np.array([(1, 0x201, 4, 0, 0, word)], row)  # type: ignore[attr-defined]
+    listener = Listener(bus, WATCHED)
+    listener.read(9)
+    assert listener.heard[0x201].totals == [5.0]
+
+
+def test_a_listener_takes_no_more_than_its_share_of_a_flood() -> None:
+    bus = FakeBus()
+    listener = Listener(bus, WATCHED)
+    frame = can.Message(arbitration_id=0x201, is_extended_id=False, data=bytes(4))
+    bus.waiting = [frame] * 5000
+    listener.read(1)
+    assert listener.heard[0x201].count == 4096
+
+
+def test_a_listener_on_the_kernels_frames() -> None:
+    frames = [struct.pack("<IB3x8s", 0x201, 4, b"\x0f\0\5\0")] * 5000
+
+    def receive(_: int) -> bytes:
+        if not frames:
+            raise BlockingIOError
+        return frames.pop()
+
+    bus = SocketcanBus.__new__(SocketcanBus)
+    bus._is_shutdown = True
+    bus.socket = SimpleNamespace(setblocking=lambda _: None, recv=receive)  # type: ignore[assignment]
+    listener = Listener(bus, WATCHED)
+    listener.read(1)
+    assert listener.heard[0x201].count == 4096
+    listener.read(2)
+    assert listener.heard[0x201].count == 5000
+
+
+def test_records_of_a_ring(tmp_path: Any) -> None:
+    dtype = cycle_dtype(N)
+    writer = RingWriter.create(tmp_path / "ring", dtype.itemsize, 16, {"kind": "record"})
+    records = of_ring(RingReader.look(tmp_path / "ring"), N)
+    record = np.zeros(1, dtype)
+    for tick in range(3):
+        record["stiffness"]["k_eq"] = 1000.0 + tick
+        record["state"]["state"] = State.HOLD
+        writer.publish(record.view(np.uint8), tick)
+    assert [each.stiffness for each in claims(records())] == [1000.0, 1001.0, 1002.0]
+    assert claims(records()) == []
+    writer.close()
+
+
+def test_wiring_of_other_devices(config: Config) -> None:
+    """A float for a force, an amplifier of several cells, a drive that alone knows its scale."""
+    assert isinstance(config.fieldbus, CanopenBus)
+    amplifier = CellNode(cells=(1, 0), node_id=17)
+    channel = config.fieldbus.channels[0].model_copy(update={"force_cells": (amplifier,)})
+    bus = config.fieldbus.model_copy(update={"channels": (channel,)})
+    cells = Wiring(config.model_copy(update={"fieldbus": bus})).cells
+    assert [(cell.number, cell.received, cell.force) for cell in cells] == [
+        (1, 0x191, Value(0, 16)),
+        (0, 0x191, Value(16, 16)),
+    ]
+    floats = config.fieldbus.force_cell.model_copy(update={"tpdo": (0x61300120,)})
+    bus = config.fieldbus.model_copy(update={"force_cell": floats})
+    real = Wiring(config.model_copy(update={"fieldbus": bus})).cells[0]
+    assert (real.force.real, real.newton) == (True, 1.0)
+    mixed, _ = load("config/mixed_drives.yaml")
+    assert any(axis.newton is None for axis in Wiring(mixed).axes)
+    assert Wiring(load("config/ethercat.yaml")[0]).channels == []
+    drive = config.fieldbus.every_profile["fieldbus.drive"].model_copy(
+        update={"tpdo": (0x60410010,)}
+    )
+    with pytest.raises(ValueError, match="no PDO maps 0x6064"):
+        Wiring(
+            config.model_copy(
+                update={"fieldbus": config.fieldbus.model_copy(update={"drive": drive})}
+            )
+        )
+
+
+# --- observation ---------------------------------------------------------------------------------
+
+
+class Stage:
+    """The frames of every axis and cell, at times of the test's own."""
+
+    def __init__(self, config: Config) -> None:
+        assert config.supervisor is not None
+        self.wiring = Wiring(config)
+        self.heard: dict[tuple[str, int], Heard] = {}
+        for axis in self.wiring.axes:
+            self.heard[axis.channel, axis.sent] = Heard(4, (axis.torque,))
+            self.heard[axis.channel, axis.received] = Heard(8, (axis.position,))
+        for cell in self.wiring.cells:
+            self.heard[cell.channel, cell.received] = Heard(4, (cell.force,))
+        self.observe = Observer(self.wiring, config.supervisor, config.robot.contact_cell)
+
+    def tick(self, now_ns: int, *, newton: float, metre: float, force: float) -> None:
+        for axis in self.wiring.axes:
+            assert axis.newton is not None
+            mille = round(newton / axis.newton) & 0xFFFF
+            self.heard[axis.channel, axis.sent].take(mille << axis.torque.shift | 0xF, now_ns)
+            place = round(metre / axis.metre) & 0xFFFFFFFF
+            word = place << axis.position.shift | 0x0237
+            self.heard[axis.channel, axis.received].take(word, now_ns)
+        for cell in self.wiring.cells:
+            self.heard[cell.channel, cell.received].take(round(force / cell.newton), now_ns)
+
+
+def test_what_neither_tension_nor_motion_explain(config: Config) -> None:
+    """A drum that accelerates as its torque, its cable and its bearings have it is explained; the
+    same with 100 N more torque is not, by 100 N."""
+    stage, extra = Stage(config), Stage(config)
+    axis = stage.wiring.axes[0]
+    acceleration, force = 2.0, 45.0
+    for k in range(40):
+        t = k * 1e-3
+        metre, rate = 0.5 * acceleration * t * t, acceleration * t
+        pull = force + axis.mass * acceleration + axis.damping * rate
+        for each, more in ((stage, 0.0), (extra, 100.0)):
+            each.tick(k * MS, newton=pull + more, metre=metre, force=force)
+        if k % 2 == 0:
+            found = stage.observe(k * MS, stage.heard, [claim(at_ms=k)])
+            other = extra.observe(k * MS, extra.heard, [claim(at_ms=k)])
+            if k < 16:
+                assert np.isnan(found.unexplained).all()
+    assert found.rate == pytest.approx(acceleration * 0.037, rel=0.02)
+    assert np.abs(found.unexplained).max() < 2.0
+    assert other.unexplained == pytest.approx(100.0, abs=2.5)
+    assert found.tension == pytest.approx(force)
+    assert found.enabled.all()
+
+
+def test_before_anything_was_heard(config: Config) -> None:
+    stage = Stage(config)
+    found = stage.observe(MS, stage.heard, [])
+    assert not found.enabled.any()
+    assert np.isinf(found.torque_age).all()
+    assert np.isnan(found.tension).all()
+    assert np.isnan(found.contact)
+    again = stage.observe(2 * MS, stage.heard, [claim()])
+    assert np.isnan(again.tension).all()
+
+
+def test_cells_on_another_bus(config: Config) -> None:
+    stage = Stage(config)
+    assert config.supervisor is not None
+    stage.wiring.cells = []
+    stage.observe = Observer(stage.wiring, config.supervisor, config.robot.contact_cell)
+    for k in range(30):
+        stage.tick(k * MS, newton=45.0, metre=0.0, force=45.0)
+        found = stage.observe(k * MS, stage.heard, [claim()])
+    assert np.isnan(found.tension).all()
+    assert np.isnan(found.unexplained).all()
+    assert np.isnan(found.contact)
+
+
+# --- heartbeat -----------------------------------------------------------------------------------
+
+
+class Watchdog:
+    """A supervisor with a bus for each channel, and what it is given."""
+
+    def __init__(self, config: Config) -> None:
+        self.buses: list[FakeBus] = []
+        self.records: list[tuple[int, Any]] = []
+        self.supervisor = Supervisor(config, self._new, self._open)
+        self.wiring = Wiring(config)
+
+    def _open(self, *_: Any) -> can.BusABC:
+        self.buses.append(FakeBus())
+        return self.buses[-1]
+
+    def _new(self) -> list[tuple[int, Any]]:
+        new, self.records = self.records, []
+        return new
+
+    def step(self, now_ms: int, *, enabled: bool, tick: bool = True) -> list[tuple[int, bytes]]:
+        """What the first channel was sent in this step."""
+        channel = self.wiring.channels[0][1]
+        for axis in self.wiring.axes:
+            if axis.channel == channel:
+                word = 0x0237 if enabled else 0x0240
+                data = word.to_bytes(2, "little") + bytes(6)
+                self.buses[0].waiting += [
+                    can.Message(arbitration_id=axis.received, is_extended_id=False, data=data),
+                    can.Message(arbitration_id=axis.sent, is_extended_id=False, data=bytes(4)),
+                ]
+        if tick:
+            record = np.zeros(1, cycle_dtype(N))
+            record["state"]["state"] = State.SAFE_STOP
+            self.records.append((now_ms * MS, record[0]))
+        before = len(self.buses[0].sent)
+        self.supervisor.step(now_ms * MS)
+        return [(m.arbitration_id, bytes(m.data)) for m in self.buses[0].sent[before:]]
+
+    def steps(self, start: int, stop: int, **given: Any) -> Iterator[list[tuple[int, bytes]]]:
+        for now in range(start, stop, 2):
+            yield self.step(now, **given)
+
+
+BEAT = [(0x77E, b"\5")]
+
+
+@pytest.fixture
+def watchdog(config: Config) -> Iterator[Watchdog]:
+    made = Watchdog(config)
+    yield made
+    made.supervisor.close()
+
+
+def test_the_heartbeat_begins_when_nothing_was_enabled_for_a_while(watchdog: Watchdog) -> None:
+    assert all(sent == [] for sent in watchdog.steps(0, 300, enabled=False))
+    assert watchdog.step(300, enabled=False) == BEAT
+    assert watchdog.step(302, enabled=True) == BEAT
+
+
+def test_a_supervisor_that_finds_the_robot_armed_stays_silent(watchdog: Watchdog) -> None:
+    assert all(sent == [] for sent in watchdog.steps(0, 2000, enabled=True))
+    assert not watchdog.supervisor.beating
+
+
+def test_a_violation_ends_it_and_quiet_begins_it_again(watchdog: Watchdog) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    assert watchdog.step(310, enabled=True) == BEAT
+    assert watchdog.step(312, enabled=True, tick=False) == BEAT
+    sent = list(watchdog.steps(314, 700, enabled=True, tick=False))
+    number = sent.index([]) - 1
+    identifier, data = sent[number][0]
+    code, register, place, value = struct.unpack("<HBBf", data)
+    assert (identifier, code, register, place) == (0x0FE, 0xFF01, 0x81, 0xFF)
+    assert value == pytest.approx(6.0)
+    assert sent[number + 1 :] == [[]] * (len(sent) - number - 1)
+    violation = watchdog.supervisor.violation
+    assert violation is not None
+    assert told(violation).startswith("SUP-1, 6: broken is: ")
+    assert all(quiet == [] for quiet in watchdog.steps(700, 1000, enabled=False))
+    assert watchdog.step(1000, enabled=False) == BEAT
+    assert watchdog.supervisor.violation is None
+
+
+def test_a_bus_that_is_gone_raises_nothing(watchdog: Watchdog) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    watchdog.buses[1].broken = True
+    assert watchdog.step(310, enabled=False) == BEAT
+    assert watchdog.buses[2].sent
+
+
+def test_where_there_is_none(config: Config) -> None:
+    for settings in (None, config.supervisor.model_copy(update={"policy": "off"})):  # type: ignore[union-attr]
+        with pytest.raises(ValueError, match="no supervisor"):
+            Supervisor(
+                config.model_copy(update={"supervisor": settings}), list, lambda *_: FakeBus()
+            )
+
+
+def test_an_axis_is_told() -> None:
+    text = told(Violation(Requirement.TENSION, 3, 261.0))
+    assert text == f"SUP-6 at axis 3, 261: broken is: {REQUIREMENT_TEXTS[Requirement.TENSION]}"
+
+
+def test_a_violation_at_an_axis_names_it(watchdog: Watchdog) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    for axis in watchdog.wiring.axes:
+        heard = watchdog.supervisor._heard[axis.channel, axis.received]
+        heard.take(0x0237, 305 * MS)
+    sent = [frame for step in watchdog.steps(310, 600, enabled=True) for frame in step]
+    _, data = next(each for each in sent if each[0] == 0x0FE)
+    code, _, place, _ = struct.unpack("<HBBf", data)
+    assert (code, place) == (0xFF02, 2)
