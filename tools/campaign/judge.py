@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tonus.runtime.states import State
+from tonus.runtime.states import State, StopMode
 from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.episode import Episode
 from tonus.tools.campaign.invariants import Violation, within_bounds
@@ -36,6 +36,8 @@ def row_of(
         "state": end.state.name if end is not None else "",
         "fault": end.fault.name if end is not None else "",
         "reason": end.reason if end is not None else run.error,
+        "stop_mode": StopMode(int(run.cycle["state"]["stop_mode"].max(initial=0))).name,
+        "excluded": np.flatnonzero(run.cycle["state"]["failed"].any(axis=0)).tolist(),
         "ticks": len(run.cycle_ns),
         "digest": digest(run),
         "speed": round(float(speed.max(initial=0.0)), 4),
@@ -55,6 +57,8 @@ def failed(episode: Episode, invariant: str, text: str) -> Row:
         "state": "",
         "fault": "",
         "reason": text,
+        "stop_mode": "",
+        "excluded": [],
         "ticks": 0,
         "digest": "",
         "speed": 0.0,
