@@ -149,6 +149,11 @@ def load_bounds() -> Bounds:
     return _validate(read(HERE / "bounds.yaml", "config/bounds.yaml"), Bounds)
 
 
+def load_section(path: Path, model: type[Model]) -> Model:
+    """Any YAML file by its schema. Raises `ConfigError`."""
+    return _validate(read(path, str(path)), model)
+
+
 def load_study(name: str) -> Study:
     """A study by the name of a file in config/campaigns, or by a path to one."""
     return _validate(_named("campaign", name, f"study {name}", 0, ""), Study)
