@@ -93,6 +93,7 @@ _FAILURE_HEAD = (
     "state",
     "within",
     "leads to",
+    "requirements",
     "remaining risk",
     "shown by",
 )
@@ -108,6 +109,7 @@ def _failure(row: Failure) -> Sequence[str]:
         row.state,
         shown(row.within) if row.within is not None else row.when or "",
         ", ".join(row.leads_to),
+        ", ".join(row.requirements),
         row.residual,
         _tests(row.tests) if row.open is None else f"**open**: {row.open}",
     )
