@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from tonus.config.errors import ConfigError
+from tonus.config.schema.supervisor import REQUIREMENT_TEXTS
 from tonus.tools.errors import ToolError
 from tonus.tools.safety.__main__ import PAGES, main
 from tonus.tools.safety.budget import seconds, shown
@@ -218,3 +219,9 @@ def test_a_licence_is_as_the_package_states_it() -> None:
     assert licence("numpy").startswith("BSD-3-Clause")
     with pytest.raises(ToolError, match="run make setup"):
         licence("no-such-package")
+
+
+def test_the_supervisors_requirements_are_in_the_codes_words() -> None:
+    written = {name: each.text for name, each in load_evidence().requirements.items()}
+    for requirement, text in REQUIREMENT_TEXTS.items():
+        assert written[f"SUP-{requirement:d}"] == text
