@@ -58,7 +58,8 @@ minute of it. `make robust` makes 500 damaged files and reads them with every co
 A replay needs every input of the cycle: `angle`, `torque`, `sampled_ns`, `doubt_ns`, `statusword`,
 `error_code`, `age` and `state` of /tonus/drives, `raw`, `age` and `status` of /tonus/force_cells,
 `position`, `quaternion`, `delay`, `sequence` and `fresh` of /tonus/tracker, `operator` and `select`
-of /tonus/state, and the tick. `inputs` of /tonus/state is a checksum of them: an input that was
+of /tonus/state, `parameter` and `value` of /tonus/tuning (an older log has neither), and the tick.
+`inputs` of /tonus/state is a checksum of them: an input that was
 altered is found in its tick, even one that affects no output. `/tonus/keyframe` holds the
 cycle's whole state every `recording.keyframe_s`; a replay of later ticks, or of what follows on
 missing records, begins there. `--with CONFIG` prints what another configuration would have
