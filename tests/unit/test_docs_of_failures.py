@@ -18,7 +18,7 @@ ROWS = [
     for line in PAGE.splitlines()
     if line.startswith("|") and not line.startswith(("|---", "| failure "))
 ]
-_NO_FAILURE = {"operator", "state", "signal"}
+_NO_FAILURE = {"operator", "state", "signal", "tuned"}
 """Events that tell of commands and of the machine's way."""
 
 
