@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.control import Control
+from tonus.config.schema.operation import Tunable
 from tonus.config.schema.robot import Robot
 from tonus.config.schema.scenario import Reference
 from tonus.config.schema.tracker import Tracker
@@ -28,6 +29,7 @@ from tonus.runtime.control.passivity import Limiter
 from tonus.runtime.control.referencing import Referencing
 from tonus.runtime.control.sensing import Sensing
 from tonus.runtime.control.tension import TensionLoop, drum_motion
+from tonus.runtime.control.tuning import NO_CHANGE, GainChange, Tuning
 from tonus.runtime.recording.cycle_writer import CycleWriter
 from tonus.runtime.safety.descent import Descent
 from tonus.runtime.safety.envelope import Envelope
@@ -53,8 +55,10 @@ class ControlCycle:
         tracker: Tracker,
         reference: Reference,
         others: Iterable[Reference] = (),
+        tunable: tuple[Tunable, ...] = (),
     ) -> None:
-        """``others`` can be chosen instead of ``reference``, by their numbers from 1 on."""
+        """``others`` can be chosen instead of ``reference``, and ``tunable`` parameters changed, by
+        their numbers from 1 on."""
         period = control.rates.period
         self._robot, self._control, self._period = robot, control, period
         self._radius, self._axial_stiffness = robot.drum_radius, robot.axial_stiffness
@@ -79,6 +83,7 @@ class ControlCycle:
             robot, control.estimator, tracker, self._kinematics, period, Doubts.of(control)
         )
         self._controller = make_controller(control.controller, robot, control)
+        self.tuning = Tuning(tunable, self._controller.tunable_law, period)
         ratio = self._controller.damping_ratio
         self._limiter = Limiter(control.stiffness, control.passivity, robot, ratio, period)
         self._allocation = Allocation(robot, control, self._controller, self._kinematics)
@@ -97,6 +102,7 @@ class ControlCycle:
             self._limiter,
             self._envelope,
             self._allocation,
+            self.tuning,
         )
         self._nobody = np.zeros(robot.cables, dtype=bool)
         self._pulling = np.zeros(robot.cables)
@@ -115,22 +121,37 @@ class ControlCycle:
         self._finite = True
 
     def step(
-        self, image: ProcessImage, tick: int, operator: Operator, select: int = 0
+        self,
+        image: ProcessImage,
+        tick: int,
+        operator: Operator,
+        select: int = 0,
+        change: GainChange = NO_CHANGE,
     ) -> CycleRecord:
         """One whole tick: `act`, then `write`."""
-        self.act(image, tick, operator, select)
-        return self.write(image, tick, operator, select)
+        self.act(image, tick, operator, select, change)
+        return self.write(image, tick, operator, select, change)
 
-    def act(self, image: ProcessImage, tick: int, operator: Operator, select: int = 0) -> None:
+    def act(
+        self,
+        image: ProcessImage,
+        tick: int,
+        operator: Operator,
+        select: int = 0,
+        change: GainChange = NO_CHANGE,
+    ) -> None:
         """From ``image.axes``, ``image.cells`` and ``image.tracker`` to ``image.commands``.
         ``select``: number of a scenario plus one, to be played from its beginning; heeded while
-        `selectable`."""
+        `selectable`. ``change``: of a tunable parameter; heeded if nothing stands against it."""
         sensing, sequence = self._sensing, self.sequence
         sensing.step(image, tick)
         if select and self.selectable:
             self._guide.select(select - 1)
         if sequence.step(image, tick, operator, finite=self._finite):
             self._enter(sequence.state)
+        if change.number:
+            self.tuning.ask(change, sequence.state)
+        self.tuning.step()
         image.commands["command"] = sequence.axis_command
         # After a missed tick, or a sample that is late or of uncertain time, torque and motion are
         # not of one time.
@@ -206,11 +227,16 @@ class ControlCycle:
         image.commands["torque"] = self._torque[:] = torque
 
     def write(
-        self, image: ProcessImage, tick: int, operator: Operator, select: int = 0
+        self,
+        image: ProcessImage,
+        tick: int,
+        operator: Operator,
+        select: int = 0,
+        change: GainChange = NO_CHANGE,
     ) -> CycleRecord:
         """The record of the tick that `act` has just been called for, with the same arguments: the
         drives need not wait for it."""
-        self._writer.inputs(image, tick, operator, select)
+        self._writer.inputs(image, tick, operator, select, change)
         self._writer.torques(image, self._loop)
         self._writer.results(self._law, accepted=self._accepted)
         return self.record

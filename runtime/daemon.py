@@ -16,6 +16,7 @@ from typing import Any
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.drivers.fieldbus import Fieldbus, Progress
+from tonus.runtime.control.tuning import GainChange
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.operation.operator import Commander
 from tonus.runtime.operation.orders import Orders
@@ -81,7 +82,12 @@ class Daemon:
         self._ring, self._events, self._stopwatch = ring, events, stopwatch
         references = [other.reference for other in others]
         self.cycle = ControlCycle(
-            config.robot, config.control, config.tracker, scenario.reference, references
+            config.robot,
+            config.control,
+            config.tracker,
+            scenario.reference,
+            references,
+            config.operation.tunable,
         )
         self.firewall = firewall or Firewall(config.operation.firewall.failures)
         self._guard = GuardedParts(self.firewall)
@@ -250,14 +256,15 @@ class Daemon:
         fieldbus.collect(tick)
         self._collect_tracker()
         collected = wall()
-        command, select = self._command(tick, scheduler), self._orders.select
-        self._act(tick, command, select)
+        command = self._command(tick, scheduler)
+        select, change = self._orders.select, self._orders.change
+        self._act(tick, command, select, change)
         computed = wall()
         fieldbus.publish(tick)
         published = wall()
         used = self._stopwatch.processor_ns() - used
         guard = self._guard
-        record = guard.record(cycle.write, fieldbus.image, tick, command, select)
+        record = guard.record(cycle.write, fieldbus.image, tick, command, select, change)
         if record is not None:
             marks = Marks(began, collected, computed, published)
             guard.record(self._write_timing, record, scheduler, marks, used)
@@ -287,12 +294,12 @@ class Daemon:
             tracker["fresh"] = 0
             tracker["delay"] += self._config.control.rates.period
 
-    def _act(self, tick: int, command: Operator, select: int) -> None:
+    def _act(self, tick: int, command: Operator, select: int, change: GainChange) -> None:
         """Control; once it has raised, its passive fallback in its place."""
         image, fallback = self._fieldbus.image, self._fallback
         if not fallback.active:
             try:
-                self.cycle.act(image, tick, command, select)
+                self.cycle.act(image, tick, command, select, change)
             except Exception as error:  # noqa: BLE001 - power off at height would be worse
                 self._guard.control.failed(error)
                 fallback.begin(in_one_line(error), tick)
@@ -334,6 +341,8 @@ class Daemon:
             who = self._orders.who
             text = f"{command.name.lower()}{f' by {who}' if who else ''}"
             self._emit(tick, Level.INFO, "operator", "", text)
+        if self._orders.change.number:
+            self._report_change(tick, self._orders.change)
         guard = self._guard
         guard.reporter(self._reporter.look, self._due_ns, tick)
         for part, source in ((guard.bus_events, self._fieldbus), (guard.tracker, self._tracker)):
@@ -341,6 +350,16 @@ class Daemon:
                 self._emit(tick, Level.WARNING, event.name, event.where, event.text)
         for event in self.firewall.take_events():
             self._emit(tick, Level.ERROR, event.name, event.where, event.text)
+
+    def _report_change(self, tick: int, change: GainChange) -> None:
+        tuning, who = self.cycle.tuning, self._orders.who
+        key = tuning.keys[change.number - 1]
+        if tuning.accepted(change):
+            text = f"from {tuning.before:g} to {change.value:g} by {who}"
+            self._emit(tick, Level.INFO, "tuned", key, text)
+            return
+        reason, _ = tuning.against(change, self.cycle.sequence.state)
+        self._emit(tick, Level.WARNING, "refused", "", f"set {key} by {who}: {reason}")
 
     def _emit(self, tick: int, level: Level, name: str, where: str, text: str) -> None:
         self._send(self._due_ns, tick, level, name, where, text)

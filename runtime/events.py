@@ -51,6 +51,11 @@ EVENTS: dict[str, Meaning] = {
         "the run continues; a drum that jams or slips is found by its length and tension alone",
         "as for missed ticks or late samples: `tonus doctor`, then the bus's events before it",
     ),
+    "tuned": Meaning(
+        "an operator changed a parameter of operation.tunable; the event says who, from what, to "
+        "what",
+        "the value in force goes there at its rate",
+    ),
     "drums_observed": Meaning(
         "the samples of every drive are on time again", "torque and motion are compared again"
     ),

@@ -230,6 +230,15 @@ TABLE: tuple[Topic, ...] = (
         _f8("k_rate", 0, "N/m/s", "K_eq'"),
         _f8("rise_bound", 0, "N/m/s", "how fast K_eq may rise now"),
     ),
+    # The last one: a keyframe of before there was any holds what stands before it.
+    _topic(
+        "tuning",
+        "Tuning",
+        "parameters of the law changed while the robot runs (operation.tunable)",
+        _f8("value", 0, "", "commanded in this tick for `parameter`, else 0"),
+        _f8("gains", 3, "", "in force: deviation, velocity and force gain; 0 without a law"),
+        Field("parameter", "uint8", 0, "", "number in operation.tunable, plus 1; 0 for none"),
+    ),
 )
 
 """Of any robot. The number of its cables gives fields their sizes: `topics`."""

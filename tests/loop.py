@@ -18,6 +18,7 @@ from tonus.config import load
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Reference, Scenario
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.control.tuning import NO_CHANGE, GainChange
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.signals import TABLE
@@ -102,7 +103,14 @@ class ClosedLoop:
             displacement=script.displacement,
         )
         self.tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
-        self.cycle = ControlCycle(robot, config.control, config.tracker, scenario.reference, others)
+        self.cycle = ControlCycle(
+            robot,
+            config.control,
+            config.tracker,
+            scenario.reference,
+            others,
+            config.operation.tunable,
+        )
         self.image = ProcessImage(robot.cables)
         self.silent_axes: set[int] = set()
         self.silent_cells: set[int] = set()
@@ -147,7 +155,12 @@ class ClosedLoop:
         self._cycles.clear()
         self._truths.clear()
 
-    def tick(self, operator: Operator = Operator.NONE, select: int = 0) -> None:
+    def tick(
+        self,
+        operator: Operator = Operator.NONE,
+        select: int = 0,
+        change: GainChange = NO_CHANGE,
+    ) -> None:
         now = self.number * self._period_ns
         while self.tracker.next_ns <= now + SAMPLE_OFFSET_NS:
             due = self.tracker.next_ns
@@ -160,7 +173,7 @@ class ClosedLoop:
             self.inputs.append(
                 Inputs(image.axes.copy(), image.cells.copy(), image.tracker.copy(), operator)
             )
-        record = self.cycle.step(self.image, self.number, operator, select)
+        record = self.cycle.step(self.image, self.number, operator, select, change)
         self._cycles.append(record.data.copy())
         self._truths.append(self.plant.truth.copy())
         self._publish(now)

@@ -5,9 +5,9 @@ A key that is left out has the value that `config/operation.yaml` states.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from tonus.config.schema.base import Count, NonNegative, Positive, Section
 
@@ -70,6 +70,28 @@ class Fallback(Section):
     """longest wait for the drives to say that they are disabled"""
 
 
+class Tunable(Section):
+    """A parameter that an operator may change while the robot runs, and how far and fast."""
+
+    key: Literal[
+        "control.stiffness.deviation_gain",
+        "control.stiffness.velocity_gain",
+        "control.stiffness.force_gain",
+    ]
+    minimum: NonNegative
+    maximum: Positive
+    step: Positive
+    """largest difference between the value in force and that of one command"""
+    rate: Positive
+    """1/s: how fast the value in force goes to that of a command"""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Tunable:
+        if not self.minimum < self.maximum:
+            raise ValueError("minimum < maximum must hold")
+        return self
+
+
 class Operation(Section):
     virtual_idle_speed: Positive = 1.0
     """times real time, at most, of a served run in virtual time while the robot is disarmed: it
@@ -78,5 +100,15 @@ class Operation(Section):
     self_test: SelfTest = SelfTest()
     firewall: Firewall = Firewall()
     fallback: Fallback = Fallback()
+    tunable: tuple[Tunable, ...] = ()
+    """parameters that `tonus ctl set` may change while the robot runs"""
     scenarios: tuple[Name, ...] | None = None
     """what an operator may choose from, by name or file; null: all that come with the package"""
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Operation:
+        keys = [each.key for each in self.tunable]
+        twice = next((key for key in keys if keys.count(key) > 1), None)
+        if twice is not None:
+            raise ValueError(f"tunable has {twice} twice; give it once")
+        return self

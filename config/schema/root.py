@@ -69,6 +69,19 @@ class Config(Section):
         return self
 
     @model_validator(mode="after")
+    def _tunable_has_an_effect(self) -> Config:
+        if self.control.stiffness.profile == "eq10":
+            return self
+        for index, each in enumerate(self.operation.tunable):
+            if each.key == "control.stiffness.deviation_gain":
+                raise PlacedError(
+                    ("operation", "tunable", index, "key"),
+                    f"{each.key} has no effect with control.stiffness.profile "
+                    f"{self.control.stiffness.profile}; remove it, or choose eq10",
+                )
+        return self
+
+    @model_validator(mode="after")
     def _literal_stays_in_the_lab(self) -> Config:
         if self.control.controller == "eq9_literal" and self.lab is None:
             raise ValueError(

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from tonus.config.schema.control import StiffnessLaw
 
+GAINS = ("deviation_gain", "velocity_gain", "force_gain")
+
 
 @dataclass
 class LawTerms:
@@ -27,15 +29,18 @@ class Law:
 
     def __init__(self, config: StiffnessLaw) -> None:
         self._config = config
-        self._deviation_gain = config.deviation_gain if config.profile == "eq10" else 0.0
+        deviation_gain = config.deviation_gain if config.profile == "eq10" else 0.0
+        self.gains = [deviation_gain, config.velocity_gain, config.force_gain]
+        """in force, in the order of `GAINS`; `Tuning` may move them"""
         self.terms = LawTerms()
 
     def __call__(self, deviation: float, velocity: float, force: float) -> float:
         """Stiffness (N/m) for the norms of deviation (m), velocity (m/s) and force (N)."""
         c, terms = self._config, self.terms
-        terms.deviation = self._deviation_gain * min(deviation / c.deviation_reference, 1.0)
-        terms.velocity = c.velocity_gain * min(velocity / c.velocity_reference, 1.0)
-        terms.force = c.force_gain * min(force / c.force_reference, 1.0)
+        deviation_gain, velocity_gain, force_gain = self.gains
+        terms.deviation = deviation_gain * min(deviation / c.deviation_reference, 1.0)
+        terms.velocity = velocity_gain * min(velocity / c.velocity_reference, 1.0)
+        terms.force = force_gain * min(force / c.force_reference, 1.0)
         rise = terms.deviation + terms.velocity + terms.force
         terms.stiffness = min(max(c.base * (1.0 + rise), c.minimum), c.maximum)
         return terms.stiffness

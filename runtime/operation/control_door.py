@@ -8,6 +8,7 @@ the next tick and answered after it, so that the reply tells what became of it.
 from __future__ import annotations
 
 import json
+import math
 import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from typing import Any
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
+from tonus.runtime.control.tuning import NO_CHANGE, GainChange
 from tonus.runtime.daemon import Daemon
 from tonus.runtime.operation.operator import Console
 from tonus.runtime.operation.verbs import VERBS, Verb
@@ -39,6 +41,8 @@ _LINE = 400
 _OF_A_SCRIPT = (Operator.STOP, Operator.ESTOP)
 _SCRIPTED = ("a script runs this daemon", "stop it, and start the daemon with --serve")
 _SPARE = "give one JSON object with op, and name for a scenario"
+_FIELDS = {"scenario": {"name"}, "set": {"key", "value"}}
+"""of a request, beside op"""
 
 STATUS: dict[str, tuple[str, str]] = {
     "config": ("string", "name of the configuration"),
@@ -57,6 +61,7 @@ STATUS: dict[str, tuple[str, str]] = {
     "duration_s": ("number", "of it in all"),
     "scenarios": ("array of string", "what may be chosen"),
     "self_test": ("array of object", "item, ok, text; empty while the robot is armed"),
+    "tunable": ("array of object", "key, value in force, target, minimum, maximum, step, rate"),
     "k_eq_n_per_m": ("number", "equivalent stiffness"),
     "tension_n": ("array of number", "of the cables"),
     "contact_n": ("number", "at the contact port"),
@@ -75,6 +80,7 @@ class _Awaited:
     verb: Verb
     before: State
     select: int
+    change: GainChange = NO_CHANGE
 
 
 class ControlDoor:
@@ -110,8 +116,7 @@ class ControlDoor:
         if verb is None:
             there = f"there is no op {reprlib.repr(op)}" if "op" in request else "op is missing"
             return refusal(there, f"choose one of {', '.join(VERBS)}")
-        allowed = {"op", "name"} if verb.name == "scenario" else {"op"}
-        unknown = sorted(request.keys() - allowed)
+        unknown = sorted(request.keys() - {"op"} - _FIELDS.get(verb.name, set()))
         if unknown:
             return refusal(f"{reprlib.repr(unknown[0])} is not a field of {op}", "remove it")
         if verb.name == "status":
@@ -120,6 +125,8 @@ class ControlDoor:
             state, late = self._daemon.cycle.sequence.state, "an emergency stop came after it"
             self._daemon.note(Level.WARNING, "refused", f"{verb.name} by {who}: {late}")
             return self._refusal(verb, state, late, NEXT[state])
+        if verb.name == "set":
+            return self._tune(verb, request.get("key"), request.get("value"), who)
         return self._order(verb, request.get("name"), who)
 
     def emergency(self, who: str) -> None:
@@ -154,6 +161,37 @@ class ControlDoor:
         self._console.give(verb.operator, who, select)
         self._awaited = _Awaited(verb, state, select)
         return None
+
+    def _tune(self, verb: Verb, key: object, value: object, who: str) -> Reply | None:
+        state = self._daemon.cycle.sequence.state
+        change, error, remedy = self._changed(state, key, value)
+        if error:
+            what = f"set {reprlib.repr(key)} by {who}"
+            self._daemon.note(Level.WARNING, "refused", f"{what}: {error}")
+            return self._refusal(verb, state, error, remedy)
+        self._console.give(Operator.NONE, who, change=change)
+        self._awaited = _Awaited(verb, state, 0, change)
+        return None
+
+    def _changed(self, state: State, key: object, value: object) -> tuple[GainChange, str, str]:
+        """The change asked for, what stands against it, and what to do instead."""
+        tuning = self._daemon.cycle.tuning
+        if self._console.script is not None:
+            return NO_CHANGE, *_SCRIPTED
+        if key not in tuning.keys:
+            said = "key is missing" if key is None else f"{reprlib.repr(key)} cannot be changed"
+            there = ", ".join(tuning.keys)
+            remedy = f"choose one of {there}" if there else "operation.tunable lists none"
+            return NO_CHANGE, said, remedy
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            said = "value is missing" if value is None else f"{reprlib.repr(value)} is no number"
+            return NO_CHANGE, said, "give a number"
+        number = tuning.keys.index(str(key)) + 1
+        try:
+            change = GainChange(number, float(value))
+        except OverflowError:
+            change = GainChange(number, math.inf)
+        return change, *tuning.against(change, state)
 
     def _against(self, operator: Operator, state: State) -> tuple[str, str]:
         """What stands against a command and what to do instead; empty for nothing."""
@@ -210,6 +248,8 @@ class ControlDoor:
         """What became of a command that a tick has taken."""
         verb, before = awaited.verb, awaited.before
         state = self._daemon.cycle.sequence.state
+        if awaited.change.number:
+            return self._tuned(awaited, state)
         if verb.operator is Operator.NONE:
             if self._chosen + 1 == awaited.select:
                 return self._done(verb, state, f"{self._names[self._chosen]} is what START plays")
@@ -226,6 +266,17 @@ class ControlDoor:
         if self._daemon.recovering:
             return self._done(verb, state, "devices are being brought back")
         return self._refusal(verb, state, self._fault or "it came too late", NEXT[state])
+
+    def _tuned(self, awaited: _Awaited, state: State) -> Reply:
+        tuning, change = self._daemon.cycle.tuning, awaited.change
+        if not tuning.accepted(change):
+            return self._refusal(awaited.verb, state, *tuning.against(change, state))
+        index = change.number - 1
+        text = (
+            f"{tuning.keys[index]} goes from {tuning.before:g} to {change.value:g} "
+            f"in {tuning.left(index):.1f} s"
+        )
+        return self._done(awaited.verb, state, text)
 
     def watch(self) -> None:
         """Once a tick: a scenario that has been played ends in HOLD."""
@@ -275,6 +326,14 @@ class ControlDoor:
             "self_test": [
                 {"item": found.item, "ok": found.ok, "text": found.text}
                 for found in daemon.self_test.findings
+            ],
+            "tunable": [
+                {
+                    **each.model_dump(),
+                    "value": round(daemon.cycle.tuning.value(index), 6),
+                    "target": daemon.cycle.tuning.targets[index],
+                }
+                for index, each in enumerate(config.operation.tunable)
             ],
             "k_eq_n_per_m": round(float(record.stiffness.k_eq), 1),
             "tension_n": [round(float(tension), 1) for tension in record.tension.measured],

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Protocol
 
 from tonus.config.schema.scenario import Command
+from tonus.runtime.control.tuning import NO_CHANGE, GainChange
 from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.states import ARMED, Operator, State
 
@@ -22,6 +23,11 @@ class Commander(Protocol):
     @property
     def select(self) -> int:
         """Number plus one of the scenario that the last command came with, 0 for none."""
+        ...
+
+    @property
+    def change(self) -> GainChange:
+        """Of a tunable parameter, that the last command came with."""
         ...
 
     def next(self, sequence: Sequence) -> Operator: ...
@@ -59,6 +65,7 @@ class _Stoppable:
         self._over = False
         self.who = ""
         self.select = 0
+        self.change = NO_CHANGE
         self.obstacle = ""
 
     @property
@@ -173,7 +180,7 @@ class Console(_Stoppable):
         self.script = script
         self.refusal = ""
         """why the last command was not passed on"""
-        self._given: tuple[Operator, int, str] | None = None
+        self._given: tuple[Operator, int, GainChange, str] | None = None
         self._halted = False
 
     @property
@@ -195,18 +202,20 @@ class Console(_Stoppable):
         """A command waits for the next tick."""
         return self._given is not None
 
-    def give(self, operator: Operator, who: str, select: int = 0) -> None:
+    def give(
+        self, operator: Operator, who: str, select: int = 0, change: GainChange = NO_CHANGE
+    ) -> None:
         """Take the place of whatever was given and not yet taken, except an emergency stop's."""
         if self._given is None or self._given[0] is not Operator.ESTOP:
-            self._given = operator, select, who
+            self._given = operator, select, change, who
             self.refusal = ""
             self._halted |= operator is Operator.STOP
 
     def next(self, sequence: Sequence) -> Operator:
-        self.select = 0
+        self.select, self.change = 0, NO_CHANGE
         given, self._given = self._given, None
         if given is not None and (given[0] is Operator.ESTOP or not self._asked):
-            operator, self.select, self.who = given
+            operator, self.select, self.change, self.who = given
             return operator
         if self._asked:
             return self._obey(sequence.state)

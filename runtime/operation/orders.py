@@ -7,6 +7,7 @@ import asyncio
 from typing import Protocol
 
 from tonus.drivers.fieldbus import Fieldbus
+from tonus.runtime.control.tuning import NO_CHANGE, GainChange
 from tonus.runtime.operation.operator import Commander
 from tonus.runtime.operation.self_test import SelfTest
 from tonus.runtime.recording.taps import Level
@@ -39,6 +40,8 @@ class Orders:
         self._fieldbus, self._emit = fieldbus, emit
         self.select = 0
         """number plus one of the scenario that the last command came with, 0 for none"""
+        self.change: GainChange = NO_CHANGE
+        """of a tunable parameter that the last command came with"""
         self.who = ""
         """gave the last command; empty for the program itself"""
         self._recovery: asyncio.Task[None] | None = None
@@ -51,9 +54,9 @@ class Orders:
 
     def next(self, tick: int, scheduler: Scheduler) -> Operator:
         """What the operator says, or the overrun policy in their place."""
-        self.select = 0
+        self.select, self.change = 0, NO_CHANGE
         said = self._operator(tick)
-        self.select = self._commander.select
+        self.select, self.change = self._commander.select, self._commander.change
         if not scheduler.skipped:
             return said
         command = self._overruns.answer(scheduler.skipped, self._sequence.state, said)

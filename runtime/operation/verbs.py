@@ -27,5 +27,6 @@ VERBS: dict[str, Verb] = {
         Verb("estop", "disable every drive in the same tick", Operator.ESTOP),
         Verb("reset", "leave FAULT once its cause is corrected", Operator.RESET),
         Verb("scenario", "choose what START plays, by `name`; in HOLD or disarmed"),
+        Verb("set", "change a tunable parameter, by `key`, to `value`; in STANDBY, HOLD or ACTIVE"),
     )
 }

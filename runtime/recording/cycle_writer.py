@@ -3,6 +3,8 @@ found."""
 
 from __future__ import annotations
 
+import struct
+import zlib
 from types import SimpleNamespace
 
 from tonus.drivers.process_image import ProcessImage
@@ -13,12 +15,14 @@ from tonus.runtime.control.guide import Guide
 from tonus.runtime.control.passivity import Limiter
 from tonus.runtime.control.sensing import Sensing
 from tonus.runtime.control.tension import TensionLoop
+from tonus.runtime.control.tuning import GainChange, Tuning
 from tonus.runtime.recording.record_writers import write_measured, write_motion
 from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.signals import CycleRecord, Solver
 from tonus.runtime.states import Operator
 
+_CHANGE = struct.Struct("<Bd")
 _SELECT_BIT = 24
 """of the checksum's start, so that a tick without a choice has the checksum of its inputs alone"""
 
@@ -37,19 +41,26 @@ class CycleWriter:
         limiter: Limiter,
         envelope: Envelope,
         allocation: Allocation,
+        tuning: Tuning,
     ) -> None:
         self._record, self._sensing, self._sequence = record, sensing, sequence
         self._guide, self._estimator, self._controller = guide, estimator, controller
         self._limiter, self._envelope, self._allocation = limiter, envelope, allocation
+        self._tuning = tuning
 
-    def inputs(self, image: ProcessImage, tick: int, operator: Operator, select: int) -> None:
+    def inputs(
+        self, image: ProcessImage, tick: int, operator: Operator, select: int, change: GainChange
+    ) -> None:
         record, sensing, sequence = self._record, self._sensing, self._sequence
         record.timing.tick[...] = tick
         state = record.state
         state.elapsed[...] = sequence.elapsed
         state.scenario_time[...] = self._guide.time
         said = tick * len(Operator) + operator
-        state.inputs[...] = image.checksum(said ^ select << _SELECT_BIT)
+        checksum = image.checksum(said ^ select << _SELECT_BIT)
+        state.inputs[...] = (
+            zlib.crc32(_CHANGE.pack(*change), checksum) if change.number else checksum
+        )
         state.fault[...] = sequence.fault
         state.fault_where[...] = sequence.where
         state.stop_mode[...] = sequence.stop_mode
@@ -58,6 +69,11 @@ class CycleWriter:
         state.operator[...] = operator
         state.select[...] = select
         state.scenario[...] = self._guide.chosen
+        tuning = record.tuning
+        number, value = change
+        tuning.parameter[...] = number
+        tuning.value[...] = value
+        tuning.gains[:] = self._tuning.gains
         write_measured(
             record.data,
             image.axes,

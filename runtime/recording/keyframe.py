@@ -303,7 +303,9 @@ class _Builder:
             if not isinstance(model, CycleRecord):
                 raise KeyframeError(f"a keyframe with a record at {path}")
             made = CycleRecord(model.cables)
-            made.data[...] = np.frombuffer(entry.data, made.data.dtype)
+            # One of before there were the last topics is shorter.
+            memory, known = made.data.view(np.uint8), np.frombuffer(entry.data, np.uint8)
+            memory[: len(known)] = known
         elif kind in ("tuple", "list", "dict"):
             if not 0 <= value <= len(self._flat):
                 raise KeyframeError(f"a keyframe that claims {value} items at {path}")

@@ -13,6 +13,7 @@ from runs import configured, virtual
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
 from tonus.tools.report.figures import Cloud
+from tonus.tools.report.interactive import available
 from tonus.tools.report.page import report
 from tonus.tools.report.panels import position_error
 from tonus.tools.report.story import Story
@@ -20,6 +21,8 @@ from tonus.tools.report.thin import thin
 from tonus.tools.run.summary import Indicators, summarise
 
 SECTIONS = ["time", "envelope", "spectra", "timing", "events", "settings"]
+if available():
+    SECTIONS = ["look", *SECTIONS]
 
 
 class Page(HTMLParser):

@@ -1,4 +1,5 @@
-"""A run of commands and choices, given through the socket while it goes on, replays bit for bit."""
+"""A run of commands, choices and a tuned gain, given through the socket while it goes on, replays
+bit for bit."""
 
 from __future__ import annotations
 
@@ -41,6 +42,8 @@ class Person(threading.Thread):
                 self._until(daemon, "HOLD")
                 self._say(daemon, "scenario", name="sine_x")
                 self._say(daemon, "start")
+                self._until(daemon, "ACTIVE", scenario_s=0.2)
+                self._say(daemon, "set", key="control.stiffness.velocity_gain", value=0.4)
                 self._until(daemon, "ACTIVE", scenario_s=0.4)
                 self._say(daemon, "hold")
                 self._until(daemon, "HOLD", elapsed_s=0.15)
@@ -110,6 +113,16 @@ def test_the_log_tells_what_was_chosen_when(log: Log) -> None:
     assert (np.diff(state["scenario"].astype(int)) >= 0).all()
     chosen = [event.text for event in log.events() if event.name == "operator"]
     assert sum(text.startswith("scenario ") for text in chosen) == 2
+
+
+def test_the_log_tells_what_was_tuned_when_and_by_whom(log: Log) -> None:
+    tuning = log["/tonus/tuning"]
+    changed = np.flatnonzero(tuning["parameter"])
+    assert tuning["value"][changed].tolist() == [0.4]
+    (event,) = (each for each in log.events() if each.name == "tuned")
+    assert event.tick == log["/tonus/timing"]["tick"][changed[0]]
+    assert event.text.startswith("from 0.32 to 0.4 by ")
+    assert tuning["gains"][-1, 1] == 0.4
 
 
 def test_every_bit_comes_out_again(log: Log) -> None:

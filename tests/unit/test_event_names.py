@@ -65,7 +65,7 @@ def test_no_name_has_two_meanings() -> None:
 def test_every_event_but_good_news_says_what_a_person_should_do() -> None:
     without = {name for name, each in every().items() if not each.remedy}
     assert without == {
-        *("state", "operator", "drums_observed", "tracker_back", "pose_good"),
+        *("state", "operator", "tuned", "drums_observed", "tracker_back", "pose_good"),
         *("recording_resumed", "heartbeat_back", "operational_again", "recovered"),
         "supervisor_back",
         *("bus_recovered", "ring_closed", "slave_recovered"),

@@ -128,6 +128,19 @@ def test_a_session_from_arming_to_a_pulled_node_and_back(tmp_path: Path) -> None
     daemon.close()
 
 
+def test_a_gain_is_tuned_from_the_page(daemon: Served, viewer: Viewer) -> None:
+    key = "control.stiffness.velocity_gain"
+    with opened(viewer) as page:
+        page.state("STANDBY")
+        assert page.command("set", key=key, value=0.3)["ok"]
+        page.until(lambda now: now["status"]["tunable"][0]["value"] == 0.3)
+        for value, why in ((5.0, "outside"), ("0.3", "no number"), ("", "no number")):
+            refused = page.command("set", key=key, value=value)
+            assert not refused["ok"]
+            assert why in refused["error"]
+        assert any(each["name"] == "tuned" and "uid" in each["text"] for each in page.events)
+
+
 def test_the_page_names_the_files_of_its_own_only() -> None:
     """Nothing is loaded from another host."""
     for file in (ROOT / "tools" / "view" / "page").glob("*.*"):

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from tonus.drivers.process_image import ProcessImage
+from tonus.runtime.control.tuning import GainChange
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.signals import TABLE, cycle_dtype
 from tonus.runtime.states import Operator
@@ -29,7 +30,13 @@ def first_difference(run: Observed) -> tuple[int, str] | None:
     """Row and signal of the first output that differs by a bit, None if none does. The records
     begin with the run's first tick."""
     config, cycle = run.config, run.cycle
-    fresh = ControlCycle(config.robot, config.control, config.tracker, run.scenario.reference)
+    fresh = ControlCycle(
+        config.robot,
+        config.control,
+        config.tracker,
+        run.scenario.reference,
+        tunable=config.operation.tunable,
+    )
     image = ProcessImage(config.robot.cables)
     tables = [
         (getattr(image, table)[name], cycle[topic][name])
@@ -40,12 +47,15 @@ def first_difference(run: Observed) -> tuple[int, str] | None:
     ticks = cycle["timing"]["tick"].tolist()
     operators = cycle["state"]["operator"].tolist()
     selects = cycle["state"]["select"].tolist()
+    tuned = cycle["tuning"]
+    changes = list(map(GainChange, tuned["parameter"].tolist(), tuned["value"].tolist()))
     out = np.zeros(len(ticks), cycle_dtype(config.robot.cables))
     for index, tick in enumerate(ticks):
         for table, rows in tables:
             table[...] = rows[index]
         operator = Operator(operators[index])
-        out[index] = fresh.step(image, tick, operator, selects[index]).data[0]
+        select, change = selects[index], changes[index]
+        out[index] = fresh.step(image, tick, operator, select, change).data[0]
     found: list[tuple[int, str]] = []
     for topic in TABLE:
         short = topic.name.rsplit("/", 1)[1]

@@ -116,6 +116,26 @@ def scenario(name: str, path: Path | None, as_json: bool) -> None:
         _end(daemon.ask("scenario", name=name), as_json)
 
 
+@ctl.command(name="set")
+@click.argument("assignment", metavar="KEY=VALUE")
+@_socket
+@_json
+def set_(assignment: str, path: Path | None, as_json: bool) -> None:
+    """Change a parameter of operation.tunable while the robot runs; its value goes there at its
+    rate. `tonus ctl status` lists the parameters, with values and bounds.
+    """
+    key, _, text = assignment.partition("=")
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise click.BadParameter(
+            f"{assignment!r} is no KEY=VALUE with a number; "
+            "for example control.stiffness.velocity_gain=0.4"
+        ) from error
+    with ControlClient(path) as daemon:
+        _end(daemon.ask("set", key=key.strip(), value=value), as_json)
+
+
 def _command(verb: str) -> Callable[..., None]:
     def command(path: Path | None, as_json: bool, wait: bool = False) -> None:
         with ControlClient(path) as daemon:
@@ -197,6 +217,11 @@ def _table(told: Reply) -> Table:
     row("scenario", f"{told['scenario']}, {played} played")
     if told["served"]:
         row("to choose", ", ".join(told["scenarios"]))
+        for each in told["tunable"]:
+            target = each["target"]
+            way = "" if target == each["value"] else f", on its way to {target:g}"
+            bounds = f"{each['minimum']:g} to {each['maximum']:g}"
+            row("to set", f"{each['key']} {each['value']:g}{way} ({bounds})")
     for found in told["self_test"]:
         style = "" if found["ok"] else "red"
         row(found["item"], f"{'ok: ' if found['ok'] else 'FAILED: '}{found['text']}", style)

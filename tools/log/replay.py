@@ -18,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.drivers.process_image import ProcessImage
+from tonus.runtime.control.tuning import NO_CHANGE, GainChange
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.errors import ControllerError
 from tonus.runtime.recording.keyframe import FROM_A_KEYFRAME, KeyframeError, restore
@@ -29,6 +30,7 @@ from tonus.tools.log.decode import Column
 from tonus.tools.log.log import Log
 
 TIMING = "/tonus/timing"
+TUNING = "/tonus/tuning"
 _TICK = "tick"
 _IMAGE = {
     "/tonus/drives": (
@@ -175,11 +177,15 @@ def _validated(log: Log, text: str, model: type[Model], what: str) -> Model:
 
 
 def _in_step(log: Log, recorded: Config, other: Config) -> Config:
-    """The other configuration with the sequence that the inputs belong to."""
+    """The other configuration with the sequence and the list of tunable parameters that the inputs
+    belong to."""
     if other.control.rates.period != recorded.control.rates.period:
         raise ToolError(f"{log.path}: was recorded at another rate than {other.name} asks for")
     sequence = {"sequence": recorded.control.sequence}
-    return other.model_copy(update={"control": other.control.model_copy(update=sequence)})
+    control = other.control.model_copy(update=sequence)
+    tunable = {"tunable": recorded.operation.tunable}
+    operation = other.operation.model_copy(update=tunable)
+    return other.model_copy(update={"control": control, "operation": operation})
 
 
 def replay(
@@ -249,7 +255,12 @@ class _Replayer:
         config = self._config
         try:
             return ControlCycle(
-                config.robot, config.control, config.tracker, self._reference, self._others
+                config.robot,
+                config.control,
+                config.tracker,
+                self._reference,
+                self._others,
+                config.operation.tunable,
             )
         except ControllerError as error:
             raise ToolError(f"{self._log.path}: {error}") from error
@@ -295,6 +306,7 @@ class _Replayer:
         state = batch["/tonus/state"].messages
         operators = self._input(state, "/tonus/state", "operator", ())
         selects = self._input(state, "/tonus/state", "select", ())
+        changes = self._changes(batch, len(ticks))
         failed = state["fault"] == Fault.CONTROL_FAILED
         for index, tick in enumerate(ticks.tolist()):
             if tick > self._last:
@@ -310,7 +322,8 @@ class _Replayer:
                 table[...] = row[index]
             operator = self._operator(int(operators[index]), tick)
             select = int(selects[index])
-            out[index] = self._cycle.step(self._image, tick, operator, select).data[0]
+            change = changes[index]
+            out[index] = self._cycle.step(self._image, tick, operator, select, change).data[0]
             done[index] = tick >= self._first
         if done.any():
             self._compare(batch, out, done, ticks)
@@ -336,6 +349,14 @@ class _Replayer:
             stretches[-1] = (stretches[-1][0], tick)
         else:
             stretches.append((tick, tick))
+
+    def _changes(self, batch: dict[str, Column], ticks: int) -> list[GainChange]:
+        """Of tunable parameters; none in a log of before there were any."""
+        if TUNING not in batch:
+            return [NO_CHANGE] * ticks
+        rows = batch[TUNING].messages
+        numbers, values = (self._input(rows, TUNING, name, ()) for name in ("parameter", "value"))
+        return list(map(GainChange, numbers.tolist(), values.tolist()))
 
     def _operator(self, number: int, tick: int) -> Operator:
         try:

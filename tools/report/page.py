@@ -15,6 +15,7 @@ from tonus.tools.log import open as open_log
 from tonus.tools.pages.page import data_url, page
 from tonus.tools.pages.rows import NUMBER, Row, Rows
 from tonus.tools.report import figures, panels
+from tonus.tools.report.interactive import available, interactive
 from tonus.tools.report.pieces import Piece, Progress
 from tonus.tools.report.story import Story
 from tonus.tools.report.verdict import Verdict, judge
@@ -92,6 +93,7 @@ def _page(story: Story, content: _Content, verdict: Verdict, progress: Progress)
         verdict=verdict,
         figures=_figures(verdict),
         sections=drawn,
+        interactive=interactive(story, content.sheets) if available() else "",
         events=_events(story),
         states=_states(story),
         facts=_facts(story),

@@ -13,17 +13,26 @@ from tonus.tools.report import style
 from tonus.tools.report.pieces import Array, Piece
 from tonus.tools.report.thin import thin
 
+FINE = 4
+"""times the stretches of a static picture: for one that is zoomed into"""
+
 
 @dataclass
-class _Curve:
+class Curve:
     colour: str
     width: float
     line: str
     parts: list[tuple[Array, Array]] = field(default_factory=list)
 
+    @property
+    def points(self) -> tuple[Array, Array]:
+        """Times and values (n,), finely thinned."""
+        time, values = (np.concatenate(each) for each in zip(*self.parts, strict=True))
+        return time, values
+
 
 @dataclass
-class _Marks:
+class Marks:
     colour: str
     level: float
     times: list[Array] = field(default_factory=list)
@@ -39,9 +48,9 @@ class Sheet:
         """of the vertical axis, None for what the curves take"""
         self.zero = False
         """whether a thin line marks it"""
-        self._curves: dict[str, _Curve] = {}
-        self._marks: dict[str, _Marks] = {}
-        self._limits: dict[str, float] = {}
+        self.curves: dict[str, Curve] = {}
+        self.marks: dict[str, Marks] = {}
+        self.limits: dict[str, float] = {}
 
     def curve(
         self,
@@ -54,21 +63,21 @@ class Sheet:
         line: str = "-",
     ) -> None:
         """Go on with a curve: its values (n,) at the piece's cycles."""
-        curve = self._curves.setdefault(label, _Curve(colour, width, line))
-        curve.parts.append(thin(piece.time, values, piece.points))
+        curve = self.curves.setdefault(label, Curve(colour, width, line))
+        curve.parts.append(thin(piece.time, values, FINE * piece.points))
 
     def mark(self, times: Array, level: float, label: str, colour: str) -> None:
         """Single moments; their number goes into the legend."""
         if len(times):
-            self._marks.setdefault(label, _Marks(colour, level)).times.append(times)
+            self.marks.setdefault(label, Marks(colour, level)).times.append(times)
 
     def limit(self, value: float, label: str) -> None:
         """A dashed line across the panel."""
-        self._limits[label] = value
+        self.limits[label] = value
 
     def draw(self, panel: Axes) -> None:
-        for label, curve in self._curves.items():
-            time, values = (np.concatenate(each) for each in zip(*curve.parts, strict=True))
+        for label, curve in self.curves.items():
+            time, values = thin(*curve.points)
             panel.plot(
                 time,
                 values,
@@ -77,12 +86,12 @@ class Sheet:
                 linestyle=curve.line,
                 label=label,
             )
-        for label, marks in self._marks.items():
+        for label, marks in self.marks.items():
             times = np.concatenate(marks.times)
             level = np.full(len(times), marks.level)
             text = f"{label} ({len(times)})"
             panel.plot(times, level, "v", color=marks.colour, markersize=5, label=text)
-        for label, value in self._limits.items():
+        for label, value in self.limits.items():
             panel.axhline(value, color="0.25", linewidth=0.9, linestyle=style.DASHES, label=label)
         if self.zero:
             panel.axhline(0.0, color="0.4", linewidth=0.6)

@@ -15,7 +15,7 @@ from tonus.tools.safety.budget import seconds
 from tonus.tools.safety.schema import Failure
 from tonus.tools.safety.source import Evidence
 
-NO_FAILURE = {"operator", "state", "signal"}
+NO_FAILURE = {"operator", "state", "signal", "tuned"}
 """Events of commands and of the state machine, which need no row."""
 TestsByFile = Mapping[str, Sequence[str]]
 

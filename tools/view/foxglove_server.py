@@ -33,6 +33,7 @@ from tonus.runtime.timing import clock
 from tonus.tools.control_client import ControlClient
 from tonus.tools.errors import ToolError
 from tonus.tools.view.live import Live
+from tonus.tools.view.operate import FIELDS
 from tonus.tools.view.settings import settings
 
 SERVICE = "/tonus/command"
@@ -46,6 +47,8 @@ _REQUEST = {
     "properties": {
         "verb": {"type": "string", "enum": list(VERBS)},
         "name": {"type": "string", "description": "of a scenario"},
+        "key": {"type": "string", "description": "of a parameter to set"},
+        "value": {"type": "number", "description": "to set it to"},
         "token": {"type": "string", "description": "that tonus view --operate printed"},
     },
 }
@@ -176,7 +179,7 @@ class FoxgloveServer:
         given = str(asked.get("token", ""))
         if not hmac.compare_digest(given.encode(), self._token.encode()):
             return _refusal("the token is missing or wrong", "give the one of the page's address")
-        fields = {"name": str(asked["name"])} if "name" in asked else {}
+        fields = {name: asked[name] for name in FIELDS if name in asked}
         try:
             with ControlClient(Path(self._socket)) as daemon:
                 return daemon.ask(str(asked.get("verb")), **fields)

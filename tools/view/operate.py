@@ -22,6 +22,8 @@ Reply = dict[str, Any]
 Told = Callable[[Reply], None]
 _MOST_WAITING = 16
 """requests of all pages, beside emergency stops"""
+FIELDS = ("name", "key", "value")
+"""of a request to the daemon, beside op"""
 _LAB_OPS = ("get", "kinds", "inject", "clear")
 REFUSED = {
     "ok": False,
@@ -72,12 +74,12 @@ class Operation:
         self._waiting = 0
         self._lock = threading.Lock()
 
-    def command(self, verb: str, name: str | None, told: Told) -> None:
-        """``told`` gets the daemon's reply, in another thread."""
+    def command(self, verb: str, fields: Reply, told: Told) -> None:
+        """``told`` gets the daemon's reply, in another thread. ``fields`` of the request are
+        `FIELDS`."""
         if verb not in VERBS:
             told({"ok": False, "error": f"there is no command {verb[:40]!r}", "next": "reload"})
             return
-        fields = {} if name is None else {"name": name}
         if verb == "estop":
             self._stops.submit(self._ask, verb, fields, told)
         else:
@@ -103,7 +105,7 @@ class Operation:
 
         pool.submit(work)
 
-    def _ask(self, verb: str, fields: dict[str, str], told: Told) -> None:
+    def _ask(self, verb: str, fields: Reply, told: Told) -> None:
         try:
             with ControlClient(self._socket) as daemon:
                 reply = daemon.ask(verb, **fields)

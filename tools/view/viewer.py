@@ -21,7 +21,7 @@ from tonus.tools.view.gate import Gate
 from tonus.tools.view.hub import Client, Hub, Message
 from tonus.tools.view.live import Live, newest_run
 from tonus.tools.view.moment import Moment, Source
-from tonus.tools.view.operate import REFUSED, Operation, choices
+from tonus.tools.view.operate import FIELDS, REFUSED, Operation, choices
 from tonus.tools.view.page import files
 from tonus.tools.view.playback import SPEEDS, Playback
 from tonus.tools.view.scene import RobotScene
@@ -320,10 +320,11 @@ class Viewer:
         if operation is None:
             told(REFUSED)
         elif what == "command":
-            verb, name = str(message.get("verb")), message.get("name")
+            verb = str(message.get("verb"))
+            fields = {name: message[name] for name in FIELDS if message.get(name) is not None}
             if verb == "start" and message.get("watch") is True:
                 operation.watch(client.number, on=True)
-            operation.command(verb, None if name is None else str(name), told)
+            operation.command(verb, fields, told)
         elif what == "lab" and isinstance(message.get("request"), dict):
             operation.lab(message["request"], told)
         elif what == "watch":

@@ -14,7 +14,7 @@ from tonus.config.schema.robot import Robot
 from tonus.runtime.control.compiled import platform_wrench, spring
 from tonus.runtime.control.controllers.linear import LinearLaw, NoLinearLawError
 from tonus.runtime.control.passivity import damping
-from tonus.runtime.control.stiffness import LawTerms
+from tonus.runtime.control.stiffness import Law, LawTerms
 
 Array = NDArray[np.float64]
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -91,6 +91,11 @@ class Controller(ABC):
         impedance = control.impedance
         self._rotational = (impedance.rotational_stiffness, impedance.rotational_damping)
         self._weight = np.array([0.0, 0.0, robot.platform.mass * robot.gravity])
+
+    @property
+    def tunable_law(self) -> Law | None:
+        """Whose gains may be changed while the robot runs; None without a stiffness law."""
+        return None
 
     @property
     def tension_loop(self) -> TensionLoop:

@@ -25,6 +25,10 @@ class Bio(Controller):
         self._share = share(control.stiffness.smoothing_hz, control.rates.period)
         self._error = self._speed = self._force = 0.0
 
+    @property
+    def tunable_law(self) -> Law:
+        return self._law
+
     def reset(self) -> None:
         self._error = self._speed = self._force = 0.0
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from tonus.tools.report.interactive import MISSING, available
 from tonus.tools.report.page import report as write
 
 
@@ -18,8 +19,8 @@ from tonus.tools.report.page import report as write
     help="The page. Default: report.html beside FILE.",
 )
 def report(file: Path, out: Path | None) -> None:
-    """Write FILE as one HTML page: verdict, plots, events, settings. It opens offline. Exit
-    code 1 for a damaged log."""
+    """Write FILE as one HTML page: verdict, plots, events, settings. It opens offline; with
+    tonus[view] installed its plots can be zoomed into. Exit code 1 for a damaged log."""
     page = file.with_name("report.html") if out is None else out
     if sys.stderr.isatty():
         with click.progressbar(length=1000, label=str(file), file=sys.stderr) as bar:
@@ -30,5 +31,7 @@ def report(file: Path, out: Path | None) -> None:
     for remark in verdict.remarks:
         click.echo(f"  {remark}")
     click.echo(f"{page}: {page.stat().st_size / 1e6:.1f} MB")
+    if not available():
+        click.echo(MISSING, err=True)
     if verdict.damaged:
         raise click.exceptions.Exit(1)

@@ -140,6 +140,7 @@ function showOperation() {
   }
   byId("scenario").disabled = !hello.operate || !status.served;
   if (document.activeElement !== byId("scenario")) byId("scenario").value = status.scenario;
+  showTunable(status);
   const list = byId("selftest");
   list.replaceChildren(...status.self_test.map((each) => {
     const item = document.createElement("li");
@@ -150,10 +151,36 @@ function showOperation() {
   if (!status.self_test.length) list.textContent = "not looked at while the robot is armed";
 }
 
-function command(verb, name) {
+// A row for each parameter that may be changed: value in force, where it goes, and what to command.
+function showTunable(status) {
+  const body = byId("tunable").tBodies[0];
+  byId("tuning").hidden = !status.tunable.length;
+  if (body.rows.length !== status.tunable.length) {
+    body.replaceChildren();
+    for (const each of status.tunable) {
+      const row = body.insertRow(), input = document.createElement("input"), button = document.createElement("button");
+      row.insertCell().textContent = each.key.replace("control.", "");
+      row.insertCell().className = "num";
+      Object.assign(input, { type: "number", min: each.minimum, max: each.maximum, step: "any", value: each.target });
+      input.title = `${each.minimum} to ${each.maximum}, at most ${each.step} at once, ${each.rate} a second`;
+      input.setAttribute("aria-label", each.key);
+      button.textContent = "Set";
+      button.onclick = () => command("set", { key: each.key, value: input.value === "" ? "" : Number(input.value) });
+      row.insertCell().append(input);
+      row.insertCell().append(button);
+    }
+  }
+  status.tunable.forEach((each, k) => {
+    const row = body.rows[k], way = each.value === each.target ? "" : ` → ${each.target}`;
+    row.cells[1].textContent = `${each.value.toFixed(3)}${way}`;
+    row.querySelector("button").disabled = !hello.operate || !status.served;
+  });
+}
+
+function command(verb, fields) {
   const watch = verb === "start" && byId("watch").checked;
   if (watch) watching = true;
-  ask({ do: "command", verb, name, watch }, (reply) => {
+  ask({ ...fields, do: "command", verb, watch }, (reply) => {
     const line = byId("reply");
     line.textContent = reply.ok ? `${reply.text}; next: ${reply.next}` : `refused: ${reply.error}${reply.next ? `; ${reply.next}` : ""}`;
     line.classList.toggle("refused", !reply.ok);
@@ -232,7 +259,7 @@ byId("speed").onchange = () => send({ do: "speed", value: Number(byId("speed").v
 byId("seek").oninput = () => { seeking = true; send({ do: "seek", value: Number(byId("seek").value) / 1000 }); };
 byId("seek").onchange = () => { seeking = false; };
 byId("pause").onclick = () => { paused = !paused; byId("pause").textContent = paused ? "Go on" : "Pause plots"; if (!paused) drawAll(); };
-byId("scenario").onchange = () => command("scenario", byId("scenario").value);
+byId("scenario").onchange = () => command("scenario", { name: byId("scenario").value });
 byId("watch").onchange = () => { watching = byId("watch").checked && watching; send({ do: "watch", on: byId("watch").checked && watching }); };
 byId("signal").onchange = () => {
   const name = byId("signal").value;
