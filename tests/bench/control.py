@@ -15,12 +15,11 @@ from tests.bench.measure import Figure, against
 from tests.loop import QUICK, ClosedLoop, configured
 from tonus.config import Config, load
 from tonus.config.schema.control import Distribution
-from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.control.distribution import TensionDistribution
 from tonus.runtime.control.estimator import PoseEstimator
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.signals import CycleRecord
-from tonus.runtime.states import Operator, State
+from tonus.runtime.states import State
 from tonus.runtime.timing.clock import Stopwatch
 
 Array = NDArray[np.float64]
@@ -74,9 +73,9 @@ def loaded_step(seconds: float = 3.0) -> float:
 def _step(loop: ClosedLoop, seconds: float) -> float:
     step, clock, spans = loop.cycle.step, Stopwatch(running=True).processor_ns, []
 
-    def timed(image: ProcessImage, tick: int, operator: Operator, select: int) -> CycleRecord:
+    def timed(*arguments: Any) -> CycleRecord:
         began = clock()
-        record = step(image, tick, operator, select)
+        record = step(*arguments)
         spans.append((clock() - began) * 1e-3)
         return record
 

@@ -53,6 +53,7 @@ def epos4(node_id: int) -> ObjectDictionary:
     objects: dict[tuple[int, int], tuple[object, int, str]] = {
         (0x1008, 0): ("EPOS4", VISIBLE_STRING, "const"),
         (0x1016, 1): (0, UNSIGNED32, "rw"),
+        (0x1016, 2): (0, UNSIGNED32, "rw"),
         (0x1017, 0): (0, UNSIGNED16, "rw"),
         (0x1029, 1): (1, UNSIGNED8, "rw"),
         (0x1018, 1): (0xFB, UNSIGNED32, "ro"),

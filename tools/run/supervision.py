@@ -11,7 +11,6 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.root import Config
 from tonus.runtime.ports import Ring
 from tonus.runtime.supervisor.supervisor import Supervisor
@@ -25,7 +24,7 @@ _KEPT = 256
 def wanted(config: Config) -> bool:
     """Whether a run is supervised: there is a supervisor, and a CAN channel that it acts on."""
     supervisor = config.supervisor
-    on_can = any(isinstance(bus, CanopenBus) for bus in config.fieldbus.parts)
+    on_can = any(bus.heartbeats for bus in config.fieldbus.parts)
     return supervisor is not None and supervisor.policy != "off" and on_can
 
 
