@@ -322,7 +322,7 @@ _OWN_KIND = {
     "drivers/canopen/master.py": {"CanopenBus"},
     "drivers/direct.py": {"DirectBus"},
     "drivers/ethercat/master.py": {"EthercatBus"},
-    "drivers/several.py": "SeveralBuses",
+    "drivers/several.py": {"SeveralBuses"},
     "runtime/supervisor/wiring.py": {"CanopenBus"},
     "tools/safety/budget.py": {"CanopenBus", "EthercatBus"},
 }
