@@ -19,6 +19,7 @@ from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.devices.tracker import TrackerInput
 from tonus.drivers.fieldbus import BusEvent
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.control.tuning import NO_CHANGE
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Commander
 from tonus.runtime.safety.sequence import Sequence
@@ -270,6 +271,7 @@ class Resetter:
     interrupted = False
     who = obstacle = ""
     select = 0
+    change = NO_CHANGE
 
     def __init__(self) -> None:
         self.finished = False

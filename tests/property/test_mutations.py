@@ -242,7 +242,7 @@ LAW_CODE, LIMITER, ENVELOPE = (
     tonus.runtime.safety.envelope,
 )
 MUTATIONS = (
-    Mutation(LAW_CODE, "c.velocity_gain", "c.force_gain", law_is_equation_3),
+    Mutation(LAW_CODE, "velocity_gain * min", "force_gain * min", law_is_equation_3),
     Mutation(LAW_CODE, "velocity / c.velocity", "velocity * c.velocity", law_is_equation_3),
     Mutation(LAW_CODE, "terms.velocity + terms.force", "terms.velocity", law_is_equation_3),
     Mutation(LAW_CODE, '== "eq10"', '!= "eq10"', law_is_equation_10),

@@ -20,7 +20,7 @@ from tonus.runtime.daemon import Outcome
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.safety.firewall import Firewall, in_one_line
 from tonus.runtime.safety.guarded_tap import GuardedTap
-from tonus.runtime.states import Fault, Operator, State
+from tonus.runtime.states import Fault, State
 from tonus.tools.cli.run import run
 from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay
@@ -320,12 +320,10 @@ def test_the_command_ends_with_1_and_its_log_is_replayed_up_to_there(
 ) -> None:
     act = ControlCycle.act
 
-    def failing(
-        cycle: ControlCycle, image: Any, tick: int, operator: Operator, select: int = 0
-    ) -> None:
+    def failing(cycle: ControlCycle, image: Any, tick: int, *rest: Any) -> None:
         if cycle.sequence.state is State.ACTIVE and cycle.sequence.elapsed > 0.05:
             raise ZeroDivisionError
-        act(cycle, image, tick, operator, select)
+        act(cycle, image, tick, *rest)
 
     arguments = ["config/direct.yaml", "--virtual", "--scenario", "hold", "--duration", "0.2"]
     with monkeypatch.context() as broken:

@@ -12,12 +12,13 @@ from pydantic import ValidationError
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
-from tonus.runtime.signals import TABLE
+from tonus.runtime.signals import TABLE, cycle_dtype
 from tonus.runtime.states import State
 from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.log.log import EVENTS
+from tonus.tools.log.replay import TUNING
 from tonus.tools.view.moment import Happening, Samples, joined
 from tonus.tools.view.settings import settings
 
@@ -33,8 +34,8 @@ class Recorded:
     def __init__(self, path: Path) -> None:
         self.path, self.name = path, str(path)
         self._log = log = open_log(path)
-        self._topics = [topic.name for topic in TABLE]
-        missing = [topic for topic in self._topics if topic not in log]
+        self._topics = [topic.name for topic in TABLE if topic.name in log]
+        missing = [each.name for each in TABLE if each.name not in (*log.topics, TUNING)]
         if missing:
             raise ToolError(f"{path}: has no topic {missing[0]}; name a log of `tonus run`")
         span = log.span_ns
@@ -114,8 +115,15 @@ class Recorded:
         ready = np.ones(len(times), bool)
         for topic in self._topics:
             ready &= rows[topic] >= 0
-        members = [(topic.rsplit("/", 1)[1], part[topic].dtype) for topic in self._topics]
-        result = np.empty(int(ready.sum()), members)
+        # Zeros where an older log has no such topic.
+        known = cycle_dtype(self.config.robot.cables)
+        names = [topic.name for topic in TABLE]
+        members = [
+            (short, part[name].dtype if name in self._topics else known[short])
+            for name in names
+            for short in [name.rsplit("/", 1)[1]]
+        ]
+        result = np.zeros(int(ready.sum()), members)
         for topic in self._topics:
             result[topic.rsplit("/", 1)[1]] = part[topic][rows[topic][ready]]
         truth = None
