@@ -112,6 +112,9 @@ class Supervisor(Section):
     """SCHED_FIFO; it need not be above the daemon's: a supervisor that is kept from its turn is
     silent, and the robot stops"""
     cpu: Processors | None = None
+    processors: Count = 3
+    """beside a lab in real time, ``use`` starts it on a host with at least so many: daemon, lab and
+    supervisor need one each, or the drives in the lab answer too late"""
     spread: NonNegative = 0.15
     """m from the middle of the workspace to the poses at which the structure matrix is taken"""
 

@@ -20,7 +20,11 @@ from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.tools.log import open as open_log
 
-pytestmark = pytest.mark.realtime
+PROCESSORS = len(os.sched_getaffinity(0))
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(PROCESSORS < 3, reason=f"needs three processors, there are {PROCESSORS}"),
+]
 
 CONFIG, _ = load("config/can.yaml")
 PORT = 47825

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import signal
 import sys
 from pathlib import Path
@@ -53,6 +54,13 @@ def supervisor_of(config: Config, rings: Path, report: Progress) -> ChildProcess
         return None
     if not wanted(config):
         report("without a supervisor: it acts on CANopen only (docs/supervisor.md)")
+        return None
+    there = len(os.sched_getaffinity(0))
+    if config.lab is not None and settings.policy == "use" and there < settings.processors:
+        report(
+            f"without a supervisor: beside a lab it needs {settings.processors} processors, this "
+            f"host has {there}"
+        )
         return None
     try:
         return start_supervisor(config, rings)
