@@ -30,7 +30,7 @@ DEFAULTS: dict[Key, tuple[Any, Any]] = {
     ("tolerance", "jitter_ms"): (20, 60),
     ("supervisor", "policy"): ("require", "use"),
     # EPOS4: a consumer waits at least 20 ms longer than the producer's period.
-    ("supervisor", "period_ms"): (2, 5),
+    ("supervisor", "period_ms"): (2, 10),
     ("supervisor", "timeout_ms"): (22, 60),
     ("supervisor", "patience_ms"): (5, 40),
 }

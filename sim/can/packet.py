@@ -3,7 +3,8 @@
 One SOCK_SEQPACKET packet is a batch; a frame is little-endian: time (ns, u64), identifier with the
 flags of `tonus.sim.can.wire.frame` (u32), DLC (u8), 1 where a client gets back what it sent itself
 (u8), two zero bytes, eight data bytes. The lab sends error frames, too. A client's "error frame"
-`ECHO` asks, by its first data byte, for its own frames to come back.
+`WISHES` has in its first data byte 1 to get its own frames back, in its second how many
+milliseconds the lab may gather frames before it sends it a packet.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from tonus.sim.can.wire.inbox import FRAME, RawFrame
 
 _FLAGS_AT = 8 + 3
 """the highest byte of the identifier"""
-ECHO = ERROR
+WISHES = ERROR
 FRAMES_PER_PACKET = 128
 PACKET_BYTES = FRAMES_PER_PACKET * FRAME.size
 

@@ -62,16 +62,22 @@ class TonusBus(can.BusABC):
         bitrate: int | None = None,
         error_frames: bool = True,
         rx_queue_size: int = 0,
+        gather_ms: int = 0,
         **kwargs: object,
     ) -> None:
         """``bitrate`` has to be the lab's, if it is given and can be known; ``rx_queue_size`` is
-        that of a lab in this process, 0: without end. Raises `can.CanInitializationError`.
+        that of a lab in this process, 0: without end. A client that looks seldom saves a lab in
+        another process much work with ``gather_ms`` (0 to 255): frames come in fewer packets, so
+        much later at most. Raises `can.CanInitializationError`.
         """
+        if not 0 <= gather_ms <= 255:
+            raise can.CanInitializationError(f"gather_ms is {gather_ms}; it has to be 0 to 255")
         self._name = str(channel)
         self.channel_info = f"tonus lab, channel {self._name}"
         self._echo = bool(receive_own_messages)
         self._error_frames = bool(error_frames)
         self._depth = int(rx_queue_size) or None
+        self._gather_ms = gather_ms
         self._connect(bitrate)
         super().__init__(channel, can_filters, **kwargs)
 
@@ -295,8 +301,9 @@ class SocketBus(TonusBus):
         self._rest = b""
         """frames beyond the limit of a `receive_frames`"""
         self._state = ErrorState.ACTIVE
-        if self._echo:
-            self._socket.send(FRAME.pack(0, packet.ECHO, 1, 0, b"\1"))
+        if self._echo or self._gather_ms:
+            wishes = bytes((self._echo, self._gather_ms))
+            self._socket.send(FRAME.pack(0, packet.WISHES, len(wishes), 0, wishes))
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """A timestamp in ``msg``, s on the lab's clock, is when it enters its queue: how late the

@@ -21,9 +21,9 @@ from tonus.config.schema.bus import CanopenBus, EthercatBus
 from tonus.config.schema.root import Config
 from tonus.sim.can.bridge import Bridge
 from tonus.sim.can.packet import (
-    ECHO,
     FRAMES_PER_PACKET,
     PACKET_BYTES,
+    WISHES,
     decode,
     socket_path,
     sound,
@@ -53,6 +53,8 @@ class _Client:
         self.port.reports = True
         self.waiting: list[_Sent] = []
         """frames that have been read and found no room"""
+        self.gather_ns = 0
+        self.sent_ns = 0
 
 
 class _Sent(NamedTuple):
@@ -85,6 +87,7 @@ class _Server:
         self._failed: asyncio.Future[None] = self._loop.create_future()
         self._listeners: dict[int, tuple[socket.socket, Path, Channel]] = {}
         self._knocks = select.poll()
+        self._senders = select.poll()
         self._clients: list[_Client] = []
         self._stalled: list[_Client] = []
         self._left: list[_Client] = []
@@ -203,10 +206,12 @@ class _Server:
                     connection.setblocking(False)
                     client = _Client(connection, channel)
                     self._clients.append(client)
+                    self._senders.register(connection, select.POLLIN)
                     self._loop.add_reader(connection, self._receive, client)
 
     def _leave(self, client: _Client) -> None:
         self._loop.remove_reader(client.connection)
+        self._senders.unregister(client.connection)
         client.connection.close()
         client.port.channel.detach(client.port)
         self._clients.remove(client)
@@ -227,8 +232,12 @@ class _Server:
     def _read_all(self, but: _Client | None = None) -> list[_Sent]:
         self._accept()
         frames: list[_Sent] = []
+        # One call for all: most have sent nothing, and to be refused by each costs more.
+        ready = {descriptor for descriptor, _ in self._senders.poll(0)}
         for client in tuple(self._clients):
-            if client is not but and client not in self._stalled:
+            if client is but or client in self._stalled:
+                continue
+            if client.waiting or client.connection.fileno() in ready:
                 frames += self._read(client)
         return frames
 
@@ -266,8 +275,9 @@ class _Server:
         for sent in sorted(frames, key=_sent_ns):
             lab.advance(sent.sent_ns)
             port = sent.client.port
-            if sent.identifier == ECHO:
+            if sent.identifier == WISHES:
                 port.echo = sent.data[:1] == b"\1"
+                sent.client.gather_ns = 1_000_000 * int.from_bytes(sent.data[1:2], "little")
             elif not sound(sent.identifier, sent.dlc):
                 self.unsound_frames += 1
             elif port.room > 0:
@@ -303,7 +313,8 @@ class _Server:
         for port in self._ports:
             port.receive_all()  # what came meanwhile has waited enough
         for client in tuple(self._clients):
-            if client.port.received:
+            if client.port.received and now_ns - client.sent_ns >= client.gather_ns:
+                client.sent_ns = now_ns
                 self._send(client)
         for bridge in self._bridges:
             bridge.forward()

@@ -154,6 +154,29 @@ def test_a_frame_is_on_the_wire_from_the_time_it_was_sent(lab: Path) -> None:
     listener.shutdown()
 
 
+def test_who_looks_seldom_gets_the_same_frames_in_fewer_packets(lab: Path) -> None:
+    sender, at_once, seldom = TonusBus("can2"), TonusBus("can2"), TonusBus("can2", gather_ms=250)
+    began = time.monotonic()
+    heard: list[can.Message] = []
+    for number in range(1, 6):
+        sender.send(can.Message(arbitration_id=number, is_extended_id=False))
+        message = at_once.recv(5)
+        assert message is not None
+        heard.append(message)
+    took = time.monotonic() - began
+    first = seldom.recv(5)
+    waiting = len(seldom.receive_frames(10))
+    assert waiting == 0 or took > 0.2  # the rest comes later, unless this host was that slow
+    later = [first] + [seldom.recv(5) for _ in range(4 - waiting)]
+    assert [each.arbitration_id for each in heard] == [1, 2, 3, 4, 5]
+    stamps = {each.arbitration_id: each.timestamp for each in heard}
+    assert all(each is not None and each.timestamp == stamps[each.arbitration_id] for each in later)
+    for bus in (sender, at_once, seldom):
+        bus.shutdown()
+    with pytest.raises(can.CanInitializationError, match="gather_ms is 256"):
+        TonusBus("can2", gather_ms=256)
+
+
 def test_who_joined_before_a_frame_was_sent_hears_it(tmp_path: Path) -> None:
     """However late the lab's process gets to hear of either."""
     lab = start(tmp_path)

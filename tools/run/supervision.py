@@ -6,6 +6,7 @@ import asyncio
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import can
 import numpy as np
@@ -17,6 +18,8 @@ from tonus.runtime.supervisor.supervisor import Supervisor
 from tonus.runtime.timing.clock import now_ns
 from tonus.tools.errors import ToolError
 
+_GATHER_MS = 2
+"""A lab in real time has the processor for little more than the daemon's frames."""
 _KEPT = 256
 """records, more than there are between two looks"""
 
@@ -30,7 +33,8 @@ def wanted(config: Config) -> bool:
 
 def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
     """A bus of the supervisor's own on a channel."""
-    return can.Bus(interface=interface, channel=channel, bitrate=bitrate)
+    lab: dict[str, Any] = {"gather_ms": _GATHER_MS} if interface == "tonus" else {}
+    return can.Bus(interface=interface, channel=channel, bitrate=bitrate, **lab)
 
 
 class Overheard:
