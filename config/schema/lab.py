@@ -229,6 +229,8 @@ class Lab(Section):
     """for a fieldbus of that kind"""
     drive: PowerStage = PowerStage()
     phantom: Phantom | None = None
+    load_release: Positive = 200.0
+    """N/s at which the load port lets go when a run is stopped before its load's profile is over"""
     start_timeout_s: Positive = 180.0
     """how long its process may take until it answers"""
 

@@ -113,6 +113,7 @@ class Lab:
         self._record = np.zeros(1, truth_dtype(config.robot.cables))
         self._grid_ns = start_ns
         self._script = script
+        self._load_release = lab.load_release
         self.script_start_ns: int | None = None
         """when the script began; None: it has not"""
         self._tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
@@ -292,6 +293,10 @@ class Lab:
         self._tracker.start_script(now_ns, script.occlusions, script.tracker_shifts)
         for fault in self._script.faults:
             self._inject_later(fault, now_ns)
+
+    def release_load(self) -> None:
+        """Have the script's load or displacement end now: who applies it sees the robot stop."""
+        self.plant.release(self._load_release)
 
     def extend_script(self, faults: Collection[Fault]) -> None:
         """Add faults as if the script had contained them from the start. Raises `LabError` before

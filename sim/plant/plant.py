@@ -132,6 +132,20 @@ class Plant:
         """Time zero of the load's profile."""
         self._schedule_ns = at_ns
 
+    def release(self, rate: float) -> None:
+        """Let the load's force go to zero at ``rate`` (N/s) from now on, whatever its profile says;
+        a displacement lets go at once."""
+        if self._displacement is not None:
+            self._displacement = None
+            let_go(self.parameters)
+        elif self._schedule_ns is not None and self._knots.size:
+            now = (self.now_ns - self._schedule_ns) * 1e-9
+            force = float(np.interp(now, self._knots, self._loads))
+            self._knots = np.array([now, now + abs(force) / rate])
+            self._loads = np.array([force, 0.0])
+            return
+        self._knots, self._loads = np.zeros(0), np.zeros(0)
+
     @property
     def has_phantom(self) -> bool:
         return bool(self.parameters["contact"][0] > 0.0)

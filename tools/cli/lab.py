@@ -69,7 +69,7 @@ async def _until_interrupted(
             scenario,
             seed,
             None,
-            lambda: click.echo(f"lab of {config.name} on {where}; Ctrl-C ends it"),
+            lambda _: click.echo(f"lab of {config.name} on {where}; Ctrl-C ends it"),
             nodes,
         )
     )

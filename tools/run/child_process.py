@@ -7,6 +7,7 @@ import selectors
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from tonus.runtime.timing import clock
@@ -21,6 +22,13 @@ class ChildProcess:
     """A child at work; its standard input closes with this process, and ends it."""
 
     process: subprocess.Popen[bytes]
+
+    def ask(self, what: bytes) -> None:
+        """Put it on the child's standard input; without effect where the child is gone. For a few
+        bytes: it does not wait, because the pipe has room for them."""
+        assert self.process.stdin is not None
+        with suppress(BrokenPipeError):
+            os.write(self.process.stdin.fileno(), what)
 
     def stop(self, timeout_s: float = 10.0) -> None:
         if self.process.stdin is not None:

@@ -10,7 +10,7 @@ import json
 import os
 import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -31,7 +31,7 @@ from tonus.runtime.recording.taps import KEYFRAME_BYTES, Level
 from tonus.runtime.recording.viewer import Scene
 from tonus.runtime.safety.firewall import Firewall
 from tonus.runtime.safety.guarded_tap import GuardedTap
-from tonus.runtime.states import State
+from tonus.runtime.states import Fault, State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.latencies import Latencies
 from tonus.runtime.timing.realtime import Hygiene, compared, demand, settled, stolen_jiffies
@@ -50,7 +50,7 @@ from tonus.tools.run import fieldbuses, provenance
 from tonus.tools.run.child_process import ChildProcess
 from tonus.tools.run.description import Description, describe_run
 from tonus.tools.run.idle_pacing import IdlePacing
-from tonus.tools.run.lab_process import start_lab
+from tonus.tools.run.lab_process import RELEASE, start_lab
 from tonus.tools.run.order import Order, Result
 from tonus.tools.run.recorder_process import RecorderProcess, start
 from tonus.tools.run.ring_directory import ring_directory
@@ -180,6 +180,7 @@ class _Stage:
                 daemon = self._daemon(fieldbus, lab, clock.Stopwatch(running=False), ring)
                 if order.serve:
                     self._serve_lab(lab, daemon)
+                self._release_load(daemon, lab.release_load)
                 pacing = fieldbuses.steering(order.config, fieldbus, order.pacing or self._pacing)
                 # In this loop in virtual time only: a process of its own otherwise.
                 part = self._firewall.part("recorder")
@@ -220,6 +221,8 @@ class _Stage:
             stopwatch = clock.Stopwatch(running=True)
             daemon = self._daemon(fieldbus, None, stopwatch, self._rings.cycles)
             self._latencies = daemon.latencies
+            if lab is not None:
+                self._release_load(daemon, partial(lab.ask, RELEASE))
             # Before the bring-up, since it takes longer than the drives wait for a heartbeat.
             self._hygiene = hygiene = Hygiene(realtime)
             self._cleanup.callback(hygiene.release)
@@ -302,6 +305,23 @@ class _Stage:
         door = DoorSocket(Door(lab), path, lambda: lab.advance(clock.now_ns()), lambda: None)
         self._cleanup.callback(door.close)
         daemon.serve("control socket of the lab", door.poll)
+
+    def _release_load(self, daemon: Daemon, release: Callable[[], None]) -> None:
+        """Have the scenario's load end with the run: whoever pulls at a robot stops pulling when
+        it is stopped. A stop for a fault is left to cope with it."""
+        script, sequence = self._order.scenario.lab, daemon.cycle.sequence
+        if script.load is None and script.displacement is None:
+            return
+        released = False
+
+        def watch(_: int) -> None:
+            nonlocal released
+            if sequence.state is State.SAFE_STOP and not released:
+                released = True
+                if sequence.fault is Fault.NONE:
+                    release()
+
+        daemon.serve("load of the lab", watch)
 
     def _lab_process(self) -> ChildProcess | None:
         order = self._order

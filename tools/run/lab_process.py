@@ -4,12 +4,14 @@
 
 JOB is a JSON file that `start_lab` writes. The process says "ready" on standard output when its
 sockets are open, and ends when its standard input closes: with the daemon that started it.
+`RELEASE` on standard input ends the scenario's load.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -29,6 +31,7 @@ from tonus.tools import output
 from tonus.tools.run.child_process import READY, ChildProcess, say, start_child
 from tonus.tools.run.truth import TruthRing
 
+RELEASE = b"r"
 _COMMAND = (sys.executable, "-m", "tonus.tools.run.lab_process")
 
 
@@ -59,7 +62,7 @@ async def work(
     scenario: Scenario,
     seed: int,
     truth: TruthSink | None,
-    ready: Callable[[], None],
+    ready: Callable[[Lab], None],
     nodes: frozenset[tuple[str, int]] | None = None,
 ) -> None:
     """A lab on the configuration's buses, in real time, until cancelled; ``nodes`` as in `Lab`.
@@ -74,7 +77,7 @@ async def work(
 
     def answer() -> None:
         freeze_collector()
-        ready()
+        ready(lab)
 
     await serve(lab, config, runtime_dir(), answer, clock.utc_offset_ns)
 
@@ -84,10 +87,20 @@ async def _until_left_alone(job: dict[str, Any]) -> None:
     config = Config.model_validate(job["config"])
     scenario = Scenario.model_validate(job["scenario"])
     truth = TruthRing(Path(job["truth"]), job["truth_capacity"], config.robot.cables)
-    working = asyncio.get_running_loop().create_task(
-        work(config, scenario, job["seed"], truth.publish, lambda: say(READY))
-    )
-    asyncio.get_running_loop().add_reader(sys.stdin.fileno(), working.cancel)
+    loop, standard_input = asyncio.get_running_loop(), sys.stdin.fileno()
+
+    def ready(lab: Lab) -> None:
+        loop.add_reader(standard_input, asked, lab)
+        say(READY)
+
+    def asked(lab: Lab) -> None:
+        if os.read(standard_input, len(RELEASE)) != RELEASE:
+            working.cancel()
+        else:
+            lab.advance(lab.clock())
+            lab.release_load()
+
+    working = loop.create_task(work(config, scenario, job["seed"], truth.publish, ready))
     with suppress(asyncio.CancelledError):
         await working
 
