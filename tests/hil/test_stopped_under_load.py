@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from runs import configured, virtual
 
-
 _PULLS_ON = {
     "load": {
         "direction": [1.0, 0.0, 0.0],
