@@ -17,6 +17,7 @@ from tonus.config.schema.bounds import Bounds
 from tonus.config.schema.budget import Budget
 from tonus.config.schema.campaign import Study
 from tonus.config.schema.least_stop import LeastStops
+from tonus.config.schema.parameter_study import ParameterStudy
 from tonus.config.schema.plausible import Plausible
 from tonus.config.schema.protocol import Protocol
 from tonus.config.schema.root import Config
@@ -152,6 +153,23 @@ def load_bounds() -> Bounds:
 def load_section(path: Path, model: type[Model]) -> Model:
     """Any YAML file by its schema. Raises `ConfigError`."""
     return _validate(read(path, str(path)), model)
+
+
+def load_parameter_study(path: str | Path) -> ParameterStudy:
+    """A study of parameters by its file, or by the name of one in config/campaigns; its relative
+    files start from its own folder. Raises `ConfigError`."""
+    document = _named("campaign", str(path), f"study {path}", 0, "")
+    study = _validate(document, ParameterStudy)
+    files = {
+        key: tuple(_beside(document.folder((key,)), each) for each in getattr(study, key))
+        for key in ("configs", "scenarios")
+    }
+    return study.model_copy(update=files)
+
+
+def _beside(folder: Path, name: str) -> str:
+    """A file in ``folder``, or the name as it is."""
+    return str(folder / name) if is_file(folder / name) else name
 
 
 def load_study(name: str) -> Study:

@@ -20,7 +20,7 @@ from tonus.tools.campaign.invariants import within_bounds
 from tonus.tools.campaign.judge import digest
 from tonus.tools.campaign.observed import Observed
 from tonus.tools.campaign.play import play
-from tonus.tools.campaign.players import Players
+from tonus.tools.campaign.players import play as played
 
 STUDY = load_study("faults")
 FAULTS: dict[str, dict[str, Any]] = {
@@ -47,8 +47,7 @@ def episode(bus: str, index: int, *, at: float, stop: float, name: str = "hold")
 
 
 def rows(todo: list[Episode], **options: Any) -> dict[int, dict[str, Any]]:
-    players = Players(STUDY, 2, **options)
-    return {row["index"]: row for row in players.play(grouped(STUDY, todo))}
+    return {row["index"]: row for row in played(grouped(STUDY, todo), STUDY, 2, **options)}
 
 
 @pytest.mark.parametrize("bus", list(FAULTS))

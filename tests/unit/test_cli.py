@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import tonus.tools
-from tonus.tools.cli.log import LINES
+from tonus.tools.cli import campaign, log
 from tonus.tools.cli.main import COMMANDS, main
 
 TOOLS = Path(tonus.tools.__file__).parent
@@ -130,8 +130,10 @@ finally:
     assert "AssertionError" not in done.stderr
 
 
-@pytest.mark.parametrize(("folder", "lines"), [("", COMMANDS), ("log", LINES)])
+@pytest.mark.parametrize(
+    ("folder", "lines"), [("", COMMANDS), ("log", log.LINES), ("campaign", campaign.LINES)]
+)
 def test_every_command_has_its_line_in_the_list(folder: str, lines: dict[str, str]) -> None:
     there = {path.stem for path in (TOOLS / "cli" / folder).glob("*.py")}
-    assert set(lines) <= there | {"log"}
+    assert set(lines) <= there | {"log", "campaign"}
     assert all(line[0].isupper() and line.endswith(".") for line in lines.values())

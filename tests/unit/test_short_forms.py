@@ -45,9 +45,12 @@ def check_words(page: str, line: str) -> None:
     command: click.Command = tonus
     context = click.Context(command, info_name="tonus")
     while isinstance(command, click.Group) and words and not words[0].startswith("-"):
-        inner = command.get_command(context, words[0])
-        assert inner is not None, f"{page}: {line}: there is no {words[0]}"
-        command, words = inner, words[1:]
+        try:
+            _, inner, words = command.resolve_command(context, words)
+        except click.UsageError as error:
+            pytest.fail(f"{page}: {line}: {error.format_message()}")
+        assert inner is not None
+        command = inner
         context = click.Context(command, info_name=command.name, parent=context)
     if isinstance(command, click.Group) or "--help" in words:
         return  # a whole family is named

@@ -17,7 +17,7 @@ from tonus.tools.campaign.draw import episodes, grouped
 from tonus.tools.campaign.episode import Episode
 from tonus.tools.campaign.journal import Journal, fingerprint
 from tonus.tools.campaign.judge import Row
-from tonus.tools.campaign.players import Players
+from tonus.tools.campaign.players import play
 
 _WARM_NS = 20_000_000
 
@@ -102,7 +102,7 @@ def played(
     groups = grouped(study, todo)
     for group in groups:
         _warm_up(group.episodes[0].setup.config)
-    return Players(study, workers, allowance).play(groups)
+    return play(groups, study, workers, allowance)
 
 
 @cache

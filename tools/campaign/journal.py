@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
-from types import TracebackType
+from types import ModuleType, TracebackType
 from typing import Any, Self
 
 import tonus.tools.campaign
@@ -18,21 +18,27 @@ from tonus.tools.errors import ToolError
 from tonus.tools.folders import make_folder
 
 NAME = "episodes.jsonl"
+ANEW = "leave --resume out to begin anew"
 _ROOMS = (config, drivers, runtime, sim, tonus.tools.campaign)
+
+
+def code_digest(*rooms: ModuleType) -> str:
+    """Of the code and the shipped configuration that a run depends on, and of ``rooms``."""
+    code = sha256()
+    for room in (*_ROOMS, *rooms):
+        for folder in room.__path__:
+            for file in sorted(Path(folder).rglob("*.py")) + sorted(Path(folder).rglob("*.yaml")):
+                code.update(file.name.encode() + b"\0" + file.read_bytes())
+    return code.hexdigest()[:16]
 
 
 def fingerprint(study: Study, seed: int, buses: Sequence[BusName]) -> dict[str, Any]:
     """The journal's first line: all that its rows depend on, the code included."""
-    code = sha256()
-    for room in _ROOMS:
-        for folder in room.__path__:
-            for file in sorted(Path(folder).rglob("*.py")) + sorted(Path(folder).rglob("*.yaml")):
-                code.update(file.name.encode() + b"\0" + file.read_bytes())
     told = sha256(study.model_dump_json().encode()).hexdigest()[:16]
     return {
         "study": study.name,
         "drawn_from": told,
-        "code": code.hexdigest()[:16],
+        "code": code_digest(),
         "seed": seed,
         "buses": list(buses),
     }
@@ -41,11 +47,19 @@ def fingerprint(study: Study, seed: int, buses: Sequence[BusName]) -> dict[str, 
 class Journal:
     """The rows of one campaign; a row that a power failure tore is played again."""
 
-    def __init__(self, folder: Path, head: dict[str, Any], *, resume: bool) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        head: dict[str, Any],
+        *,
+        resume: bool,
+        name: str = NAME,
+        anew: str = ANEW,
+    ) -> None:
         """Raises `ToolError` where ``resume`` finds another campaign, or the folder is no place to
         write to."""
         make_folder(folder)
-        self.path = folder / NAME
+        self.path, self._anew = folder / name, anew
         self.rows: dict[int, Row] = {}
         """by index: those of an earlier run of this campaign"""
         whole = self._read(head) if resume and self.path.exists() else 0
@@ -70,8 +84,8 @@ class Journal:
         if first != head:
             other = ", ".join(key for key in head if first.get(key) != head[key])
             raise ToolError(
-                f"{self.path}: was recorded with another {other}; leave --resume out to begin "
-                "anew, or choose another --out"
+                f"{self.path}: was recorded with another {other}; {self._anew}, or choose another "
+                "--out"
             )
         self.rows = found
         return whole

@@ -31,7 +31,7 @@ COMMANDS = {
     "tune": "Tune controllers, or design the tension loop.",
     "log": "Inspect, compare, replay and convert recorded runs.",
     "paper": "Play the paper's stages and judge them.",
-    "campaign": "Play faults at random, each episode judged by the truth.",
+    "campaign": "Play studies of parameters, or faults at random.",
     "export": "Describe a configuration for other tools: DBC, EDS, ESI.",
     "init": "Write a complete, commented configuration to start from.",
     "new": "Write a project with HIL tests to start from.",

@@ -1,4 +1,4 @@
-"""`tonus campaign`: faults at random, each episode judged against the truth."""
+"""`tonus campaign faults`: faults at random, each episode judged against the truth."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ BUSES: tuple[BusName, ...] = get_args(BusName)
     help="Number of kinds of violation to reduce to scenarios in --out/violations.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the counts as JSON and nothing else.")
-def campaign(
+def faults(
     study: str,
     *,
     episodes: int,
@@ -81,7 +81,7 @@ def campaign(
         tell=_Progress(console),
     )
     broken = [row for row in found.rows if row["violations"]]
-    again = f"tonus campaign {shlex.quote(study)} --seed {seed} --bus {bus} --only"
+    again = f"tonus campaign faults {shlex.quote(study)} --seed {seed} --bus {bus} --only"
     for row in broken[:_SHOWN] if only is None else found.rows:
         _show(console, row, again)
     files = _reduced(settings, found, workers, out, reduce)

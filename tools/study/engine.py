@@ -1,0 +1,121 @@
+"""A study carried out: on this host's processors, a share of it, or by a Dask scheduler."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from tonus.config.schema.parameter_study import ParameterStudy
+from tonus.runtime.timing import clock
+from tonus.tools.campaign.campaign import Standing
+from tonus.tools.campaign.journal import Journal
+from tonus.tools.campaign.station import cause, watch
+from tonus.tools.errors import ToolError
+from tonus.tools.forked_work import Tell, forked
+from tonus.tools.study.play import COMPLETED, Row, failed, play
+from tonus.tools.study.remote import played
+from tonus.tools.study.store import ANEW, JOURNAL, head
+from tonus.tools.study.trials import Trial, share, trials
+
+LOCAL = "local"
+DASK = "dask://"
+_CONNECT_S = 10
+_ATTEMPTS = 3
+"""of a trial whose Dask worker dies"""
+
+
+@dataclass(frozen=True)
+class Share:
+    """Number ``number`` (from 1) of ``of`` equal parts of a study."""
+
+    number: int = 1
+    of: int = 1
+
+
+@dataclass
+class Studied:
+    trials: list[Trial]
+    rows: list[Row]
+    """by index, as far as they have been played"""
+    seconds: float
+    kept: int
+    interrupted: bool
+
+
+def carry_out(
+    study: ParameterStudy,
+    out: Path,
+    *,
+    workers: int,
+    engine: str = LOCAL,
+    part: Share = Share(),
+    tell: Callable[[Standing], None] = lambda _: None,
+) -> Studied:
+    """Play every trial of ``part`` that ``out`` has no row of yet. On Ctrl-C what has been recorded
+    stays, and the same call goes on from there. Raises `ConfigError` and `ToolError`."""
+    wanted = share(trials(study), part.number, part.of)
+    with Journal(out, head(study), resume=True, name=JOURNAL, anew=ANEW) as journal:
+        numbers = {trial.index for trial in wanted}
+        rows = {index: row for index, row in journal.rows.items() if index in numbers}
+        todo = [trial for trial in wanted if trial.index not in rows]
+        kept, began, interrupted = len(rows), clock.wall_seconds(), False
+        bad = sum(row["verdict"] != COMPLETED for row in rows.values())
+        here = engine == LOCAL
+        coming = _local(study, todo, workers, out) if here else _dask(study, todo, engine)
+        try:
+            for row in coming:
+                journal.add(row)
+                rows[row["index"]] = row
+                bad += row["verdict"] != COMPLETED
+                passed = clock.wall_seconds() - began
+                tell(Standing(len(rows), len(wanted), kept, bad, passed))
+        except KeyboardInterrupt:
+            interrupted = True
+    passed = clock.wall_seconds() - began
+    return Studied(wanted, [rows[each] for each in sorted(rows)], passed, kept, interrupted)
+
+
+def _local(study: ParameterStudy, todo: Sequence[Trial], workers: int, out: Path) -> Iterator[Row]:
+    """Each trial in a process of its own, which its crash ends alone."""
+
+    def work(trial: Trial, tell: Tell) -> None:
+        watch(study.longest)
+        row = play(study, trial, out / "runs" / f"{trial.index:06d}")
+        tell(json.dumps(row, separators=(",", ":")).encode())
+
+    told: set[int] = set()
+    for said in forked(todo, workers, work):
+        trial = said.job
+        if said.line is not None:
+            told.add(trial.index)
+            yield json.loads(said.line)
+        elif trial.index not in told:
+            yield failed(study, trial, cause(said.exit_code, study.longest))
+
+
+def _dask(study: ParameterStudy, todo: Sequence[Trial], engine: str) -> Iterator[Row]:
+    """By the workers of a running scheduler; each needs this version of Tonus. Raises `ToolError`
+    where there is none."""
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError as error:
+        raise ToolError(f"--engine {engine}: needs Dask: pip install 'tonus[study]'") from error
+    if study.keep != "figures":
+        raise ToolError(f"--engine {engine}: keeps no logs; set keep: figures, or play it here")
+    address = engine.replace(DASK, "tcp://", 1)
+    try:
+        client = distributed.Client(address, timeout=_CONNECT_S)
+    except (OSError, TimeoutError) as error:
+        raise ToolError(f"--engine {engine}: no scheduler answers there: {error}") from error
+    with client:
+        futures = client.map(played, [study] * len(todo), todo, retries=_ATTEMPTS, pure=False)
+        of = dict(zip((each.key for each in futures), todo, strict=True))
+        for future in distributed.as_completed(futures):
+            if future.status == "finished":
+                yield future.result()
+            else:
+                yield failed(study, of[future.key], f"lost by its worker: {future.exception()}")

@@ -1,0 +1,34 @@
+"""Whether what a study names is there, before its first run."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+from tonus.config import load
+from tonus.config.schema.parameter_study import ParameterStudy
+from tonus.tools.errors import ToolError
+from tonus.tools.expect.names import advice, full, signals
+from tonus.tools.study.play import FIGURES
+from tonus.tools.study.trials import trials
+
+
+def need_known(study: ParameterStudy) -> None:
+    """Raises `ToolError` for a figure or a signal that there is none of, and `ConfigError` where
+    the first run of a configuration, scenario and controller cannot be loaded."""
+    figures = (*FIGURES, *study.measures)
+    for name in (*study.shown, *(study.pareto or ())):
+        if name not in figures:
+            near = get_close_matches(name, figures, 1)
+            remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(figures)}"
+            raise ToolError(f"study {study.name}: there is no figure {name}; {remedy}")
+    for name, measure in study.measures.items():
+        topic = full(measure.topic)
+        if measure.field not in signals().get(topic, {}):
+            problem = f"study {study.name}: measures.{name}: {topic} has no field {measure.field}"
+            raise ToolError(f"{problem}; {advice(topic, measure.field)}")
+    seen = set()
+    for trial in trials(study):
+        place = trial.config, trial.scenario, trial.controller
+        if place not in seen:
+            seen.add(place)
+            load(trial.config, trial.scenario, trial.overrides(study))
