@@ -9,7 +9,7 @@ FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
 .PHONY: setup run test test-long bench bench-realtime least-stop load paper campaign torn isolation
-.PHONY: fuzz robust replay kill soak
+.PHONY: fuzz robust replay kill soak mutation
 .PHONY: lint check-types docs lock clean
 
 setup: $(STAMP)
@@ -85,6 +85,11 @@ least-stop: setup
 # What the tick makes of busy processes, a slow disk, a flooding client and a stopped recorder.
 load: setup
 	$(BIN)/python -m tests.bench.load
+
+# Small errors in the safety path, one at a time, each of which a test has to find; ten minutes or so.
+# The table goes into docs/mutation.md.
+mutation: setup
+	$(BIN)/python -m tests.mutation --write $(shell date +%F)
 
 # Prints its seed: make fuzz FUZZ_SEED=... does the same again.
 fuzz: setup

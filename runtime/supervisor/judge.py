@@ -137,6 +137,10 @@ class Judge:
         yield from _at(Requirement.TENSION, seen, seen.tension, self._most_tension, enabled)
         if abs(seen.contact) > self._most_contact:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
+        oldest = max(settings.stale_ms, settings.patience_ms)
+        yield from _at(Requirement.STALE, seen, seen.cell_age, oldest, enabled)
+        if seen.contact_age > oldest:
+            yield Violation(Requirement.STALE, NOWHERE, seen.contact_age)
         speed = self._speed(seen)
         if speed > self._most_speed:
             yield Violation(Requirement.SPEED, NOWHERE, speed)

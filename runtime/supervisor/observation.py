@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -46,6 +47,10 @@ class Observation:
     """N, tared as the daemon says"""
     contact: float
     """N"""
+    cell_age: Floats
+    """ms since the last PDO of the cable's cell; 0 without one on the bus"""
+    contact_age: float
+    """the same of the contact cell"""
     unexplained: Floats
     """N of the torque's mean over the window that neither tension nor motion explain"""
     mean_torque: Floats
@@ -120,6 +125,8 @@ class Observer:
             rate,
             np.array([_force(cell, heard, tared) for cell in cells]),
             _force(self._contact, heard, tared),
+            np.array([_cell_age(now_ns, cell, heard) for cell in cells]),
+            _cell_age(now_ns, self._contact, heard),
             unexplained,
             mean,
             claims,
@@ -174,16 +181,26 @@ def _rate(first: _Sample, last: _Sample) -> Floats:
 
 
 def _ages(now_ns: int, frames: list[Heard]) -> Floats:
-    return np.array([(now_ns - each.at_ns) * _MS if each.count else np.inf for each in frames])
+    return np.array([_age(now_ns, each) for each in frames])
+
+
+def _age(now_ns: int, frames: Heard) -> float:
+    return (now_ns - frames.at_ns) * _MS if frames.count else np.inf
+
+
+def _cell_age(now_ns: int, cell: Cell | None, heard: Listened) -> float:
+    return 0.0 if cell is None else _age(now_ns, heard[cell.channel, cell.received])
 
 
 def _force(cell: Cell | None, heard: Listened, tared: Floats | None) -> float:
+    """What is received and no number is beyond every bound."""
     if cell is None or tared is None:
         return np.nan
     each = heard[cell.channel, cell.received]
     if not each.count:
         return np.nan
-    return cell.force.number(each.word) * cell.newton - float(tared[cell.number])
+    force = cell.force.number(each.word) * cell.newton
+    return force - float(tared[cell.number]) if math.isfinite(force) else np.inf
 
 
 def _sum(cell: Cell | None, each: Heard | None) -> float:

@@ -12,7 +12,7 @@ from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS
 from tonus.runtime.supervisor.judge import NOWHERE, Judge, Violation
 from tonus.runtime.supervisor.listener import Listener, Watched
-from tonus.runtime.supervisor.observation import Listened, Observer
+from tonus.runtime.supervisor.observation import Listened, Observation, Observer
 from tonus.runtime.supervisor.record import Records, claims
 from tonus.runtime.supervisor.wiring import Value, Wiring
 
@@ -29,8 +29,9 @@ class Supervisor:
     """Call `step` every ``supervisor.period_ms``.
 
     It is silent at first, and after a violation; the heartbeat begins when no drive has been
-    enabled for ``quiet_s``. So its restart, or a mistake of its own that has passed, gives an armed
-    robot nothing back, and a drive that it stopped needs the operator's reset.
+    enabled for ``quiet_s`` and everything arrives that it judges by. So its restart, or a mistake
+    of its own that has passed, gives an armed robot nothing back, and a drive that it stopped needs
+    the operator's reset.
     """
 
     def __init__(self, config: Config, records: Records, open_bus: OpenBus) -> None:
@@ -65,7 +66,9 @@ class Supervisor:
                 listener.read(now_ns)
         seen = self._observe(now_ns, self._heard, claims(self._records()))
         present = seen.measured_age < self.settings.stale_ms
-        armed = bool((seen.enabled & present).any())
+        # Where nothing is heard of any drive, what was enabled still is: a supervisor that has
+        # gone deaf must not take that for a robot at rest.
+        armed = bool((seen.enabled & (present | ~present.any())).any())
         if armed:
             self._quiet_ns = None
         elif self._quiet_ns is None:
@@ -74,7 +77,7 @@ class Supervisor:
             quiet = self._quiet_ns is not None and (
                 now_ns - self._quiet_ns >= self.settings.quiet_s * 1e9
             )
-            if not quiet:
+            if not (quiet and self._hears(seen)):
                 return
             self.beating, self.violation = True, None
         if armed:
@@ -84,6 +87,11 @@ class Supervisor:
                 self._send(_EMERGENCY, _error(self.violation))
                 return
         self._send(_HEARTBEAT, _OPERATIONAL)
+
+    def _hears(self, seen: Observation) -> bool:
+        """Whether everything arrives that it judges by: it does not begin deaf."""
+        ages = [*seen.measured_age, *seen.torque_age, *seen.cell_age, seen.contact_age]
+        return bool(max(ages) < self.settings.stale_ms)
 
     def close(self) -> None:
         """Its heartbeat ends with it."""

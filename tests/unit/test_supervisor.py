@@ -68,6 +68,8 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         rate=np.zeros(N),
         tension=np.full(N, 45.0),
         contact=0.0,
+        cell_age=np.zeros(N),
+        contact_age=0.0,
         unexplained=np.zeros(N),
         mean_torque=np.full(N, 45.0),
         claims=[said],
@@ -270,6 +272,169 @@ def test_a_tare_beyond_its_limit(config: Config) -> None:
     assert (found.requirement, found.where) == (Requirement.MEASURED_LOGGED, NOWHERE)
 
 
+# --- at the limits themselves --------------------------------------------------------------------
+
+AT_A_LIMIT = [
+    {"said": claim(at_ms=95.0)},
+    {"said": claim(stiffness=1.1 * 4879.2)},
+    {"contact": 1.1 * 25.0},
+    {"contact": -1.1 * 25.0},
+    {"tension": at(6, 1.1 * 200.0, 45.0), "torque": at(6, 1.1 * 200.0, 45.0)},
+    {
+        "torque": at(1, -15.0, 45.0),
+        "said": claim(reference=np.full(N, 50.0)),
+    },
+    {"torque": at(1, -20.0, 45.0), "tension": at(1, 43.0, 45.0)},
+    {"torque_age": np.full(N, 5.0)},
+    {"torque_age": at(3, 150.0)},
+    {"measured_age": at(3, 20.0)},
+    {"cell_age": at(3, 20.0)},
+    {"contact_age": 20.0},
+    {"unexplained": at(4, 91.25)},
+    {"rate": at(0, 0.05), "same": np.full(N, 6), "said": claim(State.REFERENCING)},
+]
+
+
+@pytest.mark.parametrize("given", AT_A_LIMIT, ids=range(len(AT_A_LIMIT)))
+def test_what_is_at_its_limit_is_within(config: Config, given: dict[str, Any]) -> None:
+    said = given.get("said", claim())
+    rest = {key: value for key, value in given.items() if key != "said"}
+    age = 100 * MS - said.at_ns
+    if "tension" in rest:
+        said = replace(said, tension=rest["tension"])
+    looks = []
+    for k in range(30):
+        now = replace(said, at_ns=(100 + k) * MS - age)
+        looks.append(replace(seen(100.0 + k, now, **rest), claims=[]))
+    looks[0] = replace(looks[0], claims=[said])
+    assert judged(config, *looks) == [None] * 30
+
+
+def test_a_tare_at_its_limit_and_its_value_beyond(config: Config) -> None:
+    tare = np.zeros(N + 1)
+    for value, broken in ((5.0, False), (5.1, True)):
+        tare[3] = -value
+        late = seen(150.0, claim(at_ms=150.0, tare=tare))
+        found = judged(config, seen(said=claim(tare=tare)), late)[1]
+        assert (found is not None) is broken
+        assert found is None or found.value == pytest.approx(value)
+
+
+def test_the_stiffness_is_judged_in_hold_and_active_only(config: Config) -> None:
+    for state in (State.REFERENCING, State.PRETENSION, State.SAFE_STOP):
+        assert judged(config, seen(said=claim(state, stiffness=9e9))) == [None]
+    assert judged(config, seen(said=claim(State.HOLD, stiffness=9e9)))[0] is not None
+
+
+def test_how_fast_the_stiffness_may_rise_at_most(config: Config) -> None:
+    fastest = config.control.stiffness.rise_rate * 1.1 * 1e-3
+    before = claim(at_ms=99.0, stiffness=0.0)
+    exactly = claim(at_ms=100.0, stiffness=fastest)
+    assert judged(config, seen(claims=[before, exactly])) == [None]
+
+
+def test_frozen_torques_in_each_controlled_state(config: Config) -> None:
+    for state in (State.PRETENSION, State.HOLD, State.ACTIVE):
+        found = judged(config, seen(said=claim(state), same=np.full(N, 6)))[0]
+        assert found is not None
+        assert found.requirement is Requirement.FROZEN
+
+
+def test_a_torque_in_any_of_the_newest_records_is_logged(config: Config) -> None:
+    claimed = np.full((3, N), 500)
+    claimed[1] = 100
+    assert lasting(config, 50.0, claimed=claimed) is None
+    assert lasting(config, 50.0, claimed=np.full((3, N), 500)) is not None
+
+
+@pytest.mark.parametrize("mille", [1, -1, 100])
+def test_what_is_sent_to_a_drive_without_measurements(config: Config, mille: int) -> None:
+    old = {"measured_age": at(5, 21.0)}
+    sent = {"mille": at(5, mille, 100), "claimed": np.stack([at(5, mille, 100)] * 3)}
+    found = judged(config, seen(**old, **sent))[0]
+    assert found is not None
+    assert (found.requirement, found.where) == (Requirement.STALE, 5)
+    none = {"mille": at(5, 0, 100), "claimed": np.stack([at(5, 0, 100)] * 3)}
+    assert judged(config, seen(**old, **none)) == [None]
+    for age in (20.0, 21.0):
+        assert judged(config, seen(**old, **sent, torque_age=at(5, age))) == [None]
+
+
+def test_a_cell_that_is_not_heard_any_more(config: Config) -> None:
+    for given, where in (({"cell_age": at(3, 20.5)}, 3), ({"contact_age": 20.5}, NOWHERE)):
+        found = judged(config, seen(**given))[0]
+        assert found is not None
+        assert (found.requirement, found.where) == (Requirement.STALE, where)
+        assert judged(config, seen(said=claim(State.SAFE_STOP), **given)) == [None]
+
+
+@pytest.mark.parametrize(
+    ("pull", "error", "opposed"),
+    [
+        (61.0, 2.1, False),
+        (61.0, -2.1, True),
+        (-61.0, 2.1, True),
+        (-61.0, -2.1, False),
+        (60.0, -2.1, False),
+        (61.0, -2.0, False),
+    ],
+)
+def test_a_torque_against_the_reference(
+    config: Config, pull: float, error: float, opposed: bool
+) -> None:
+    tension = 70.0
+    said = claim(reference=np.full(N, tension + error), tension=np.full(N, tension))
+    given = {"torque": np.full(N, tension + pull), "tension": np.full(N, tension)}
+    looks = [seen(100.0 + k, replace(said, at_ns=(100 + k) * MS), **given) for k in (0, 50)]
+    found = judged(config, *looks)[1]
+    assert (found is not None) is opposed
+    assert found is None or found.requirement is Requirement.OPPOSED
+
+
+def test_how_long_a_stop_may_last_and_how_long_it_did(config: Config) -> None:
+    def stopping(at_ms: float) -> Observation:
+        return seen(at_ms, claim(State.SAFE_STOP, at_ms))
+
+    looks = judged(config, stopping(5_000), stopping(45_000), stopping(45_001))
+    assert looks[:2] == [None, None]
+    assert looks[2] is not None
+    assert looks[2].value == pytest.approx(40.001)
+
+
+def test_the_bound_of_the_platforms_speed_is_the_least_over_the_poses(config: Config) -> None:
+    """Against least squares at each of 27 poses, for motions with rotation and without."""
+    geometry, space, settings = config.robot.geometry, config.robot.workspace, config.supervisor
+    assert settings is not None
+    frame, platform = np.array(geometry.frame), np.array(geometry.platform)
+    middle = [0.5 * (low + high) for low, high in (space.x, space.y, space.z)]
+
+    def rows(position: Any) -> Any:
+        found = np.empty((N, 6))
+        for cable in range(N):
+            arm = frame[cable] - (position + platform[cable])
+            found[cable, :3] = arm / np.linalg.norm(arm)
+            found[cable, 3:] = np.cross(platform[cable], found[cable, :3])
+        return found
+
+    random = np.random.default_rng(4)
+    for _ in range(20):
+        twist = np.concatenate([random.normal(0.0, 2.0, 3), random.normal(0.0, 4.0, 3)])
+        at_pose = np.array(middle) + random.uniform(-0.1, 0.1, 3)
+        rates = rows(at_pose) @ twist
+        least = np.inf
+        for x in (-settings.spread, 0.0, settings.spread):
+            for y in (-settings.spread, 0.0, settings.spread):
+                for z in (-settings.spread, 0.0, settings.spread):
+                    matrix = rows(np.add(middle, (x, y, z)))
+                    solved = np.linalg.lstsq(matrix, rates, rcond=None)[0]
+                    least = min(least, float(np.linalg.norm(solved[:3])))
+        given = {"rate": rates, "unexplained": np.zeros(N)}
+        found = lasting(config, 200.0, **given)
+        limit = 1.1 * config.control.envelope.speed_limit
+        assert (found is not None) is (least > limit)
+        assert found is None or found.value == pytest.approx(least, rel=1e-9)
+
+
 # --- frames and records --------------------------------------------------------------------------
 
 
@@ -469,6 +634,26 @@ def test_before_anything_was_heard(config: Config) -> None:
     assert np.isnan(again.tension).all()
 
 
+@pytest.mark.parametrize("force", [float("nan"), float("inf"), float("-inf")])
+def test_a_force_that_is_no_number_is_beyond_every_bound(config: Config, force: float) -> None:
+    stage = Stage(config)
+    assert config.supervisor is not None
+    sound = stage.wiring.cells
+    stage.wiring.cells = [
+        replace(cell, force=Value(cell.force.shift, 32, real=True), newton=1.0) for cell in sound
+    ]
+    stage.observe = Observer(stage.wiring, config.supervisor, config.robot.contact_cell)
+    word = int.from_bytes(struct.pack("<f", force), "little")
+    for cell in stage.wiring.cells:
+        stage.heard[cell.channel, cell.received] = Heard(8, (cell.force,))
+        stage.heard[cell.channel, cell.received].take(word << cell.force.shift, 0)
+    found = stage.observe(MS, stage.heard, [claim()])
+    assert (found.tension == np.inf).all()
+    assert found.contact == np.inf
+    assert found.cell_age.tolist() == [1.0] * N
+    assert found.contact_age == 1.0
+
+
 def test_cells_on_another_bus(config: Config) -> None:
     stage = Stage(config)
     assert config.supervisor is not None
@@ -480,6 +665,8 @@ def test_cells_on_another_bus(config: Config) -> None:
     assert np.isnan(found.tension).all()
     assert np.isnan(found.unexplained).all()
     assert np.isnan(found.contact)
+    assert not found.cell_age.any()
+    assert found.contact_age == 0.0
 
 
 # --- heartbeat -----------------------------------------------------------------------------------
@@ -502,17 +689,25 @@ class Watchdog:
         new, self.records = self.records, []
         return new
 
-    def step(self, now_ms: int, *, enabled: bool, tick: bool = True) -> list[tuple[int, bytes]]:
-        """What the first channel was sent in this step."""
-        channel = self.wiring.channels[0][1]
+    def step(
+        self, now_ms: int, *, enabled: bool, tick: bool = True, deaf: Any = ()
+    ) -> list[tuple[int, bytes]]:
+        """What the first channel was sent in this step. Identifiers in ``deaf`` do not arrive; on
+        the other channels no drive is enabled."""
+        place = {channel: number for number, (_, channel, _) in enumerate(self.wiring.channels)}
+        frames = {
+            (cell.channel, cell.received): bytes(cell.received_bytes) for cell in self.wiring.cells
+        }
         for axis in self.wiring.axes:
-            if axis.channel == channel:
-                word = 0x0237 if enabled else 0x0240
-                data = word.to_bytes(2, "little") + bytes(6)
-                self.buses[0].waiting += [
-                    can.Message(arbitration_id=axis.received, is_extended_id=False, data=data),
-                    can.Message(arbitration_id=axis.sent, is_extended_id=False, data=bytes(4)),
-                ]
+            word = 0x0237 if enabled and place[axis.channel] == 0 else 0x0240
+            data = word.to_bytes(2, "little") + bytes(axis.received_bytes - 2)
+            frames[axis.channel, axis.received] = data
+            frames[axis.channel, axis.sent] = bytes(axis.sent_bytes)
+        for (channel, identifier), data in frames.items():
+            if (channel, identifier) not in deaf:
+                self.buses[place[channel]].waiting.append(
+                    can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
+                )
         if tick:
             record = np.zeros(1, cycle_dtype(N))
             record["state"]["state"] = State.SAFE_STOP
@@ -566,6 +761,37 @@ def test_a_violation_ends_it_and_quiet_begins_it_again(watchdog: Watchdog) -> No
     assert watchdog.supervisor.violation is None
 
 
+def everything(watchdog: Watchdog) -> set[tuple[str, int]]:
+    axes, cells = watchdog.wiring.axes, watchdog.wiring.cells
+    heard = {(axis.channel, axis.received) for axis in axes}
+    heard |= {(axis.channel, axis.sent) for axis in axes}
+    return heard | {(cell.channel, cell.received) for cell in cells}
+
+
+def test_it_does_not_begin_where_anything_does_not_arrive(config: Config) -> None:
+    for missing in sorted(everything(Watchdog(config))):
+        watchdog = Watchdog(config)
+        silent = watchdog.steps(0, 400, enabled=False, deaf={missing})
+        assert all(sent == [] for sent in silent), missing
+        assert watchdog.step(400, enabled=False) == BEAT
+
+
+def test_one_that_goes_deaf_while_the_robot_is_armed_falls_silent(watchdog: Watchdog) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    assert watchdog.step(310, enabled=True) == BEAT
+    deaf = everything(watchdog)
+    sent = list(watchdog.steps(312, 1000, enabled=True, deaf=deaf))
+    assert BEAT not in sent[11:], "20 ms without a drive, then at once"
+    assert watchdog.supervisor.violation is not None
+    assert watchdog.supervisor.violation.requirement is Requirement.TORQUE
+
+
+def test_one_that_goes_deaf_while_nothing_is_enabled_does_not_mind(watchdog: Watchdog) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    sent = list(watchdog.steps(310, 500, enabled=False, deaf=everything(watchdog)))
+    assert all(each == BEAT for each in sent)
+
+
 def test_a_bus_that_is_gone_raises_nothing(watchdog: Watchdog) -> None:
     list(watchdog.steps(0, 310, enabled=False))
     watchdog.buses[1].broken = True
@@ -587,11 +813,10 @@ def test_an_axis_is_told() -> None:
 
 
 def test_a_violation_at_an_axis_names_it(watchdog: Watchdog) -> None:
+    axis = watchdog.wiring.axes[1]
     list(watchdog.steps(0, 310, enabled=False))
-    for axis in watchdog.wiring.axes:
-        heard = watchdog.supervisor._heard[axis.channel, axis.received]
-        heard.take(0x0237, 305 * MS)
-    sent = [frame for step in watchdog.steps(310, 600, enabled=True) for frame in step]
+    steps = watchdog.steps(310, 600, enabled=True, deaf={(axis.channel, axis.sent)})
+    sent = [frame for step in steps for frame in step]
     _, data = next(each for each in sent if each[0] == 0x0FE)
     code, _, place, _ = struct.unpack("<HBBf", data)
-    assert (code, place) == (0xFF02, 2)
+    assert (code, place) == (0xFF02, 1)
