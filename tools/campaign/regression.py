@@ -11,8 +11,8 @@ from tonus.config.document import read
 from tonus.config.schema.base import Section
 from tonus.config.schema.scenario import Scenario
 from tonus.tools.campaign.episode import Episode, Setup
-from tonus.tools.cli.settings import settings_of
 from tonus.tools.errors import ToolError
+from tonus.tools.settings import settings_of
 
 SUFFIX = ".episode.yaml"
 

@@ -12,7 +12,7 @@ from tonus.config import load
 from tonus.config.loader import load_catalogue
 from tonus.tools.check import rules as rules
 from tonus.tools.check.finding import Finding
-from tonus.tools.cli.settings import overrides_of
+from tonus.tools.settings import overrides_of
 
 
 @click.command()

@@ -18,7 +18,6 @@ from tonus.runtime.states import Fault, State
 from tonus.tools import output
 from tonus.tools.check.rules import check
 from tonus.tools.cli.numbers import FiniteRange
-from tonus.tools.cli.settings import overrides_of
 from tonus.tools.draft import drafted, write_whole
 from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
@@ -32,6 +31,7 @@ from tonus.tools.run.latencies import rows as latency_rows
 from tonus.tools.run.run_folder import discard_empty, new_folder, next_folder
 from tonus.tools.run.summary import Summary, missed_in, summarise, truth_at_cycles
 from tonus.tools.run.viewer_process import beside
+from tonus.tools.settings import overrides_of
 
 
 @click.command()

@@ -9,9 +9,9 @@ import click
 
 from tonus.config import load
 from tonus.tools.check.rules import check
-from tonus.tools.cli.settings import overrides_of
 from tonus.tools.errors import ToolError
 from tonus.tools.folders import make_folder
+from tonus.tools.settings import overrides_of
 from tonus.tools.verify import junit
 from tonus.tools.verify.names import need_names
 from tonus.tools.verify.play import Case, Judged, play_all

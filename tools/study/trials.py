@@ -14,7 +14,7 @@ from scipy.stats import qmc
 
 from tonus.config.schema.campaign import Span
 from tonus.config.schema.parameter_study import ParameterStudy, Steps
-from tonus.tools.cli.settings import settings_of
+from tonus.tools.settings import settings_of
 
 
 @dataclass(frozen=True)

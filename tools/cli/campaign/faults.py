@@ -13,15 +13,14 @@ from rich.console import Console
 from tonus.config.loader import load_study
 from tonus.config.schema.campaign import BusName, Study
 from tonus.tools.campaign import regression
-from tonus.tools.campaign.campaign import Campaign, Standing, carry_out
+from tonus.tools.campaign.campaign import Campaign, carry_out
 from tonus.tools.campaign.episode import Episode
 from tonus.tools.campaign.judge import Row
 from tonus.tools.campaign.minimise import minimise
 from tonus.tools.campaign.table import lines, table
+from tonus.tools.cli.campaign.progress import Progress
 from tonus.tools.errors import ToolError
 
-_STEPS = 20
-"""lines of progress where there is no terminal"""
 _SHOWN = 5
 """violations shown in words"""
 BUSES: tuple[BusName, ...] = get_args(BusName)
@@ -78,7 +77,7 @@ def faults(
         workers=workers,
         resume=resume,
         only=only,
-        tell=_Progress(console),
+        tell=Progress(console, "broke a bound"),
     )
     broken = [row for row in found.rows if row["violations"]]
     again = f"tonus campaign faults {shlex.quote(study)} --seed {seed} --bus {bus} --only"
@@ -95,25 +94,6 @@ def faults(
     if as_json:
         click.echo(json.dumps(counted.as_json() | {"seconds": round(found.seconds, 1)}, indent=2))
     raise click.exceptions.Exit(1 if broken or found.interrupted else 0)
-
-
-class _Progress:
-    """A line now and then; without a thread of its own, since processes are forked meanwhile."""
-
-    def __init__(self, console: Console) -> None:
-        self._console, self._shown = console, 0
-
-    def __call__(self, standing: Standing) -> None:
-        step = standing.done * _STEPS // standing.total
-        line = (
-            f"  {standing.done}/{standing.total}  {standing.broken} broke a bound  "
-            f"{standing.left:.0f} s left"
-        )
-        if self._console.is_terminal:
-            self._console.print(line, end="\r" if standing.done < standing.total else "\n")
-        elif step > self._shown:
-            self._console.print(line)
-        self._shown = step
 
 
 def _show(console: Console, row: Row, again: str) -> None:

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from tonus.config.loader import load_parameter_study
 from tonus.config.schema.parameter_study import ParameterStudy
-from tonus.tools.campaign.campaign import Standing
+from tonus.tools.cli.campaign.progress import Progress
 from tonus.tools.errors import ToolError
 from tonus.tools.folders import make_folder
 from tonus.tools.study.engine import DASK, LOCAL, Share, carry_out
@@ -22,8 +22,6 @@ from tonus.tools.study.store import seconds, write_table
 from tonus.tools.study.trials import trials
 
 _SHARE = re.compile(r"(\d+)/(\d+)")
-_STEPS = 20
-"""lines of progress where there is no terminal"""
 _SHOWN = 20
 """combinations in the printed table"""
 
@@ -72,7 +70,7 @@ def play(
     folder = out if out is not None else Path("out") / settings.name
     make_folder(folder)
     part = shard or Share()
-    progress = _Progress(Console(stderr=True, highlight=False, markup=False))
+    progress = Progress(Console(stderr=True, highlight=False, markup=False), "not completed")
     found = carry_out(settings, folder, workers=workers, engine=engine, part=part, tell=progress)
     if found.interrupted:
         done = f"interrupted after {len(found.rows)} of {len(found.trials)} runs"
@@ -104,20 +102,3 @@ def _tell(study: ParameterStudy, rows: list[Row], files: list[Path]) -> None:
         f"{len(rows)} runs, {len(failed)} not completed, {seconds(rows):.0f} s of one processor; "
         + ", ".join(map(str, files))
     )
-
-
-class _Progress:
-    """A line now and then; without a thread of its own, since processes are forked meanwhile."""
-
-    def __init__(self, console: Console) -> None:
-        self._console, self._shown = console, 0
-
-    def __call__(self, standing: Standing) -> None:
-        step = standing.done * _STEPS // standing.total
-        line = f"  {standing.done}/{standing.total}  {standing.broken} not completed  "
-        line += f"{standing.left:.0f} s left"
-        if self._console.is_terminal:
-            self._console.print(line, end="\r" if standing.done < standing.total else "\n")
-        elif step > self._shown:
-            self._console.print(line)
-        self._shown = step
