@@ -290,6 +290,7 @@ AT_A_LIMIT = [
     {"measured_age": at(3, 20.0)},
     {"cell_age": at(3, 20.0)},
     {"contact_age": 20.0},
+    {"contact": 35.0, "said": claim(State.SAFE_STOP)},
     {"unexplained": at(4, 91.25)},
     {"rate": at(0, 0.05), "same": np.full(N, 6), "said": claim(State.REFERENCING)},
 ]
@@ -303,7 +304,7 @@ def test_what_is_at_its_limit_is_within(config: Config, given: dict[str, Any]) -
     if "tension" in rest:
         said = replace(said, tension=rest["tension"])
     looks = []
-    for k in range(30):
+    for k in range(0, 150, 5):
         now = replace(said, at_ns=(100 + k) * MS - age)
         looks.append(replace(seen(100.0 + k, now, **rest), claims=[]))
     looks[0] = replace(looks[0], claims=[said])
@@ -399,10 +400,20 @@ def test_how_long_a_stop_may_last_and_how_long_it_did(config: Config) -> None:
     assert looks[:2] == [None, None]
     assert looks[2] is not None
     assert looks[2].value == pytest.approx(40.001)
+    just = replace(stopping(45_000), now_ns=45_000 * MS + 1)
+    assert judged(config, stopping(5_000), just)[1] is not None
 
 
-def test_the_bound_of_the_platforms_speed_is_the_least_over_the_poses(config: Config) -> None:
-    """Against least squares at each of 27 poses, for motions with rotation and without."""
+@pytest.mark.parametrize("shift", [0.0, 0.12])
+def test_the_bound_of_the_platforms_speed_is_the_least_over_the_poses(
+    config: Config, shift: float
+) -> None:
+    """Against least squares at each of 27 poses, for motions with rotation and without; in a
+    workspace whose middle is the frame's, and in another."""
+    space = config.robot.workspace
+    moved = {key: tuple(end + shift for end in getattr(space, key)) for key in ("x", "y", "z")}
+    there = config.robot.model_copy(update={"workspace": space.model_copy(update=moved)})
+    config = config.model_copy(update={"robot": there})
     geometry, space, settings = config.robot.geometry, config.robot.workspace, config.supervisor
     assert settings is not None
     frame, platform = np.array(geometry.frame), np.array(geometry.platform)
@@ -455,7 +466,7 @@ class FakeBus(can.BusABC):
         super().__init__("fake")
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        del timeout
+        assert timeout == 0, "it has no time to wait"
         if self.broken:
             raise can.CanOperationError("gone")
         return (self.waiting.pop(0) if self.waiting else None), True
@@ -481,6 +492,8 @@ def test_a_listener_on_messages() -> None:
         can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x0f\0\7"),
         can.Message(arbitration_id=0x201, is_extended_id=True, data=b"\x0f\0\x09\0"),
         can.Message(arbitration_id=0x202, is_extended_id=False, data=b"\x0f\0\x09\0"),
+        can.Message(arbitration_id=0x201, is_extended_id=False, is_remote_frame=True, dlc=4),
+        can.Message(arbitration_id=0x201, is_extended_id=False, is_error_frame=True, dlc=4),
     ]
     listener.read(7)
     heard = listener.heard[0x201]
@@ -513,13 +526,16 @@ def test_a_listener_on_the_kernels_frames() -> None:
     frames = [struct.pack("<IB3x8s", 0x201, 4, b"\x0f\0\5\0")] * 5000
 
     def receive(_: int) -> bytes:
+        assert blocking
+        assert not blocking[-1]
         if not frames:
             raise BlockingIOError
         return frames.pop()
 
     bus = SocketcanBus.__new__(SocketcanBus)
     bus._is_shutdown = True
-    bus.socket = SimpleNamespace(setblocking=lambda _: None, recv=receive)  # type: ignore[assignment]
+    blocking: list[bool] = []
+    bus.socket = SimpleNamespace(setblocking=blocking.append, recv=receive)  # type: ignore[assignment]
     listener = Listener(bus, WATCHED)
     listener.read(1)
     assert listener.heard[0x201].count == 4096
