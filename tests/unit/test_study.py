@@ -200,6 +200,14 @@ def test_shares_of_different_studies_and_missing_runs_are_refused(tmp_path: Path
         merged([tmp_path / "nowhere"])
 
 
+def test_parameters_of_like_names_stay_apart() -> None:
+    told, true = "tracker.latency_ms", "lab.noise.tracker.latency_ms"
+    of = study(parameters={told: [8.0, 12.0], true: [[4.0, 10.0], [8.0, 8.0]], BASE: [3000.0]})
+    found = groups(of, [row(of, each) for each in trials(of)])
+    assert len(found) == 4
+    assert list(found[0].labels) == [told, "noise.tracker.latency_ms", "stiffness.base"]
+
+
 def test_nothing_of_a_row_is_markup_on_the_page(tmp_path: Path) -> None:
     of = study(
         controllers=["bio", "pid"], parameters={BASE: [1.0, 2.0]}, pareto=["effort_rms_nm"] * 2

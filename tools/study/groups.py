@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,16 +64,27 @@ def groups(study: ParameterStudy, rows: Sequence[Row]) -> list[Group]:
         "scenario": len(study.scenarios),
         "controller": len(study.controllers),
     }
+    names = short(study)
     for row in rows:
         labels = {key: row[key] for key, count in outer.items() if count > 1}
-        labels |= {short(key): row["parameters"][key] for key in study.parameters}
+        labels |= {name: row["parameters"][key] for key, name in names.items()}
         found.setdefault(json.dumps(labels), Group(labels, [])).rows.append(row)
     return list(found.values())
 
 
-def short(key: str) -> str:
-    """A parameter's name in headings: the last two words of its key."""
-    return ".".join(key.split(".")[-2:])
+def short(study: ParameterStudy) -> dict[str, str]:
+    """Each parameter's name in headings, by its key: the last two words, or as many more as no
+    other parameter has."""
+    return {key: _ending(key, study.parameters.keys() - {key}) for key in study.parameters}
+
+
+def _ending(key: str, others: Iterable[str]) -> str:
+    words = key.split(".")
+    for count in range(2, len(words)):
+        ending = ".".join(words[-count:])
+        if not any(f".{other}".endswith(f".{ending}") for other in others):
+            return ending
+    return key
 
 
 def number(value: Any) -> str:

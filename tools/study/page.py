@@ -53,7 +53,7 @@ def _means(study: ParameterStudy, found: Sequence[Group]) -> Rows:
 
 
 def _runs(study: ParameterStudy, rows: Sequence[Row]) -> Rows:
-    heads = ["run", "seed", *map(short, study.parameters), *study.shown, "verdict", "repeat with"]
+    heads = ["run", "seed", *short(study).values(), *study.shown, "verdict", "repeat with"]
     lines = []
     for row in rows[:_MOST_ROWS]:
         values = [row["parameters"][key] for key in study.parameters]
@@ -75,13 +75,14 @@ def _plots(study: ParameterStudy, found: Sequence[Group], rows: Sequence[Row]) -
         return []
     graph = import_module("plotly.graph_objects")
     figures: list[Any] = []
+    names = short(study)
     numeric = [key for key in study.parameters if all(map(_is_number, _column(rows, key)))]
     drawn = study.drawn is not None
     for name in study.shown:
         if drawn:  # hardly two samples have a value in common
             figures.extend(_scatter(graph, name, key, rows) for key in numeric)
             continue
-        figures.extend(_lines(graph, name, key, found) for key in numeric)
+        figures.extend(_lines(graph, name, key, names[key], found) for key in numeric)
         if len(numeric) >= 2:
             figures.append(_heat(graph, name, numeric[0], numeric[1], rows))
         figures.append(_spread(graph, name, found))
@@ -106,21 +107,21 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _lines(graph: Any, name: str, key: str, found: Sequence[Group]) -> Any:
+def _lines(graph: Any, name: str, key: str, label: str, found: Sequence[Group]) -> Any:
     """A line for each setting of everything else."""
     lines: dict[str, list[tuple[float, Group]]] = {}
     for group in found:
-        rest = ", ".join(f"{k} {number(v)}" for k, v in group.labels.items() if k != short(key))
-        lines.setdefault(rest, []).append((group.labels[short(key)], group))
+        rest = ", ".join(f"{k} {number(v)}" for k, v in group.labels.items() if k != label)
+        lines.setdefault(rest, []).append((group.labels[label], group))
     figure = graph.Figure()
-    for label, points in lines.items():
+    for rest, points in lines.items():
         there = [(x, mean) for x, g in sorted(points, key=lambda p: p[0]) if (mean := g.mean(name))]
         figure.add_trace(
             graph.Scatter(
                 x=[x for x, _ in there],
                 y=[mean.value for _, mean in there],
                 error_y={"type": "data", "array": [mean.half or 0.0 for _, mean in there]},
-                name=escape(label),
+                name=escape(rest),
                 mode="lines+markers",
             )
         )
@@ -164,7 +165,8 @@ def _spread(graph: Any, name: str, found: Sequence[Group]) -> Any:
 def _parallel(graph: Any, study: ParameterStudy, numeric: list[str], rows: Sequence[Row]) -> Any:
     good = [row for row in rows if row["verdict"] == COMPLETED]
     good = [row for row in good if all(row[name] is not None for name in study.shown)]
-    axes = [{"label": short(key), "values": _column(good, key)} for key in numeric]
+    names = short(study)
+    axes = [{"label": names[key], "values": _column(good, key)} for key in numeric]
     axes += [{"label": name, "values": [row[name] for row in good]} for name in study.shown]
     shade = [row[study.shown[0]] for row in good] if study.shown else None
     figure = graph.Figure(graph.Parcoords(dimensions=axes, line={"color": shade}))
