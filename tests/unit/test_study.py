@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from tonus.config.errors import ConfigError
-from tonus.config.loader import load_parameter_study
+from tonus.config.loader import HERE, load_parameter_study
 from tonus.config.schema.parameter_study import ParameterStudy
 from tonus.tools.campaign.journal import Journal
 from tonus.tools.cli.main import tonus
@@ -19,7 +19,8 @@ from tonus.tools.errors import ToolError
 from tonus.tools.study.groups import groups
 from tonus.tools.study.page import write_page
 from tonus.tools.study.play import COMPLETED, FIGURES, Row, failed
-from tonus.tools.study.store import ANEW, JOURNAL, head, merged, write_table
+from tonus.tools.study.provenance import head
+from tonus.tools.study.store import ANEW, JOURNAL, merged, write_table
 from tonus.tools.study.trials import Trial, share, trials
 
 MINIMAL: dict[str, Any] = {"name": "x", "configs": ["config/direct.yaml"], "scenarios": ["hold"]}
@@ -206,6 +207,18 @@ def test_parameters_of_like_names_stay_apart() -> None:
     found = groups(of, [row(of, each) for each in trials(of)])
     assert len(found) == 4
     assert list(found[0].labels) == [told, "noise.tracker.latency_ms", "stiffness.base"]
+
+
+def test_rows_of_a_configuration_that_was_edited_are_not_taken(tmp_path: Path) -> None:
+    """Of one's own file: the code's digest covers the shipped ones."""
+    mine = tmp_path / "mine.yaml"
+    mine.write_text((HERE / "direct.yaml").read_text().replace("!include ", f"!include {HERE}/"))
+    of = study(configs=[str(mine)])
+    with Journal(tmp_path, head(of), resume=True, name=JOURNAL, anew=ANEW) as journal:
+        journal.add(row(of, trials(of)[0]))
+    mine.write_text(mine.read_text() + "set: {control.stiffness.base: 3000.0}\n")
+    with pytest.raises(ToolError, match="another configuration"):
+        Journal(tmp_path, head(of), resume=True, name=JOURNAL, anew=ANEW)
 
 
 def test_nothing_of_a_row_is_markup_on_the_page(tmp_path: Path) -> None:

@@ -17,8 +17,9 @@ from tonus.tools.campaign.station import cause, watch
 from tonus.tools.errors import ToolError
 from tonus.tools.forked_work import Tell, forked
 from tonus.tools.study.play import COMPLETED, Row, failed, play
+from tonus.tools.study.provenance import head
 from tonus.tools.study.remote import played
-from tonus.tools.study.store import ANEW, JOURNAL, head
+from tonus.tools.study.store import ANEW, JOURNAL
 from tonus.tools.study.trials import Trial, share, trials
 
 LOCAL = "local"

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from difflib import get_close_matches
 
-from tonus.config import load
 from tonus.config.schema.parameter_study import ParameterStudy
 from tonus.tools.errors import ToolError
 from tonus.tools.expect.names import advice, full, signals
 from tonus.tools.study.play import FIGURES
-from tonus.tools.study.trials import trials
+from tonus.tools.study.provenance import firsts, loaded
 
 
 def need_known(study: ParameterStudy) -> None:
@@ -26,9 +25,5 @@ def need_known(study: ParameterStudy) -> None:
         if measure.field not in signals().get(topic, {}):
             problem = f"study {study.name}: measures.{name}: {topic} has no field {measure.field}"
             raise ToolError(f"{problem}; {advice(topic, measure.field)}")
-    seen = set()
-    for trial in trials(study):
-        place = trial.config, trial.scenario, trial.controller
-        if place not in seen:
-            seen.add(place)
-            load(trial.config, trial.scenario, trial.overrides(study))
+    for trial in firsts(study):
+        loaded(study, trial)

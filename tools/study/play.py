@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from tonus.config import load
 from tonus.config.errors import ConfigError
 from tonus.config.schema.parameter_study import Measure, ParameterStudy
 from tonus.drivers.errors import DriverError
@@ -24,6 +23,7 @@ from tonus.tools.log.log import Log
 from tonus.tools.run.composer import run
 from tonus.tools.run.order import Order
 from tonus.tools.run.summary import Indicators, truth_at_cycles
+from tonus.tools.study.provenance import configuration_digest, loaded
 from tonus.tools.study.trials import Trial
 
 Row = dict[str, Any]
@@ -81,14 +81,13 @@ def _row(
         "reason": reason,
         "ticks": ticks,
         "digest": digest,
+        "configuration": "",
         "command": trial.command(study),
     }
 
 
 def _played(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
-    config, scenario = load(trial.config, trial.scenario, trial.overrides(study))
-    if study.duration is not None:
-        scenario = scenario.model_copy(update={"duration": study.duration})
+    config, scenario = loaded(study, trial)
     order = Order(config, scenario, folder, trial.seed, True, lambda _: None, live=False)
     result = run(order)
     outcome = result.outcome
@@ -98,6 +97,7 @@ def _played(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
         verdict = "error"
     reason = result.unrecorded or outcome.obstacle or outcome.reason
     row = _row(study, trial, verdict, reason, outcome.ticks, _digest(log))
+    row["configuration"] = configuration_digest(config, scenario)
     questions = Run(log, reason=reason)
     return row | _figures(log) | {key: _taken(questions, m) for key, m in study.measures.items()}
 

@@ -10,9 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import tonus.tools.study
 from tonus.config.schema.parameter_study import ParameterStudy
-from tonus.tools.campaign.journal import Journal, code_digest
+from tonus.tools.campaign.journal import Journal
 from tonus.tools.draft import drafted
 from tonus.tools.errors import ToolError
 from tonus.tools.study.play import FIGURES, SECONDS, Row
@@ -22,16 +21,7 @@ JOURNAL = "trials.jsonl"
 TABLE = "trials.parquet"
 ANEW = "move it away to begin anew"
 _BEFORE = ("index", "config", "scenario", "controller", "seed")
-_AFTER = ("verdict", "reason", "ticks", "digest", "command")
-
-
-def head(study: ParameterStudy) -> dict[str, Any]:
-    """A journal's first line: all that its rows depend on, the code included."""
-    return {
-        "study": study.model_dump(mode="json"),
-        "version": version("tonus"),
-        "code": code_digest(tonus.tools.study),
-    }
+_AFTER = ("verdict", "reason", "ticks", "digest", "configuration", "command")
 
 
 def flat(study: ParameterStudy, row: Row) -> dict[str, Any]:
