@@ -17,12 +17,14 @@ from loop import QUICK
 from tonus.config.loader import load_parameter_study
 from tonus.config.schema.parameter_study import ParameterStudy
 from tonus.tools.cli.main import tonus
+from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
 from tonus.tools.study import engine
 from tonus.tools.study.engine import Share, carry_out
 from tonus.tools.study.play import Row, _digest
+from tonus.tools.study.remote import played
 from tonus.tools.study.store import write_table
-from tonus.tools.study.trials import Trial
+from tonus.tools.study.trials import Trial, trials
 
 SMALL: dict[str, Any] = {
     "name": "small",
@@ -172,6 +174,27 @@ def test_by_dask_it_is_the_same_table_though_a_worker_dies(
     assert [row["index"] for row in found.rows] == [0, 1, 2, 3]
     table = write_table(study, found.rows, tmp_path)
     assert table.read_bytes() == (whole / "trials.parquet").read_bytes()
+
+
+def test_a_run_without_end_is_given_up_by_a_worker_too(file: Path) -> None:
+    study = load_parameter_study(file).model_copy(update={"longest": 1, "duration": 1000.0})
+    trial, *_ = trials(study)
+    row = played(study, trial)
+    assert (row["verdict"], row["reason"]) == ("error", "hung: no end in 1 s of processor time")
+
+
+def test_a_worker_that_reads_another_configuration_is_refused(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="pip install 'tonus[study]'")
+    study = load_parameter_study(file)
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(processes=True, **options) as cluster:
+        address = cluster.scheduler_address.replace("tcp://", "dask://")
+        usual = engine.head
+        monkeypatch.setattr(engine, "head", lambda of: usual(of) | {"code": os.getpid()})
+        with pytest.raises(ToolError, match="has another code"):
+            carry_out(study, tmp_path, workers=1, engine=address)
 
 
 def test_without_a_scheduler_it_is_one_line(

@@ -18,7 +18,7 @@ from tonus.tools.cli.main import tonus
 from tonus.tools.errors import ToolError
 from tonus.tools.study.groups import groups
 from tonus.tools.study.page import write_page
-from tonus.tools.study.play import COMPLETED, FIGURES, Row, failed
+from tonus.tools.study.play import COMPLETED, FIGURES, Row, failed, play
 from tonus.tools.study.provenance import head
 from tonus.tools.study.store import ANEW, JOURNAL, merged, write_table
 from tonus.tools.study.trials import Trial, share, trials
@@ -219,6 +219,19 @@ def test_rows_of_a_configuration_that_was_edited_are_not_taken(tmp_path: Path) -
     mine.write_text(mine.read_text() + "set: {control.stiffness.base: 3000.0}\n")
     with pytest.raises(ToolError, match="another configuration"):
         Journal(tmp_path, head(of), resume=True, name=JOURNAL, anew=ANEW)
+
+
+def test_an_error_that_nobody_foresaw_is_a_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: object) -> None:
+        raise ZeroDivisionError("of mine")
+
+    monkeypatch.setattr("tonus.tools.study.play.run", broken)
+    of = study()
+    made = play(of, trials(of)[0], tmp_path / "run")
+    assert made["verdict"] == "error"
+    assert made["reason"].startswith("ZeroDivisionError: of mine (test_study.py:")
 
 
 def test_nothing_of_a_row_is_markup_on_the_page(tmp_path: Path) -> None:

@@ -113,6 +113,7 @@ def _dask(study: ParameterStudy, todo: Sequence[Trial], engine: str) -> Iterator
     except (OSError, TimeoutError) as error:
         raise ToolError(f"--engine {engine}: no scheduler answers there: {error}") from error
     with client:
+        _need_alike(engine, client.run(head, study), head(study))
         futures = client.map(played, [study] * len(todo), todo, retries=_ATTEMPTS, pure=False)
         of = dict(zip((each.key for each in futures), todo, strict=True))
         for future in distributed.as_completed(futures):
@@ -120,3 +121,12 @@ def _dask(study: ParameterStudy, todo: Sequence[Trial], engine: str) -> Iterator
                 yield future.result()
             else:
                 yield failed(study, of[future.key], f"lost by its worker: {future.exception()}")
+
+
+def _need_alike(engine: str, workers: dict[str, dict[str, Any]], ours: dict[str, Any]) -> None:
+    """Raises `ToolError` where a worker would play something else."""
+    for address, theirs in workers.items():
+        other = ", ".join(key for key in ours if theirs[key] != ours[key])
+        if other:
+            problem = f"--engine {engine}: the worker at {address} has another {other}"
+            raise ToolError(f"{problem}; install the same there, with the same files")

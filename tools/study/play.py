@@ -16,6 +16,7 @@ from tonus.runtime.errors import DaemonError
 from tonus.runtime.states import Fault, State
 from tonus.runtime.timing import clock
 from tonus.sim.errors import LabError
+from tonus.tools.campaign.play import describe
 from tonus.tools.errors import ToolError
 from tonus.tools.expect import Run
 from tonus.tools.log import open as open_log
@@ -55,6 +56,8 @@ def play(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
         row = _played(study, trial, folder)
     except (ConfigError, ToolError, LabError, DriverError, DaemonError, OSError) as error:
         row = failed(study, trial, str(error) or type(error).__name__)
+    except Exception as error:  # noqa: BLE001 - of a controller or a model: a row, not the end
+        row = failed(study, trial, describe(error))
     kept = study.keep == "all" or (study.keep == "failures" and row["verdict"] != COMPLETED)
     if not kept:
         shutil.rmtree(folder, ignore_errors=True)

@@ -18,6 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tonus.config.schema.parameter_study import ParameterStudy
+from tonus.tools.campaign.station import cause, watch
 from tonus.tools.study.play import Row, failed, play
 from tonus.tools.study.trials import Trial
 
@@ -45,7 +46,7 @@ def played(study: ParameterStudy, trial: Trial) -> Row:
     if answer:
         row: Row = json.loads(answer)
         return row
-    return failed(study, trial, f"crashed: exit code {process.wait()}")
+    return failed(study, trial, cause(process.wait(), study.longest))
 
 
 def main() -> None:
@@ -55,8 +56,10 @@ def main() -> None:
     for line in sys.stdin:
         job = json.loads(line)
         study = ParameterStudy.model_validate(job["study"])
+        watch(study.longest)
         with TemporaryDirectory(prefix="tonus-study-") as folder:
             row = play(study, Trial(**job["trial"]), Path(folder) / "run")
+        watch(0)
         rows.write(json.dumps(row) + "\n")
         rows.flush()
 
