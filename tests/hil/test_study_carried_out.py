@@ -176,6 +176,23 @@ def test_by_dask_it_is_the_same_table_though_a_worker_dies(
     assert table.read_bytes() == (whole / "trials.parquet").read_bytes()
 
 
+def test_what_a_lost_scheduler_had_is_played_by_the_next_call(
+    file: Path, whole: Path, tmp_path: Path
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="pip install 'tonus[study]'")
+    study = load_parameter_study(file)
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(processes=True, **options) as cluster:
+        address = cluster.scheduler_address.replace("tcp://", "dask://")
+        with pytest.raises(ToolError, match="the same command goes on"):
+            carry_out(study, tmp_path, workers=1, engine=address, tell=lambda _: cluster.close())
+    assert [row["verdict"] for row in rows_of(tmp_path)] == ["completed"]
+    found = carry_out(study, tmp_path, workers=2)
+    assert (found.kept, len(found.rows)) == (1, 4)
+    table = write_table(study, found.rows, tmp_path)
+    assert table.read_bytes() == (whole / "trials.parquet").read_bytes()
+
+
 def test_a_run_without_end_is_given_up_by_a_worker_too(file: Path) -> None:
     study = load_parameter_study(file).model_copy(update={"longest": 1, "duration": 1000.0})
     trial, *_ = trials(study)

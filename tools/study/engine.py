@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -107,6 +108,10 @@ def _dask(study: ParameterStudy, todo: Sequence[Trial], engine: str) -> Iterator
         raise ToolError(f"--engine {engine}: needs Dask: pip install 'tonus[study]'") from error
     if study.keep != "figures":
         raise ToolError(f"--engine {engine}: keeps no logs; set keep: figures, or play it here")
+    # What it would log is told below in a line; its own way is tracebacks.
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     address = engine.replace(DASK, "tcp://", 1)
     try:
         client = distributed.Client(address, timeout=_CONNECT_S)
@@ -119,6 +124,9 @@ def _dask(study: ParameterStudy, todo: Sequence[Trial], engine: str) -> Iterator
         for future in distributed.as_completed(futures):
             if future.status == "finished":
                 yield future.result()
+            elif future.status != "error":  # lost or cancelled: not the run's fault, so no row
+                gone = "the scheduler is gone; start it again, and the same command goes on"
+                raise ToolError(f"--engine {engine}: {gone}")
             else:
                 yield failed(study, of[future.key], f"lost by its worker: {future.exception()}")
 
