@@ -165,7 +165,7 @@ class Judge:
         """m/s: the least platform speed, of all poses tried, that gives the drums their rates."""
         if len(seen.rate) != self._twists.shape[2]:
             return np.nan  # some of the axes are on another bus
-        velocities: Floats = self._twists @ seen.rate
+        velocities: Floats = self._twists[:, :, seen.axes] @ seen.rate
         return float(np.sqrt((velocities**2).sum(axis=1)).min())
 
 

@@ -219,6 +219,17 @@ def test_the_speed_of_the_drums_bounds_that_of_the_platform(config: Config) -> N
     assert some is None, "some axes on another bus: not judged"
 
 
+def test_the_speed_does_not_depend_on_the_order_of_the_drives(config: Config) -> None:
+    geometry = config.robot.geometry
+    along = np.array(geometry.frame) - np.array(geometry.platform)
+    rates = along @ np.array([0.0, 0.0, 0.6]) / np.linalg.norm(along, axis=1)
+    order = np.array([0, 4, 1, 5, 2, 6, 3, 7])
+    found = [lasting(config, 200.0, rate=rates[axes], axes=axes) for axes in (np.arange(N), order)]
+    assert found[0] is not None
+    assert found[1] is not None
+    assert found[1].value == pytest.approx(found[0].value)
+
+
 def test_frozen_torques_outside_of_control(config: Config) -> None:
     same = {"same": np.full(N, 6)}
     assert judged(config, seen(said=claim(State.REFERENCING), **same)) == [None]
