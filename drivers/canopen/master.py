@@ -16,7 +16,7 @@ from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.identifiers import HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
 from tonus.drivers.canopen.nmt import Command, NmtState
-from tonus.drivers.canopen.node import Node, Role, Watch
+from tonus.drivers.canopen.node import Node, NodeError, Role, Watch
 from tonus.drivers.canopen.process_data import (
     Encode,
     Refusal,
@@ -236,6 +236,8 @@ class CanopenFieldbus:
         for drive in self._bus.channels[number].drives:
             axis, profile = drive.axis, self._bus.profile(drive.axis)
             node = self._add_node(channel, drive.node_id, self._drive_role(axis, profile))
+            if not profile.watches_supervisor:
+                self._supervisor.cannot_stop(node.where)
             mapping = Mapping.of(profile.tpdo)
             arrival = self._arrival(node, mapping, drive_fields(mapping, axis, self._exchange))
             self._supervision.add(Watched(node, arrival, axis=axis))
@@ -325,7 +327,8 @@ class CanopenFieldbus:
             )
 
     async def _release(self, node: Node) -> None:
-        with contextlib.suppress(SdoError):  # a node that is gone needs no farewell
+        # A node that is gone needs no farewell; one that stays enabled is stopped by the silence.
+        with contextlib.suppress(SdoError, NodeError):
             await node.release()
         node.command(Command.ENTER_PRE_OPERATIONAL)
 

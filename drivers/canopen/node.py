@@ -31,6 +31,11 @@ _HISTORY = 0x1003
 _CONTROLWORD = (0x6040, 0)
 _STATUSWORD = (0x6041, 0)
 _GENERIC_ERROR = 0x1000
+_POWERED = (
+    AxisState.OPERATION_ENABLED,
+    AxisState.QUICK_STOP_ACTIVE,
+    AxisState.FAULT_REACTION_ACTIVE,
+)
 
 
 class NodeError(DriverError):
@@ -117,10 +122,29 @@ class Node:
         self.started = True
 
     async def release(self) -> None:
-        """Leave the node so that the end of a heartbeat is no fault to it."""
+        """Leave the node so that the end of a heartbeat is no fault to it.
+
+        A drive that stays enabled keeps its watches: the silence that follows is what stops it.
+        Raises `NodeError` for it, and `SdoError`.
+        """
         self.started = False
+        if self.role.drive:
+            await self._disable()
         for entry, _ in enumerate(self.role.watches, start=1):
             await self.sdo.write(0x1016, entry, bytes(4))
+
+    async def _disable(self) -> None:
+        """By SDO: the process data may not have arrived. Raises `NodeError` if it stays enabled."""
+        await self.sdo.write(*_CONTROLWORD, DISABLE_VOLTAGE.to_bytes(2, "little"))
+        loop = asyncio.get_running_loop()
+        end = loop.time() + self._master.sdo_timeout_ms * 1e-3
+        while await self._axis_state() in _POWERED:
+            if loop.time() >= end:
+                raise NodeError("stays enabled; its watches over the heartbeats stay too")
+            await asyncio.sleep(self._poll_s)
+
+    async def _axis_state(self) -> AxisState:
+        return decode(int.from_bytes(await self.sdo.read(*_STATUSWORD), "little"))
 
     async def error_code(self) -> int:
         """0x603F of a drive, 0 for no fault. A drive need not have that object (CiA 402): then its
@@ -130,8 +154,7 @@ class Node:
         except SdoAbortError as error:
             if error.code != NO_SUCH_OBJECT:
                 raise
-        state = decode(int.from_bytes(await self.sdo.read(*_STATUSWORD), "little"))
-        return _GENERIC_ERROR if state is AxisState.FAULT else 0
+        return _GENERIC_ERROR if await self._axis_state() is AxisState.FAULT else 0
 
     async def _boot(self, reset: Command) -> None:
         boots = self.monitor.boots

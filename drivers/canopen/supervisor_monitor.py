@@ -43,6 +43,11 @@ class SupervisorMonitor:
         if self._settings is not None:
             self._patience = self._settings.timeout_ms * 1000 // period_us
         self._heard: list[_Heard] = []
+        self._out_of_reach: list[str] = []
+
+    def cannot_stop(self, where: str) -> None:
+        """A drive that does not wait for its heartbeat."""
+        self._out_of_reach.append(where)
 
     def listen(self, channel: Channel) -> None:
         if self._settings is None:
@@ -55,7 +60,7 @@ class SupervisorMonitor:
         )
 
     def forget(self) -> None:
-        self._heard = []
+        self._heard, self._out_of_reach = [], []
         self._image.obstacles.pop(ITEM, None)
 
     def look(self, tick: int) -> None:
@@ -70,7 +75,10 @@ class SupervisorMonitor:
                 self._events.begin("supervisor_lost", heard.channel, text)
         if self._settings is not None and self._settings.policy == "require":
             silent = [heard.channel for heard in self._heard if not heard.beating]
-            if silent:
+            if self._out_of_reach:
+                drives = ", ".join(self._out_of_reach)
+                self._image.obstacles[ITEM] = f"cannot stop {drives}: no second heartbeat consumer"
+            elif silent:
                 self._image.obstacles[ITEM] = f"is not heard on {', '.join(silent)}"
             else:
                 self._image.obstacles.pop(ITEM, None)

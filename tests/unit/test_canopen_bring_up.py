@@ -10,6 +10,7 @@ import pytest
 from fake_can import FakeNode, Robot, in_virtual_time, u32
 
 from tonus.config import load
+from tonus.config.schema.bus import CanopenBus
 from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.errors import BringUpError, DriverError
 from tonus.drivers.process_image import ProcessImage
@@ -156,6 +157,59 @@ def test_stop_takes_power_and_heartbeat_watch_and_may_be_called_twice() -> None:
         assert (0x080, b"") in frames[off:]
         assert (0x000, bytes((0x80, node_id))) in frames[off:]
         assert bus.closed
+
+
+def test_a_drive_that_missed_its_last_process_data_is_disabled_by_sdo() -> None:
+    robot = Robot()
+
+    async def work() -> None:
+        await robot.start()
+        for node_id in range(1, 9):
+            robot.nodes[node_id].objects[0x6040, 0] = b"\x0f\x00"
+        await robot.fieldbus.stop()
+
+    in_virtual_time(work())
+    for node_id in range(1, 9):
+        assert number(robot.nodes[node_id], 0x6040, 0) == 0
+        assert [number(robot.nodes[node_id], 0x1016, entry) for entry in (1, 2)] == [0, 0]
+
+
+@pytest.mark.parametrize("statusword", [b"\x37\x02", b"\x17\x02", b"\x0f\x02"])
+def test_a_drive_that_stays_enabled_keeps_its_watches(statusword: bytes) -> None:
+    """The silence that follows stops it by itself."""
+    robot = Robot()
+
+    async def work() -> None:
+        await robot.start()
+        robot.nodes[3].stuck[0x6041, 0] = statusword
+        await robot.fieldbus.stop()
+
+    in_virtual_time(work())
+    watches = [[number(robot.nodes[node], 0x1016, entry) for entry in (1, 2)] for node in (3, 4)]
+    assert watches == [[127 << 16 | 100, 126 << 16 | 60], [0, 0]]
+    assert all(bus.closed for bus in robot.buses.values())
+
+
+def test_a_drive_that_does_not_watch_the_supervisor_is_not_armed_where_it_is_required() -> None:
+    config, _ = load("config/can.yaml", overrides={"supervisor.policy": "require"})
+    assert isinstance(config.fieldbus, CanopenBus)
+    drive = config.fieldbus.drive.model_copy(update={"watches_supervisor": False})
+    fieldbus = config.fieldbus.model_copy(update={"drive": drive})
+    robot = Robot(config.model_copy(update={"fieldbus": fieldbus}))
+
+    async def work() -> None:
+        await robot.start()
+        for channel in robot.fieldbus.channels:
+            robot.buses[channel].put(0x77E, b"\5")
+        robot.fieldbus.collect(0)
+        robot.fieldbus.collect(1)
+        obstacle = robot.image.obstacles["supervisor"]
+        assert obstacle.startswith("cannot stop can0/1, can0/2, "), obstacle
+        assert obstacle.endswith("can3/8: no second heartbeat consumer")
+        await robot.fieldbus.stop()
+
+    in_virtual_time(work())
+    assert "supervisor" not in robot.image.obstacles
 
 
 def test_a_drive_that_hears_only_the_second_reset_is_found() -> None:
