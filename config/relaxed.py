@@ -10,6 +10,7 @@ from tonus.config.schema.place import (
     LARGEST_JITTER_MS,
     LARGEST_PATIENCE_MS,
     LARGEST_STALE_TICKS,
+    LARGEST_TIMEOUT_MS,
 )
 from tonus.config.schema.root import Config
 
@@ -52,6 +53,12 @@ def _risks(config: Config) -> Iterator[tuple[Key, str]]:
             ("supervisor", "patience_ms"),
             f"{supervisor.patience_ms:g} ms are how long it lets a wrong daemon go on, on a robot "
             f"more than {LARGEST_PATIENCE_MS} are too many",
+        )
+    if supervisor is not None and supervisor.timeout_ms > LARGEST_TIMEOUT_MS:
+        yield (
+            ("supervisor", "timeout_ms"),
+            f"{supervisor.timeout_ms} ms are how long drives go on without it, on a robot more "
+            f"than {LARGEST_TIMEOUT_MS} are too many",
         )
     if config.tolerance.jitter_ms > LARGEST_JITTER_MS:
         yield (

@@ -39,6 +39,7 @@ LARGEST_STALE_TICKS = 10
 """that need no word under ``relaxed``"""
 LARGEST_JITTER_MS = 20
 LARGEST_PATIENCE_MS = 10
+LARGEST_TIMEOUT_MS = 50
 
 
 def with_defaults(data: Any) -> Any:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from tonus.config.schema.base import Count, NodeId, NonNegative, Positive, Section, Share
+from tonus.config.schema.base import Count, NodeId, NonNegative, Number, Positive, Section, Share
 from tonus.config.schema.realtime import Priority, Processors
 
 
@@ -39,7 +39,7 @@ class Requirement(IntEnum):
 REQUIREMENT_TEXTS: dict[Requirement, str] = {
     Requirement.TICK: "the daemon records a tick in time",
     Requirement.TORQUE: "an enabled drive is sent a torque in time",
-    Requirement.FROZEN: "the torques change while the robot is controlled or a drum turns",
+    Requirement.FROZEN: "the torques change when tensions or the drums' rates do",
     Requirement.UNEXPLAINED: "a drive's torque is explained by its tension and its drum's motion",
     Requirement.OPPOSED: "a torque does not drive its cable's tension away from the reference",
     Requirement.TENSION: "no tension is beyond its bound",
@@ -55,7 +55,8 @@ REQUIREMENT_TEXTS: dict[Requirement, str] = {
 
 
 class Supervisor(Section):
-    """Judges while a drive is enabled, and stops the robot by ending its heartbeat."""
+    """Judges while a drive is enabled, and stops the robot by ending its heartbeat. Its times and
+    its margin have an upper bound: with more it would not stop what it is there for."""
 
     policy: Annotated[Literal["require", "use", "off"], BeforeValidator(_off)]
     """require: the robot is not armed unless the supervisor's heartbeat is received on every CAN
@@ -64,29 +65,31 @@ class Supervisor(Section):
     """
     node_id: NodeId
     """of its heartbeat and its emergency frame, on every channel"""
-    period_ms: Count
+    period_ms: Annotated[Count, Field(le=20)]
     """how often it judges, and sends its heartbeat"""
-    timeout_ms: Count
+    timeout_ms: Annotated[Count, Field(le=200)]
     """0x1016:2, how long drives wait for its heartbeat"""
-    patience_ms: Positive
+    patience_ms: Annotated[Positive, Field(le=100)]
     """how long a condition may last, where no other time is stated"""
-    axis_torque_ms: Positive
+    axis_torque_ms: Annotated[Positive, Field(le=300)]
     """how long one drive of several may be without a torque"""
-    stale_ms: Positive
+    stale_ms: Annotated[Positive, Field(le=100)]
     """how long a drive that is sent a torque may be without a measurement"""
-    disarmed_ms: Positive
+    disarmed_ms: Annotated[Positive, Field(le=200)]
     """how long a drive may stay enabled after the daemon said that it is disarmed"""
-    stopping_ms: Positive
+    stopping_ms: Annotated[Positive, Field(le=500)]
     """how long a bound for all states may be exceeded"""
-    stop_s: Positive
+    stop_s: Annotated[Positive, Field(le=120)]
     """longest controlled stop"""
-    quiet_s: Positive
+    quiet_s: Annotated[Positive, Field(le=2)]
     """how long no drive may be enabled before the heartbeat begins, or begins again"""
-    frozen_frames: Count
+    frozen_frames: Annotated[Count, Field(le=100)]
     """RPDOs of all drives in a row to the last bit equal"""
-    frozen_speed: Positive
-    """m/s of cable above which torques have to change in every state"""
-    window_ms: Positive
+    frozen_rate: Positive
+    """m/s by which a cable's rate may change before some torque does"""
+    frozen_tension: Positive
+    """N by which a tension may, while the robot is controlled"""
+    window_ms: Annotated[Positive, Field(le=100)]
     """over which a drive's torque is compared with its cable and its drum"""
     unexplained_force: Positive
     """N at the cable: friction, and what the window blurs"""
@@ -96,7 +99,7 @@ class Supervisor(Section):
     """N between torque and tension, in the direction away from the reference"""
     opposed_error: Positive
     """N between tension and reference"""
-    margin: Positive
+    margin: Annotated[Number, Field(ge=1, le=1.5)]
     """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
     tension_stopping: Positive
     """N, in every state"""
@@ -104,6 +107,10 @@ class Supervisor(Section):
     """N, in every state"""
     speed_stopping: Positive
     """m/s, in every state"""
+    rotation: Positive
+    """rad/s, while the robot is controlled"""
+    rotation_stopping: Positive
+    """rad/s, in every state"""
     logged_tension: Positive
     """N by which a recorded force may differ from the one on the bus"""
     logged_ticks: Annotated[int, Field(ge=1, le=64)]

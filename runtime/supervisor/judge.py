@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -16,9 +17,13 @@ from tonus.runtime.supervisor.record import Claim, Floats
 
 NOWHERE = -1
 CONTROLLED = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
-_DISARMED = (State.OFF, State.STANDBY, State.FAULT)
+_ARMED = (*CONTROLLED, State.SAFE_STOP)
 _STIFF = (State.HOLD, State.ACTIVE)
 _ROUNDING = 1
+_FORGETTING = 4
+"""times slower than it was counted is the time forgotten for which a condition held"""
+Key = tuple[Requirement, int, int]
+"""requirement, axis, and patience in ns"""
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,10 @@ class Violation:
 
 
 class Judge:
-    """Call it with each observation; remembers only since when each condition holds."""
+    """Call it with each observation while a drive is enabled, and `rest` while none is.
+
+    A condition has a patience: how long it may hold. Where it ends its time is forgotten slowly,
+    so that one which comes and goes is found too."""
 
     def __init__(self, config: Config, settings: Supervisor) -> None:
         control = config.control
@@ -39,31 +47,44 @@ class Judge:
         self._most_contact = control.envelope.contact_limit * settings.margin
         self._most_speed = control.envelope.speed_limit * settings.margin
         self._most_stiffness = control.stiffness.maximum * settings.margin
+        self._least_stiffness = control.stiffness.minimum / settings.margin
         self._most_rise = control.stiffness.rise_rate * settings.margin
         self._tare = control.sequence.tare_limit
         self._twists = _twists(config, settings.spread)
-        self._since: dict[tuple[Requirement, int], int] = {}
-        self._stopping_ns: int | None = None
-        self._before: Claim | None = None
         patience = dict.fromkeys(Requirement, settings.patience_ms)
         patience[Requirement.TICK] = patience[Requirement.TORQUE] = 0.0  # ages by themselves
-        patience[Requirement.FROZEN] = patience[Requirement.UNEXPLAINED] = 0.0
+        patience[Requirement.FROZEN] = 0.0
+        # A frame that is lost at an end of the window shows in one look there.
+        patience[Requirement.UNEXPLAINED] = settings.period_ms
         patience[Requirement.STIFFNESS] = patience[Requirement.STOP_ENDS] = 0.0
         patience[Requirement.DISARMED] = settings.disarmed_ms
         patience[Requirement.STALE] = 0.0
         self._patience_ns = {key: round(value * 1e6) for key, value in patience.items()}
+        self.rest()
+
+    def rest(self) -> None:
+        """No drive is enabled: what held before is over."""
+        self._held: dict[Key, int] = {}
+        self._looked_ns: int | None = None
+        self._stopping_ns: int | None = None
+        self._before: Claim | None = None
 
     def __call__(self, seen: Observation) -> Violation | None:
         """The first requirement that has been broken for longer than it may be."""
-        present: dict[tuple[Requirement, int], int] = {}
-        found: Violation | None = None
-        for broken, patience_ns in self._broken(seen):
-            key = (broken.requirement, broken.where)
-            since = present[key] = self._since.get(key, seen.now_ns)
-            if found is None and seen.now_ns - since >= patience_ns:
-                found = broken
-        self._since = present
-        return found
+        elapsed_ns = 0 if self._looked_ns is None else seen.now_ns - self._looked_ns
+        self._looked_ns = seen.now_ns
+        broken: dict[Key, Violation] = {}
+        for each, patience_ns in self._broken(seen):
+            broken.setdefault((each.requirement, each.where, patience_ns), each)
+        held = {
+            key: held_ns - elapsed_ns // _FORGETTING
+            for key, held_ns in self._held.items()
+            if key not in broken and held_ns > -elapsed_ns
+        }
+        for key in broken:
+            held[key] = self._held[key] + elapsed_ns if key in self._held else 0
+        self._held = held
+        return next((each for key, each in broken.items() if held[key] >= key[2]), None)
 
     def _broken(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
         for each in (*self._daemon(seen), *self._bus(seen), *self._controlled(seen)):
@@ -76,27 +97,31 @@ class Judge:
         """Of the record alone: SUP-1, 9, 12, 13."""
         claim, settings = seen.claim, self._settings
         age = np.inf if claim is None else (seen.now_ns - claim.at_ns) * 1e-6
-        if age > settings.patience_ms:
+        if not -settings.patience_ms <= age <= settings.patience_ms:  # nor from the future
             yield Violation(Requirement.TICK, NOWHERE, age)
         if claim is None:
             return
         yield from self._stiffness(seen.claims)
-        if claim.state in _DISARMED:
+        if claim.state not in _ARMED:
             yield Violation(Requirement.DISARMED, NOWHERE, claim.state)
-        if claim.state != State.SAFE_STOP:
+        most = float(np.abs(claim.tare).max())
+        if not most <= self._tare:
+            yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, most)
+        if any(each.state not in _ARMED for each in seen.claims):
             self._stopping_ns = None
-        elif self._stopping_ns is None:
+        elif claim.state == State.SAFE_STOP and self._stopping_ns is None:
             self._stopping_ns = seen.now_ns
-        elif seen.now_ns - self._stopping_ns > settings.stop_s * 1e9:
+        if self._stopping_ns is not None:  # only disarming ends a stop
             lasted = (seen.now_ns - self._stopping_ns) * 1e-9
-            yield Violation(Requirement.STOP_ENDS, NOWHERE, lasted)
+            if lasted > settings.stop_s or claim.state in CONTROLLED:
+                yield Violation(Requirement.STOP_ENDS, NOWHERE, lasted)
 
     def _stiffness(self, claims: list[Claim]) -> Iterator[Violation]:
         for claim in claims:
             before, self._before = self._before, claim
             if claim.state not in _STIFF:
                 continue
-            if not claim.stiffness <= self._most_stiffness:
+            if not self._least_stiffness <= claim.stiffness <= self._most_stiffness:
                 yield Violation(Requirement.STIFFNESS, NOWHERE, claim.stiffness)
             if before is not None and before.state in _STIFF and claim.at_ns > before.at_ns:
                 rise = (claim.stiffness - before.stiffness) / ((claim.at_ns - before.at_ns) * 1e-9)
@@ -106,17 +131,19 @@ class Judge:
     def _bus(self, seen: Observation) -> Iterator[Violation]:
         """Of frames, in every state: SUP-2, 3, 10, 14."""
         settings, enabled = self._settings, seen.enabled
-        least = float(seen.torque_age[enabled].min())
-        if least > settings.patience_ms:
-            yield Violation(Requirement.TORQUE, NOWHERE, least)
+        ages = np.sort(seen.torque_age[enabled])
+        most_drives = float(ages[(len(ages) - 1) // 2])  # of more than half of them
+        if most_drives > settings.patience_ms:
+            yield Violation(Requirement.TORQUE, NOWHERE, most_drives)
         yield from _at(Requirement.TORQUE, seen, seen.torque_age, settings.axis_torque_ms, enabled)
         fewest = int(seen.same[enabled].min())
         if fewest >= settings.frozen_frames:
             state = None if seen.claim is None else seen.claim.state
-            if state in CONTROLLED[1:] or np.nanmax(abs(seen.rate)) > settings.frozen_speed:
+            felt = state in CONTROLLED[1:] and seen.swing > settings.frozen_tension
+            if felt or seen.jolt > settings.frozen_rate:
                 yield Violation(Requirement.FROZEN, NOWHERE, fewest)
         logged = (abs(seen.mille - seen.claimed) <= _ROUNDING).any(axis=0)
-        wrong = enabled & np.isfinite(seen.torque) & ~logged & (seen.mille != 0)
+        wrong = enabled & np.isfinite(seen.torque) & ~logged
         yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong)
         sent = (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)
@@ -133,40 +160,43 @@ class Judge:
         error = claim.reference[seen.axes] - seen.tension
         opposed = (abs(pull) > settings.opposed_force) & (abs(error) > settings.opposed_error)
         opposed &= (pull > 0.0) != (error > 0.0)
+        opposed |= ~np.isfinite(claim.reference[seen.axes])
         yield from _at(Requirement.OPPOSED, seen, pull, None, enabled & opposed)
-        yield from _at(Requirement.TENSION, seen, seen.tension, self._most_tension, enabled)
+        yield from _at(Requirement.TENSION, seen, seen.tension, self._most_tension)
         if abs(seen.contact) > self._most_contact:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
         oldest = max(settings.stale_ms, settings.patience_ms)
         yield from _at(Requirement.STALE, seen, seen.cell_age, oldest, enabled)
         if seen.contact_age > oldest:
             yield Violation(Requirement.STALE, NOWHERE, seen.contact_age)
-        speed = self._speed(seen)
-        if speed > self._most_speed:
-            yield Violation(Requirement.SPEED, NOWHERE, speed)
+        yield from self._speed(seen, self._most_speed, settings.rotation)
+        # What it does not know is not a number; what the daemon does not know is wrong.
         off = abs(claim.tension[seen.axes] - seen.tension)
+        off[~np.isfinite(claim.tension[seen.axes])] = np.inf
         limit = settings.logged_tension
         yield from _at(Requirement.MEASURED_LOGGED, seen, off, limit, enabled)
-        if not np.abs(claim.tare).max() <= self._tare:
-            yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, float(np.abs(claim.tare).max()))
+        if not math.isnan(seen.contact) and not abs(claim.contact - seen.contact) <= limit:
+            yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, claim.contact - seen.contact)
 
     def _always(self, seen: Observation) -> Iterator[Violation]:
         """Bounds of every state, wide enough for what a torn cable does to a good stop."""
         settings = self._settings
         limit = settings.tension_stopping
-        yield from _at(Requirement.TENSION, seen, seen.tension, limit, seen.enabled)
+        yield from _at(Requirement.TENSION, seen, seen.tension, limit)
         if abs(seen.contact) > settings.contact_stopping:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
-        speed = self._speed(seen)
-        if speed > settings.speed_stopping:
-            yield Violation(Requirement.SPEED, NOWHERE, speed)
+        yield from self._speed(seen, settings.speed_stopping, settings.rotation_stopping)
 
-    def _speed(self, seen: Observation) -> float:
-        """m/s: the least platform speed, of all poses tried, that gives the drums their rates."""
+    def _speed(self, seen: Observation, speed: float, rotation: float) -> Iterator[Violation]:
+        """By the least that any of the poses tried needs to give the drums their rates; m/s and
+        rad/s. A rate that is not known gives none."""
         if len(seen.rate) != self._twists.shape[2]:
-            return np.nan  # some of the axes are on another bus
-        velocities: Floats = self._twists[:, :, seen.axes] @ seen.rate
-        return float(np.sqrt((velocities**2).sum(axis=1)).min())
+            return  # some of the axes are on another bus
+        twists: Floats = self._twists[:, :, seen.axes] @ seen.rate
+        for part, limit in ((twists[:, :3], speed), (twists[:, 3:], rotation)):
+            least = float(np.sqrt((part**2).sum(axis=1)).min())
+            if least > limit:
+                yield Violation(Requirement.SPEED, NOWHERE, least)
 
 
 def _at(
@@ -174,7 +204,7 @@ def _at(
     seen: Observation,
     values: Floats,
     limit: float | None,
-    where: NDArray[np.bool_],
+    where: NDArray[np.bool_] | bool = True,
 ) -> Iterator[Violation]:
     """Each axis of ``where`` whose value is beyond the limit; None: each of them."""
     beyond = where if limit is None else where & (values > limit)
@@ -183,9 +213,9 @@ def _at(
 
 
 def _twists(config: Config, spread: float) -> Floats:
-    """From rates of the cables (n,), reeling in, to the platform's velocity (3,) at each of 27
-    poses round the workspace's middle: (27, 3, n). The cables' rates are the structure matrix,
-    transposed, times the twist."""
+    """From rates of the cables (n,), reeling in, to the platform's velocity and angular velocity
+    (6,) at each of 27 poses round the workspace's middle: (27, 6, n). The cables' rates are the
+    structure matrix, transposed, times the twist."""
     geometry = config.robot.geometry
     frame, platform = np.array(geometry.frame), np.array(geometry.platform)
     space = config.robot.workspace
@@ -196,5 +226,5 @@ def _twists(config: Config, spread: float) -> Floats:
         along = frame - position - platform
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         rows = np.hstack([along, np.cross(platform, along)])
-        found.append(np.linalg.pinv(rows)[:3])
+        found.append(np.linalg.pinv(rows))
     return np.array(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
@@ -43,7 +44,9 @@ class Heard:
         self.word, self.at_ns = word, now_ns
         self.count += 1
         for place, value in enumerate(self.values):
-            self.totals[place] += value.number(word)
+            number = value.number(word)
+            if math.isfinite(number):  # the sum is for ever
+                self.totals[place] += number
 
 
 class Listener:

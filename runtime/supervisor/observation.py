@@ -55,6 +55,11 @@ class Observation:
     """N of the torque's mean over the window that neither tension nor motion explain"""
     mean_torque: Floats
     """N, of the same window"""
+    swing: float
+    """N between a cable's least and largest tension since the torques of the enabled drives changed
+    last, of the cable where that is most; 0 where none is known"""
+    jolt: float
+    """m/s between a drum's least and largest rate, the same way"""
     claims: list[Claim]
     """new since the last look, in their order"""
     claim: Claim | None
@@ -63,30 +68,47 @@ class Observation:
     """torques of the newest records (k, axes), per mille"""
 
 
+@dataclass
 class _Sample:
-    """What a window's end needs, of one look."""
+    """What a window needs, of one look."""
 
-    def __init__(self, at_ns: int, length: Floats, sums: Floats, counts: NDArray[np.int64]) -> None:
-        self.at_ns, self.length, self.sums, self.counts = at_ns, length, sums, counts
+    at_ns: int
+    length: Floats
+    """m (n,)"""
+    places: NDArray[np.int64]
+    """of the position in the drive's answers (n,)"""
+    sums: Floats
+    """of torques and of forces, in their units on the bus and in N (2, n)"""
+    counts: NDArray[np.int64]
+    """of their frames (2, n)"""
+    tension: Floats
+    """N (n,)"""
+    rate: Floats
+    """m/s since the look before (n,)"""
 
 
 class Observer:
     """Makes an observation of what was received and recorded."""
 
-    def __init__(self, wiring: Wiring, settings: Supervisor, contact_cell: int) -> None:
-        self._axes, self._settings = wiring.axes, settings
+    def __init__(
+        self, wiring: Wiring, settings: Supervisor, contact_cell: int, tick_ns: int
+    ) -> None:
+        """A drive answers each SYNC, one every ``tick_ns``."""
+        self._axes, self._settings, self._tick_ns = wiring.axes, settings, tick_ns
         self._cell_of = {cell.number: cell for cell in wiring.cells}
         self._contact = self._cell_of.get(contact_cell)
         self._numbers = np.array([axis.number for axis in wiring.axes], np.int64)
         self._newton = np.array([np.nan if a.newton is None else a.newton for a in wiring.axes])
         self._mass = np.array([axis.mass for axis in wiring.axes])
         self._damping = np.array([axis.damping for axis in wiring.axes])
+        self._metre = np.array([np.nan if a.metre is None else a.metre for a in wiring.axes])
         self._per_newton_metre = np.array(
             [np.nan if a.newton is None else a.per_newton_metre for a in wiring.axes]
         )
         self._claim: Claim | None = None
         self._claimed: deque[NDArray[np.int64]] = deque(maxlen=settings.logged_ticks)
         self._samples: deque[_Sample] = deque()
+        self._since = _Since(len(wiring.axes))
 
     def __call__(self, now_ns: int, heard: Listened, claims: list[Claim]) -> Observation:
         for claim in claims:
@@ -100,51 +122,55 @@ class Observer:
             [int(a.torque.number(h.word)) for a, h in zip(self._axes, sent, strict=True)], np.int64
         )
         cells = [self._cell_of.get(axis.number) for axis in self._axes]
-        length = np.array(
+        same = np.array([each.same for each in sent], np.int64)
+        enabled = np.array(
             [
-                axis.position.number(each.word) * axis.metre if each.count else np.nan
+                each.count > 0 and axis.statusword.unsigned(each.word) & _POWER == _ENABLED
                 for axis, each in zip(self._axes, received, strict=True)
-            ]
+            ],
+            bool,
         )
-        rate, unexplained, mean = self._moved(now_ns, length, sent, cells, heard, tared)
+        tension = np.array([_force(cell, heard, tared) for cell in cells])
+        self._sample(now_ns, received, sent, cells, heard, tension)
+        rate, unexplained, mean = self._moved(tared)
         return Observation(
             now_ns,
             self._numbers,
-            np.array(
-                [
-                    each.count > 0 and axis.statusword.unsigned(each.word) & _POWER == _ENABLED
-                    for axis, each in zip(self._axes, received, strict=True)
-                ],
-                bool,
-            ),
+            enabled,
             _ages(now_ns, received),
             _ages(now_ns, sent),
-            np.array([each.same for each in sent], np.int64),
+            same,
             mille,
             mille * self._newton,
             rate,
-            np.array([_force(cell, heard, tared) for cell in cells]),
+            tension,
             _force(self._contact, heard, tared),
             np.array([_cell_age(now_ns, cell, heard) for cell in cells]),
             _cell_age(now_ns, self._contact, heard),
             unexplained,
             mean,
+            *self._since.spans(same[enabled], tension, rate),
             claims,
             self._claim,
             np.array(self._claimed, np.int64).reshape(len(self._claimed), len(self._axes)),
         )
 
-    def _moved(
+    def _sample(
         self,
         now_ns: int,
-        length: Floats,
+        received: list[Heard],
         sent: list[Heard],
         cells: list[Cell | None],
         heard: Listened,
-        tared: Floats | None,
-    ) -> tuple[Floats, Floats, Floats]:
-        """Rates between the last two looks; over the window, what of the mean torque neither the
-        mean tension nor the drum's change of motion explains, and that mean."""
+        tension: Floats,
+    ) -> None:
+        """Add this look to the window, and let go what is older."""
+        length = np.array(
+            [
+                axis.position.number(each.word) if each.count else np.nan
+                for axis, each in zip(self._axes, received, strict=True)
+            ]
+        )
         found = [heard[cell.channel, cell.received] if cell is not None else None for cell in cells]
         sums = np.array(
             [
@@ -155,29 +181,63 @@ class Observer:
         counts = np.array(
             [[each.count for each in sent], [0 if each is None else each.count for each in found]]
         )
-        samples = self._samples
-        samples.append(_Sample(now_ns, length, sums, counts))
+        places = np.array([each.count for each in received], np.int64)
+        samples, length = self._samples, length * self._metre
+        rate = np.full(len(length), np.nan)
+        if samples:
+            rate = self._rate(samples[-1], now_ns, length, places)
+        samples.append(_Sample(now_ns, length, places, sums, counts, tension, rate))
         window_ns = self._settings.window_ms * 1e6
         while len(samples) > 3 and now_ns - samples[1].at_ns >= window_ns:
             samples.popleft()
-        nothing = np.full(len(length), np.nan)
+
+    def _moved(self, tared: Floats | None) -> tuple[Floats, Floats, Floats]:
+        """Rates between the last two looks; over the window, what of the mean torque neither the
+        mean tension nor the drum's change of motion explains, and that mean."""
+        samples = self._samples
+        nothing = np.full(len(self._axes), np.nan)
         if len(samples) < 3:
             return nothing, nothing, nothing
-        first, second, last = samples[0], samples[1], samples[-1]
-        rate = _rate(samples[-2], last)
-        if now_ns - first.at_ns < window_ns:
+        first, last = samples[0], samples[-1]
+        rate = last.rate
+        if last.at_ns - first.at_ns < self._settings.window_ms * 1e6:
             return rate, nothing, nothing
-        change = (rate - _rate(first, second)) / ((last.at_ns - first.at_ns) * 1e-9)
+        change = (rate - samples[1].rate) / ((last.at_ns - first.at_ns) * 1e-9)
         with np.errstate(divide="ignore", invalid="ignore"):
-            means = (sums - first.sums) / (counts - first.counts)
+            means = (last.sums - first.sums) / (last.counts - first.counts)
         torque = means[0] * self._newton
-        tare = np.zeros(len(length)) if tared is None else tared[self._numbers]
+        tare = np.zeros(len(torque)) if tared is None else tared[self._numbers]
         motion = self._mass * change + self._damping * rate
         return rate, torque - (means[1] - tare) - motion, torque
 
+    def _rate(
+        self, first: _Sample, now_ns: int, length: Floats, places: NDArray[np.int64]
+    ) -> Floats:
+        """Over the time between the SYNCs of the two positions, which their number tells better
+        than the times of the looks: one may come just before a PDO and the other just after. Where
+        answers were lost the looks tell better."""
+        looked_s = (now_ns - first.at_ns) * 1e-9
+        answered_s = (places - first.places) * (self._tick_ns * 1e-9)
+        lost = (answered_s < looked_s - 1.5e-9 * self._tick_ns) | (answered_s <= 0.0)
+        return (length - first.length) / np.where(lost, looked_s, answered_s)
 
-def _rate(first: _Sample, last: _Sample) -> Floats:
-    return (last.length - first.length) / ((last.at_ns - first.at_ns) * 1e-9)
+
+class _Since:
+    """How far tensions and rates have gone since the torques changed last."""
+
+    def __init__(self, axes: int) -> None:
+        self._same = 0
+        self._low = self._high = np.full((2, axes), np.nan)
+
+    def spans(self, same: NDArray[np.int64], tension: Floats, rate: Floats) -> tuple[float, float]:
+        """``same``: of each enabled drive, torques in a row that were equal to the one before."""
+        present, fewest = np.array([tension, rate]), int(same.min()) if len(same) else 0
+        if fewest <= self._same:
+            self._low = self._high = present
+        self._same = fewest
+        self._low, self._high = np.fmin(self._low, present), np.fmax(self._high, present)
+        spans = np.nan_to_num(self._high - self._low).max(axis=1)
+        return float(spans[0]), float(spans[1])
 
 
 def _ages(now_ns: int, frames: list[Heard]) -> Floats:

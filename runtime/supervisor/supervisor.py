@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import struct
 from collections.abc import Callable
 
 import can
+import numpy as np
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS
@@ -23,6 +25,8 @@ _OPERATIONAL = b"\5"
 _ERROR = struct.Struct("<HBBf")
 """Error code, error register, axis or 0xFF, value; CiA 301 leaves the last five to the device."""
 _ERROR_CODE, _REGISTER, _NO_AXIS = 0xFF00, 0x81, 0xFF
+_LARGEST = 3.4e38
+"""below the largest float of 32 bits"""
 
 
 class Supervisor:
@@ -31,7 +35,8 @@ class Supervisor:
     It is silent at first, and after a violation; the heartbeat begins when no drive has been
     enabled for ``quiet_s`` and everything arrives that it judges by. So its restart, or a mistake
     of its own that has passed, gives an armed robot nothing back, and a drive that it stopped needs
-    the operator's reset.
+    the operator's reset. A drive counts as enabled until it reports something else, however long it
+    has been silent. A channel on which no device answers gets no heartbeat any more.
     """
 
     def __init__(self, config: Config, records: Records, open_bus: OpenBus) -> None:
@@ -43,16 +48,22 @@ class Supervisor:
         self.settings = settings
         self.violation: Violation | None = None
         """what it stopped the robot for; None while it sends its heartbeat"""
-        self.beating = False
+        self._beating: list[bool] = []
+        """on each channel"""
         wiring = Wiring(config)
         self._records = records
-        self._observe = Observer(wiring, settings, config.robot.contact_cell)
+        tick_ns = config.control.rates.period_ns
+        self._observe = Observer(wiring, settings, config.robot.contact_cell, tick_ns)
         self._judge = Judge(config, settings)
         self._quiet_ns: int | None = None
         self._listeners: list[Listener] = []
         for interface, channel, bitrate in wiring.channels:
             bus = open_bus(interface, channel, bitrate)
             self._listeners.append(Listener(bus, _watched(wiring, channel)))
+        self._beating = [False] * len(self._listeners)
+        names = [name for _, name, _ in wiring.channels]
+        self._channel_of = np.array([names.index(axis.channel) for axis in wiring.axes], np.int64)
+        self._answers = [_answers(wiring, channel) for _, channel, _ in wiring.channels]
         self._heard: Listened = {
             (channel, identifier): heard
             for (_, channel, _), listener in zip(wiring.channels, self._listeners, strict=True)
@@ -65,33 +76,52 @@ class Supervisor:
             with contextlib.suppress(can.CanError, OSError):
                 listener.read(now_ns)
         seen = self._observe(now_ns, self._heard, claims(self._records()))
-        present = seen.measured_age < self.settings.stale_ms
-        # Where nothing is heard of any drive, what was enabled still is: a supervisor that has
-        # gone deaf must not take that for a robot at rest.
-        armed = bool((seen.enabled & (present | ~present.any())).any())
+        armed = bool(seen.enabled.any())
         if armed:
             self._quiet_ns = None
         elif self._quiet_ns is None:
             self._quiet_ns = now_ns
-        if not self.beating:
-            quiet = self._quiet_ns is not None and (
-                now_ns - self._quiet_ns >= self.settings.quiet_s * 1e9
-            )
-            if not (quiet and self._hears(seen)):
-                return
-            self.beating, self.violation = True, None
-        if armed:
+            self._judge.rest()
+        self._fall_silent_where_deaf(now_ns, armed)
+        quiet = self._quiet_ns is not None and (
+            now_ns - self._quiet_ns >= self.settings.quiet_s * 1e9
+        )
+        if quiet and not all(self._beating) and self._hears(seen):
+            self._beating = [True] * len(self._listeners)
+            self.violation = None
+        # The drives of a channel without a heartbeat stop by themselves; the others are judged.
+        seen.enabled &= np.array(self._beating)[self._channel_of]
+        if seen.enabled.any():
             self.violation = self._judge(seen)
             if self.violation is not None:
-                self.beating = False
                 self._send(_EMERGENCY, _error(self.violation))
-                return
+                self._beating = [False] * len(self._listeners)
         self._send(_HEARTBEAT, _OPERATIONAL)
+
+    @property
+    def beating(self) -> bool:
+        """Whether any channel gets a heartbeat."""
+        return any(self._beating)
 
     def _hears(self, seen: Observation) -> bool:
         """Whether everything arrives that it judges by: it does not begin deaf."""
         ages = [*seen.measured_age, *seen.torque_age, *seen.cell_age, seen.contact_age]
         return bool(max(ages) < self.settings.stale_ms)
+
+    def _fall_silent_where_deaf(self, now_ns: int, armed: bool) -> None:
+        """While nothing is enabled the daemon may begin anew, which takes no answers; while a drive
+        is, the daemon may be late, and no channel answers: that is SUP-1 to judge."""
+        newest_ns = [
+            max((listener.heard[each].at_ns for each in answers), default=now_ns)
+            for answers, listener in zip(self._answers, self._listeners, strict=True)
+        ]
+        end_ns, longest_ms = now_ns, self.settings.quiet_s * 1e3
+        if armed:
+            # A look before SUP-14 would stop the drives of the other channels too.
+            end_ns = max(newest_ns)
+            longest_ms = self.settings.stale_ms - self.settings.period_ms
+        for place, answered_ns in enumerate(newest_ns):
+            self._beating[place] &= end_ns - answered_ns <= longest_ms * 1e6
 
     def close(self) -> None:
         """Its heartbeat ends with it."""
@@ -99,11 +129,13 @@ class Supervisor:
             listener.bus.shutdown()
 
     def _send(self, function: int, data: bytes) -> None:
+        """On the channels that get a heartbeat."""
         identifier = function + self.settings.node_id
         message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
-        for listener in self._listeners:
-            with contextlib.suppress(can.CanError, OSError):
-                listener.bus.send(message)
+        for listener, beating in zip(self._listeners, self._beating, strict=True):
+            if beating:
+                with contextlib.suppress(can.CanError, OSError):
+                    listener.bus.send(message)
 
 
 def told(violation: Violation) -> str:
@@ -115,7 +147,16 @@ def told(violation: Violation) -> str:
 
 def _error(violation: Violation) -> bytes:
     place = _NO_AXIS if violation.where == NOWHERE else violation.where
-    return _ERROR.pack(_ERROR_CODE + violation.requirement, _REGISTER, place, violation.value)
+    value = violation.value
+    if not abs(value) < _LARGEST:
+        value = math.copysign(math.inf, value)
+    return _ERROR.pack(_ERROR_CODE + violation.requirement, _REGISTER, place, value)
+
+
+def _answers(wiring: Wiring, channel: str) -> list[int]:
+    """Identifiers under which the devices of a channel send."""
+    axes = [axis.received for axis in wiring.axes if axis.channel == channel]
+    return axes + [cell.received for cell in wiring.cells if cell.channel == channel]
 
 
 def _watched(wiring: Wiring, channel: str) -> list[Watched]:

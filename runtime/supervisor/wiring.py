@@ -53,8 +53,8 @@ class Axis:
     """at the cable for one per mille of rated torque; None: only the drive knows its scale"""
     per_newton_metre: float
     """per mille for one newton metre at the drum"""
-    metre: float
-    """of cable for one increment, reeling in"""
+    metre: float | None
+    """of cable for one increment, reeling in; None like ``newton``"""
     mass: float
     """kg of the drum at the cable"""
     damping: float
@@ -108,7 +108,7 @@ class Wiring:
                         _value(profile.tpdo, _POSITION),
                         mille * ratio / radius if own else None,
                         1.0 / (mille * ratio),
-                        turn / ratio * radius,
+                        turn / ratio * radius if own else None,
                         train.drum.inertia / radius**2,
                         train.drum.viscous_friction / radius**2,
                     )

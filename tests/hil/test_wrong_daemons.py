@@ -14,6 +14,7 @@ import pytest
 
 from tests.supervised import DRIVES, Run, configured
 from tonus.config.loader import load_scenario
+from tonus.config.schema.faults import Loss
 from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.exchange import Exchange
 from tonus.runtime.control.allocation import Allocation
@@ -23,6 +24,7 @@ from tonus.runtime.daemon import Daemon
 from tonus.runtime.safety.fallback import Fallback
 from tonus.runtime.safety.faults import Faults
 from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.runtime.timing import clock
 from tonus.tools.campaign.observed import Observed
 from tonus.tools.campaign.play import Playing
 from tonus.tools.run.supervision import Overheard
@@ -91,6 +93,11 @@ def _opposite(torques: Any) -> Any:
     return torques
 
 
+def _slack(torques: Any) -> Any:
+    torques[AXIS] = 0
+    return torques
+
+
 def _stiff(_: float, limiter: Limiter, *__: Any) -> float:
     limiter.value = 6000.0
     return limiter.value
@@ -120,6 +127,10 @@ AT_ONCE: dict[str, tuple[Change, set[Requirement]]] = {
     "torques frozen on the bus": (_torque_on_the_bus(_Frozen()), {Requirement.FROZEN}),
     "torques frozen in control": (_torque_in_control(_Frozen()), {Requirement.FROZEN}),
     "a sign wrong on the bus": (_torque_on_the_bus(_opposite), {Requirement.COMMAND_LOGGED}),
+    "no torque for one axis on the bus": (
+        _torque_on_the_bus(_slack),
+        {Requirement.COMMAND_LOGGED},
+    ),
     "K_eq without its limiter": (_after(Limiter, "__call__", _stiff), {Requirement.STIFFNESS}),
 }
 
@@ -151,7 +162,7 @@ LATER: dict[str, tuple[Change, float]] = {
             _instead(ControlCycle, "act", _raises),
             _instead(Fallback, "step", lambda *_, **__: None),
         ),
-        100.0,
+        70.0,
     ),
 }
 """With the longest time to the last drive, ms: what is wrong has to show first."""
@@ -166,6 +177,32 @@ def test_a_daemon_whose_mistake_has_to_show(name: str, monkeypatch: pytest.Monke
     after = seen.truth_ns > run.changed_ns
     speed = np.linalg.norm(seen.truth["velocity"][after], axis=1)
     assert speed.max() <= 0.8
+
+
+def test_a_channel_whose_devices_are_not_received() -> None:
+    """It gets no heartbeat, so that its drives stop; the daemon's stop has the others."""
+    runs: list[Run] = []
+
+    def deaf() -> None:
+        lab = runs[0]._playing.lab
+        assert lab is not None
+        assert lab.script_start_ns is not None
+        soon = (clock.now_ns() - lab.script_start_ns) * 1e-9 + 0.001
+        lab.extend_script(
+            [
+                Loss(channel="can1", identifier=identifier, frames=5000, at=soon)
+                for identifier in (0x183, 0x184, 0x193, 0x194)
+            ]
+        )
+
+    runs.append(Run(configured()[0], load_scenario("sine_z"), deaf))
+    seen = runs[0].play(3.0)
+    run = runs[0]
+    assert sorted(run.stopped_ns) == [3, 4], seen.error
+    assert max(run.stopped_ns[node] - run.changed_ns for node in (3, 4)) * 1e-6 <= 42.0
+    assert not run.said
+    after = seen.truth_ns > run.changed_ns
+    assert np.linalg.norm(seen.truth["velocity"][after], axis=1).max() <= 0.8
 
 
 def test_a_contact_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,6 +25,15 @@ def check_supervisor(config: Config, bus: CanopenBus) -> Iterator[Finding]:
             "add supervisor: !include supervisor.yaml, or write supervisor.policy under relaxed",
         )
         return
+    if not bus.axis_places:
+        yield Finding(
+            "supervisor",
+            config.lab is not None or settings.policy != "require",
+            f"{_KEY}.policy",
+            "no drive is on CAN, and it acts on no other: it is not started",
+            "write supervisor.policy under relaxed, and set it to off",
+        )
+        return
     for key, profile in bus.every_profile.items():
         if not profile.watches_supervisor:
             yield Finding(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tonus.config.schema.root import Config
 from tonus.runtime.ports import Ring
 from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.runtime.supervisor.wiring import Wiring
 from tonus.runtime.timing.clock import now_ns
 from tonus.tools.errors import ToolError
 
@@ -25,10 +26,9 @@ _KEPT = 256
 
 
 def wanted(config: Config) -> bool:
-    """Whether a run is supervised: there is a supervisor, and a CAN channel that it acts on."""
+    """Whether a run is supervised: there is a supervisor, and a drive on CAN that it acts on."""
     supervisor = config.supervisor
-    on_can = any(bus.heartbeats for bus in config.fieldbus.parts)
-    return supervisor is not None and supervisor.policy != "off" and on_can
+    return supervisor is not None and supervisor.policy != "off" and bool(Wiring(config).axes)
 
 
 def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:

@@ -1,0 +1,96 @@
+"""What `tonus check` and the loader refuse: a supervisor that could not stop the robot in time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tonus.config import Config, ConfigError, load
+from tonus.tools.check.finding import Finding
+from tonus.tools.check.rules import check
+from tonus.tools.run.supervision import wanted
+
+ROBOT: dict[str, Any] = {"lab": None}
+
+
+def findings(config: Config, scenario: Any) -> list[Finding]:
+    return [each for each in check(config, scenario) if each.rule == "supervisor" and not each.ok]
+
+
+def refused(path: str, **overrides: Any) -> list[Finding]:
+    stated = {key.replace("__", "."): value for key, value in overrides.items()}
+    return findings(*load(path, overrides=stated))
+
+
+@pytest.mark.parametrize("name", ["can", "mixed", "mixed_drives"])
+def test_a_lab_needs_no_supervisor_that_can_stop_it(name: str) -> None:
+    assert refused(f"config/{name}.yaml") == []
+
+
+def test_a_robot_without_a_supervisor() -> None:
+    found = refused("config/can.yaml", lab=None, supervisor=None)
+    assert [each.where for each in found] == ["supervisor"]
+    off = {"lab": None, "supervisor__policy": "off"}
+    assert len(refused("config/can.yaml", **off)) == 1
+    assert refused("config/can.yaml", **off, relaxed=["supervisor.policy"]) == []
+
+
+def test_a_robot_whose_drives_do_not_watch_it() -> None:
+    found = refused("config/mixed_drives.yaml", lab=None)
+    assert found
+    assert all("no second heartbeat consumer" in each.text for each in found)
+    assert all(each.where.endswith("watches_supervisor") for each in found)
+
+
+def test_a_robot_without_a_drive_on_can() -> None:
+    found = refused("config/mixed.yaml", lab=None)
+    assert [each.where for each in found] == ["supervisor.policy"]
+    assert "no drive is on CAN" in found[0].text
+    config, _ = load("config/mixed.yaml")
+    assert not wanted(config), "it would send a heartbeat and judge nothing"
+    assert wanted(load("config/can.yaml")[0])
+    assert not wanted(load("config/can.yaml", overrides={"supervisor.policy": "off"})[0])
+
+
+def test_drives_that_wait_for_less_than_its_period_allows() -> None:
+    found = refused("config/can.yaml", lab=None, supervisor__timeout_ms=21)
+    assert [each.where for each in found] == ["supervisor.timeout_ms"]
+    assert "needs 22 ms" in found[0].text
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("timeout_ms", 201),
+        ("timeout_ms", 70_000),
+        ("period_ms", 21),
+        ("patience_ms", 101),
+        ("margin", 0.9),
+        ("margin", 1.6),
+        ("stop_s", 1e9),
+        ("stale_ms", 101),
+        ("axis_torque_ms", 301),
+        ("frozen_frames", 101),
+        ("stopping_ms", 501),
+        ("disarmed_ms", 201),
+        ("window_ms", 101),
+        ("quiet_s", 2.1),
+    ],
+)
+def test_a_bound_of_any_size_is_none(key: str, value: float) -> None:
+    with pytest.raises(ConfigError) as error:
+        load("config/can.yaml", overrides={f"supervisor.{key}": value})
+    assert f"supervisor.{key}" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("policy", "use"), ("patience_ms", 11), ("timeout_ms", 51)]
+)
+def test_what_only_a_lab_may_state(key: str, value: Any) -> None:
+    stated = {f"supervisor.{key}": value}
+    load("config/can.yaml", overrides=stated)
+    with pytest.raises(ConfigError, match=f"or write supervisor.{key} under relaxed"):
+        load("config/can.yaml", overrides=ROBOT | stated)
+    load("config/can.yaml", overrides=ROBOT | stated | {"relaxed": [f"supervisor.{key}"]})
