@@ -8,7 +8,7 @@ MINUTES ?= 20
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test test-long bench bench-realtime least-stop load paper campaign torn isolation
+.PHONY: setup run test test-long bench bench-realtime bench-studies least-stop load paper campaign torn isolation
 .PHONY: fuzz robust replay kill soak mutation
 .PHONY: lint check-types docs lock clean
 
@@ -85,6 +85,11 @@ least-stop: setup
 # What the tick makes of busy processes, a slow disk, a flooding client and a stopped recorder.
 load: setup
 	$(BIN)/python -m tests.bench.load
+
+# What a study costs beside its runs: 100000 trials that do nothing, on this host and through Dask; half
+# an hour. Figures in docs/studies.md.
+bench-studies: setup
+	$(BIN)/python -m tests.bench.study_scale
 
 # Small errors in the safety path, one at a time, each of which a test has to find; ten minutes or so.
 # The table goes into docs/mutation.md.

@@ -156,8 +156,11 @@ def test_what_goes_wrong_in_a_run_is_its_row(
 
 
 def test_by_dask_it_is_the_same_table_though_a_worker_dies(
-    file: Path, whole: Path, tmp_path: Path
+    file: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Two trials at a time: the scheduler gets the others when these are done."""
+    monkeypatch.setattr("tonus.tools.study.engine._WINDOW", 1)
+    monkeypatch.setattr("tonus.tools.study.engine._AHEAD", 1)
     distributed = pytest.importorskip("distributed", reason="pip install 'tonus[study]'")
     study = load_parameter_study(file)
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}

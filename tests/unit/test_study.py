@@ -10,6 +10,7 @@ import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
 
+from tests.bench import study_scale
 from tonus.config.errors import ConfigError
 from tonus.config.loader import HERE, load_parameter_study
 from tonus.config.schema.parameter_study import ParameterStudy
@@ -244,3 +245,16 @@ def test_nothing_of_a_row_is_markup_on_the_page(tmp_path: Path) -> None:
     assert "<script>alert(1)" not in page
     assert "&lt;script&gt;alert(1)" in page
     assert write_page(of, rows, tmp_path).read_text() == page
+
+
+def test_what_a_study_costs_beside_its_runs() -> None:
+    """`make bench-studies`, in a short form; through Dask it is a long test."""
+    cost = study_scale.local(20)
+    assert cost.trials == 20
+    assert str(cost).count("|") == study_scale.HEAD.splitlines()[0].count("|")
+
+
+@pytest.mark.long
+def test_what_a_study_costs_through_dask() -> None:
+    pytest.importorskip("distributed", reason="pip install 'tonus[study]'")
+    assert study_scale.dask(200).trials == 200

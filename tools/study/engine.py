@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from tonus.tools.study.trials import Trial, share, trials
 LOCAL = "local"
 DASK = "dask://"
 _CONNECT_S = 10
+_WINDOW, _AHEAD = 64, 8
+"""trials that the scheduler has at a time: at least, and of each worker thread"""
 _ATTEMPTS = 3
 """of a trial whose Dask worker dies"""
 
@@ -119,9 +122,23 @@ def _dask(study: ParameterStudy, todo: Sequence[Trial], engine: str) -> Iterator
         raise ToolError(f"--engine {engine}: no scheduler answers there: {error}") from error
     with client:
         _need_alike(engine, client.run(head, study), head(study))
-        futures = client.map(played, [study] * len(todo), todo, retries=_ATTEMPTS, pure=False)
-        of = dict(zip((each.key for each in futures), todo, strict=True))
-        for future in distributed.as_completed(futures):
+        of: dict[str, Trial] = {}
+        waiting = iter(todo)
+
+        def given(count: int) -> list[Any]:
+            """The next so many, given to the scheduler."""
+            found = []
+            for trial in islice(waiting, count):
+                future = client.submit(played, study, trial, retries=_ATTEMPTS, pure=False)
+                of[future.key] = trial
+                found.append(future)
+            return found
+
+        # A scheduler that holds all trials of a large study takes gigabytes and forgets none.
+        threads = sum(client.nthreads().values())
+        running = distributed.as_completed(given(max(_WINDOW, _AHEAD * threads)))
+        for future in running:
+            running.update(given(1))
             if future.status == "finished":
                 yield future.result()
             elif future.status != "error":  # lost or cancelled: not the run's fault, so no row
@@ -129,6 +146,7 @@ def _dask(study: ParameterStudy, todo: Sequence[Trial], engine: str) -> Iterator
                 raise ToolError(f"--engine {engine}: {gone}")
             else:
                 yield failed(study, of[future.key], f"lost by its worker: {future.exception()}")
+            del of[future.key]
 
 
 def _need_alike(engine: str, workers: dict[str, dict[str, Any]], ours: dict[str, Any]) -> None:
