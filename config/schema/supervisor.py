@@ -85,9 +85,9 @@ class Supervisor(Section):
     """how long no drive may be enabled before the heartbeat begins, or begins again"""
     frozen_frames: Annotated[Count, Field(le=100)]
     """RPDOs of all drives in a row to the last bit equal"""
-    frozen_rate: Positive
+    frozen_rate: Annotated[Positive, Field(le=0.2)]
     """m/s by which a cable's rate may change before some torque does"""
-    frozen_tension: Positive
+    frozen_tension: Annotated[Positive, Field(le=2)]
     """N by which a tension may, while the robot is controlled"""
     window_ms: Annotated[Positive, Field(le=100)]
     """over which a drive's torque is compared with its cable and its drum"""
@@ -97,7 +97,7 @@ class Supervisor(Section):
     """and of the torque itself: the gearbox's efficiency"""
     opposed_force: Positive
     """N between torque and tension, in the direction away from the reference"""
-    opposed_error: Positive
+    opposed_error: Annotated[Positive, Field(le=20)]
     """N between tension and reference"""
     margin: Annotated[Number, Field(ge=1, le=1.5)]
     """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
@@ -107,9 +107,9 @@ class Supervisor(Section):
     """N, in every state"""
     speed_stopping: Positive
     """m/s, in every state"""
-    rotation: Positive
+    rotation: Annotated[Positive, Field(le=5)]
     """rad/s, while the robot is controlled"""
-    rotation_stopping: Positive
+    rotation_stopping: Annotated[Positive, Field(le=30)]
     """rad/s, in every state"""
     logged_tension: Positive
     """N by which a recorded force may differ from the one on the bus"""
@@ -122,7 +122,7 @@ class Supervisor(Section):
     processors: Count = 3
     """beside a lab in real time, ``use`` starts it on a host with at least so many: daemon, lab and
     supervisor need one each, or the drives in the lab answer too late"""
-    spread: NonNegative = 0.15
+    spread: Annotated[NonNegative, Field(le=0.5)] = 0.15
     """m from the middle of the workspace to the poses at which the structure matrix is taken"""
 
     @model_validator(mode="after")

@@ -107,23 +107,28 @@ class Judge:
         most = float(np.abs(claim.tare).max())
         if not most <= self._tare:
             yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, most)
-        if any(each.state not in _ARMED for each in seen.claims):
-            self._stopping_ns = None
-        elif claim.state == State.SAFE_STOP and self._stopping_ns is None:
-            self._stopping_ns = seen.now_ns
-        if self._stopping_ns is not None:  # only disarming ends a stop
+        yield from self._stop_ends(seen)
+
+    def _stop_ends(self, seen: Observation) -> Iterator[Violation]:
+        """Only power that is off ends a stop, whatever the daemon records."""
+        again = False
+        for claim in seen.claims:
+            again |= self._stopping_ns is not None and claim.state in CONTROLLED
+            if claim.state == State.SAFE_STOP and self._stopping_ns is None:
+                self._stopping_ns = seen.now_ns
+        if self._stopping_ns is not None:
             lasted = (seen.now_ns - self._stopping_ns) * 1e-9
-            if lasted > settings.stop_s or claim.state in CONTROLLED:
+            if lasted > self._settings.stop_s or again:
                 yield Violation(Requirement.STOP_ENDS, NOWHERE, lasted)
 
     def _stiffness(self, claims: list[Claim]) -> Iterator[Violation]:
         for claim in claims:
-            before, self._before = self._before, claim
             if claim.state not in _STIFF:
                 continue
+            before, self._before = self._before, claim
             if not self._least_stiffness <= claim.stiffness <= self._most_stiffness:
                 yield Violation(Requirement.STIFFNESS, NOWHERE, claim.stiffness)
-            if before is not None and before.state in _STIFF and claim.at_ns > before.at_ns:
+            if before is not None and claim.at_ns > before.at_ns:
                 rise = (claim.stiffness - before.stiffness) / ((claim.at_ns - before.at_ns) * 1e-9)
                 if not rise <= self._most_rise:
                     yield Violation(Requirement.STIFFNESS, NOWHERE, rise)

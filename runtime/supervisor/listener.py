@@ -20,29 +20,48 @@ Fetch = Callable[[], Iterable[tuple[int, int, int]]]
 """Identifier, length and data as a little-endian word of every frame that has arrived."""
 
 
+_STATE, _QUICK_STOP_ACTIVE, _OPERATION_ENABLED = 0x6F, 0x07, 0x27
+"""CiA 402, statusword"""
+
+
 class Watched(NamedTuple):
-    """An identifier, the length its frames must have, and the numbers that are summed."""
+    """An identifier, the length its frames must have, the numbers that are summed, and the
+    statusword where it is a drive's."""
 
     identifier: int
     size: int
     values: tuple[Value, ...]
+    statusword: Value | None = None
 
 
 class Heard:
     """What was received under one identifier: the newest data, when it was read, how many frames,
-    how many of them in a row equal to the one before, and the sum of each number."""
+    how many of them in a row equal to the one before, the sum of each number, and the frames of a
+    drive that was not powered."""
 
-    __slots__ = ("at_ns", "count", "same", "size", "totals", "values", "word")
+    __slots__ = ("at_ns", "count", "off", "same", "size", "statusword", "totals", "values", "word")
 
-    def __init__(self, size: int, values: tuple[Value, ...]) -> None:
-        self.size, self.values = size, values
-        self.word = self.at_ns = self.count = self.same = 0
+    def __init__(
+        self, size: int, values: tuple[Value, ...], statusword: Value | None = None
+    ) -> None:
+        self.size, self.values, self.statusword = size, values, statusword
+        self.word = self.at_ns = self.count = self.same = self.off = 0
         self.totals = [0.0] * len(values)
+
+    @property
+    def powered(self) -> bool:
+        """By the newest statusword: in quick stop a drive brakes, and may be enabled again. What
+        it does in a reaction to a fault is its own, and ends by itself."""
+        if self.statusword is None or not self.count:
+            return False
+        state = self.statusword.unsigned(self.word) & _STATE
+        return state in (_OPERATION_ENABLED, _QUICK_STOP_ACTIVE)
 
     def take(self, word: int, now_ns: int) -> None:
         self.same = self.same + 1 if self.count and word == self.word else 0
         self.word, self.at_ns = word, now_ns
         self.count += 1
+        self.off += not self.powered
         for place, value in enumerate(self.values):
             number = value.number(word)
             if math.isfinite(number):  # the sum is for ever
@@ -54,7 +73,9 @@ class Listener:
 
     def __init__(self, bus: can.BusABC, watched: Iterable[Watched]) -> None:
         self.bus = bus
-        self.heard = {each.identifier: Heard(each.size, each.values) for each in watched}
+        self.heard = {
+            each.identifier: Heard(each.size, each.values, each.statusword) for each in watched
+        }
         self._fetch = _fetch(bus)
 
     def read(self, now_ns: int) -> None:

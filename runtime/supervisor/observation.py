@@ -15,8 +15,6 @@ from tonus.runtime.supervisor.listener import Heard
 from tonus.runtime.supervisor.record import Claim, Floats
 from tonus.runtime.supervisor.wiring import Cell, Wiring
 
-_POWER, _ENABLED = 0x6F, 0x27
-"""CiA 402, statusword: Operation enabled"""
 _MS = 1e-6
 Listened = Mapping[tuple[str, int], Heard]
 """By channel and identifier."""
@@ -30,7 +28,9 @@ class Observation:
     axes: NDArray[np.int64]
     """numbers"""
     enabled: NDArray[np.bool_]
-    """by the newest statusword"""
+    """powered, by the newest statusword"""
+    rested: bool
+    """every drive was without power at some time since the last look"""
     measured_age: Floats
     """ms since the drive's last PDO"""
     torque_age: Floats
@@ -109,6 +109,7 @@ class Observer:
         self._claimed: deque[NDArray[np.int64]] = deque(maxlen=settings.logged_ticks)
         self._samples: deque[_Sample] = deque()
         self._since = _Since(len(wiring.axes))
+        self._off = np.zeros(len(wiring.axes), np.int64)
 
     def __call__(self, now_ns: int, heard: Listened, claims: list[Claim]) -> Observation:
         for claim in claims:
@@ -123,13 +124,10 @@ class Observer:
         )
         cells = [self._cell_of.get(axis.number) for axis in self._axes]
         same = np.array([each.same for each in sent], np.int64)
-        enabled = np.array(
-            [
-                each.count > 0 and axis.statusword.unsigned(each.word) & _POWER == _ENABLED
-                for axis, each in zip(self._axes, received, strict=True)
-            ],
-            bool,
-        )
+        changed = np.array([each.count for each in sent], np.int64) - same
+        enabled = np.array([each.powered for each in received], bool)
+        off = np.array([each.off for each in received], np.int64)
+        rested, self._off = bool((off > self._off).all()), off
         tension = np.array([_force(cell, heard, tared) for cell in cells])
         self._sample(now_ns, received, sent, cells, heard, tension)
         rate, unexplained, mean = self._moved(tared)
@@ -137,6 +135,7 @@ class Observer:
             now_ns,
             self._numbers,
             enabled,
+            rested,
             _ages(now_ns, received),
             _ages(now_ns, sent),
             same,
@@ -149,7 +148,7 @@ class Observer:
             _cell_age(now_ns, self._contact, heard),
             unexplained,
             mean,
-            *self._since.spans(same[enabled], tension, rate),
+            *self._since.spans(changed, tension, rate),
             claims,
             self._claim,
             np.array(self._claimed, np.int64).reshape(len(self._claimed), len(self._axes)),
@@ -198,11 +197,12 @@ class Observer:
         nothing = np.full(len(self._axes), np.nan)
         if len(samples) < 3:
             return nothing, nothing, nothing
-        first, last = samples[0], samples[-1]
+        first, second, before, last = samples[0], samples[1], samples[-2], samples[-1]
         rate = last.rate
         if last.at_ns - first.at_ns < self._settings.window_ms * 1e6:
             return rate, nothing, nothing
-        change = (rate - samples[1].rate) / ((last.at_ns - first.at_ns) * 1e-9)
+        apart_s = (last.at_ns + before.at_ns - second.at_ns - first.at_ns) * 0.5e-9
+        change = (rate - second.rate) / apart_s
         with np.errstate(divide="ignore", invalid="ignore"):
             means = (last.sums - first.sums) / (last.counts - first.counts)
         torque = means[0] * self._newton
@@ -215,26 +215,32 @@ class Observer:
     ) -> Floats:
         """Over the time between the SYNCs of the two positions, which their number tells better
         than the times of the looks: one may come just before a PDO and the other just after. Where
-        answers were lost the looks tell better."""
+        that number does not fit the looks' own time, answers were lost or are too many. Without an
+        answer between two looks the last rate holds."""
         looked_s = (now_ns - first.at_ns) * 1e-9
         answered_s = (places - first.places) * (self._tick_ns * 1e-9)
-        lost = (answered_s < looked_s - 1.5e-9 * self._tick_ns) | (answered_s <= 0.0)
-        return (length - first.length) / np.where(lost, looked_s, answered_s)
+        doubtful = abs(answered_s - looked_s) > 1.5e-9 * self._tick_ns
+        time_s = np.where(doubtful, looked_s, answered_s)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rate = (length - first.length) / time_s
+        return np.where(time_s > 0.0, rate, first.rate)
 
 
 class _Since:
-    """How far tensions and rates have gone since the torques changed last."""
+    """How far tensions and rates have gone since any torque changed last."""
 
     def __init__(self, axes: int) -> None:
-        self._same = 0
+        self._changed = np.zeros(axes, np.int64)
         self._low = self._high = np.full((2, axes), np.nan)
 
-    def spans(self, same: NDArray[np.int64], tension: Floats, rate: Floats) -> tuple[float, float]:
-        """``same``: of each enabled drive, torques in a row that were equal to the one before."""
-        present, fewest = np.array([tension, rate]), int(same.min()) if len(same) else 0
-        if fewest <= self._same:
+    def spans(
+        self, changed: NDArray[np.int64], tension: Floats, rate: Floats
+    ) -> tuple[float, float]:
+        """``changed``: number of the PDO to each drive with which its torque changed last."""
+        present = np.array([tension, rate])
+        if (changed != self._changed).any():
             self._low = self._high = present
-        self._same = fewest
+        self._changed = changed
         self._low, self._high = np.fmin(self._low, present), np.fmax(self._high, present)
         spans = np.nan_to_num(self._high - self._low).max(axis=1)
         return float(spans[0]), float(spans[1])

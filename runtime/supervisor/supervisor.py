@@ -81,6 +81,7 @@ class Supervisor:
             self._quiet_ns = None
         elif self._quiet_ns is None:
             self._quiet_ns = now_ns
+        if seen.rested or not armed:
             self._judge.rest()
         self._fall_silent_where_deaf(now_ns, armed)
         quiet = self._quiet_ns is not None and (
@@ -161,12 +162,14 @@ def _answers(wiring: Wiring, channel: str) -> list[int]:
 
 def _watched(wiring: Wiring, channel: str) -> list[Watched]:
     """Every identifier of a channel that tells of an axis or a cell."""
-    found: dict[int, tuple[int, list[Value]]] = {}
+    found: list[Watched] = []
     for axis in wiring.axes:
         if axis.channel == channel:
-            found[axis.sent] = axis.sent_bytes, [axis.torque]
-            found[axis.received] = axis.received_bytes, [axis.position]
+            sent, received = (axis.torque,), (axis.position,)
+            found.append(Watched(axis.sent, axis.sent_bytes, sent))
+            found.append(Watched(axis.received, axis.received_bytes, received, axis.statusword))
+    cells: dict[int, tuple[int, list[Value]]] = {}
     for cell in wiring.cells:
         if cell.channel == channel:
-            found.setdefault(cell.received, (cell.received_bytes, []))[1].append(cell.force)
-    return [Watched(number, size, tuple(values)) for number, (size, values) in found.items()]
+            cells.setdefault(cell.received, (cell.received_bytes, []))[1].append(cell.force)
+    return found + [Watched(key, size, tuple(values)) for key, (size, values) in cells.items()]

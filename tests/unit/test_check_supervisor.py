@@ -76,6 +76,18 @@ def test_drives_that_wait_for_less_than_its_period_allows() -> None:
         ("disarmed_ms", 201),
         ("window_ms", 101),
         ("quiet_s", 2.1),
+        ("frozen_rate", 0.21),
+        ("frozen_tension", 2.1),
+        ("rotation", 5.1),
+        ("rotation_stopping", 31),
+        ("opposed_error", 21),
+        ("spread", 0.6),
+        ("unexplained_force", 201),
+        ("opposed_force", 201),
+        ("logged_tension", 51),
+        ("tension_stopping", 401),
+        ("contact_stopping", 51),
+        ("speed_stopping", 2.6),
     ],
 )
 def test_a_bound_of_any_size_is_none(key: str, value: float) -> None:

@@ -61,6 +61,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         now_ns=round(at_ms * MS),
         axes=np.arange(N),
         enabled=np.ones(N, bool),
+        rested=False,
         measured_age=np.zeros(N),
         torque_age=np.zeros(N),
         same=np.zeros(N, np.int64),
@@ -371,6 +372,11 @@ def test_how_fast_the_stiffness_rises(config: Config) -> None:
     assert rise(-2800.0) is None
     assert rise(19.0).requirement is Requirement.STIFFNESS
     assert rise(19.0, State.PRETENSION) is None
+    first, other = claim(State.HOLD, 98.0), claim(State.PRETENSION, 99.0)
+    for rises, broken in ((37.0, False), (38.0, True)):
+        last = claim(at_ms=100.0, stiffness=3210.0 + rises)
+        found = judged(config, seen(claims=[first, other, last]))[0]
+        assert (found is not None) is broken, "a state between them changes nothing"
     assert rise(19.0, dt_ms=0.0) is None, "one tick, recorded twice"
 
 
@@ -395,16 +401,24 @@ def test_a_stop_that_does_not_end(config: Config) -> None:
     last = judged(config, stopping(0), stopping(40_001))[1]
     assert last is not None
     assert last.requirement is Requirement.STOP_ENDS
-    again = [stopping(0), stopping(30_000, State.STANDBY), stopping(50_000)]
-    assert judged(config, *again) == [None] * 3
+    flickers = [stopping(0), stopping(30_000, State.STANDBY), stopping(50_000)]
+    assert judged(config, *flickers)[2] is not None, "the drives stayed enabled"
 
 
 def test_a_stop_that_is_followed_by_control(config: Config) -> None:
     """A stop ends in a disarmed state, by the record or by the drives."""
     looks = [seen(0.0, claim(State.SAFE_STOP, 0.0)), seen(2.0, claim(State.ACTIVE, 2.0))]
-    found = judged(config, *looks)[1]
-    assert found is not None
-    assert found.requirement is Requirement.STOP_ENDS
+    one, other = (claim(state, 1.0) for state in (State.SAFE_STOP, State.STANDBY))
+    active = claim(at_ms=2.0)
+    for each in (
+        looks,
+        [looks[0], seen(1.0, other), looks[1]],
+        [seen(2.0, active, claims=[one, active])],
+    ):
+        found = judged(config, *each)[-1]
+        assert found is not None
+        assert found.requirement is Requirement.STOP_ENDS
+    assert judged(config, seen(2.0, active, claims=[active])) == [None]
     assert config.supervisor is not None
     judge = Judge(config, config.supervisor)
     assert judge(looks[0]) is None
@@ -761,7 +775,7 @@ class Stage:
         self.heard: dict[tuple[str, int], Heard] = {}
         for axis in self.wiring.axes:
             self.heard[axis.channel, axis.sent] = Heard(4, (axis.torque,))
-            self.heard[axis.channel, axis.received] = Heard(8, (axis.position,))
+            self.heard[axis.channel, axis.received] = Heard(8, (axis.position,), axis.statusword)
         for cell in self.wiring.cells:
             self.heard[cell.channel, cell.received] = Heard(4, (cell.force,))
         self.observe = Observer(self.wiring, config.supervisor, config.robot.contact_cell, MS)
@@ -828,7 +842,7 @@ def test_a_frame_that_is_lost_shows_in_single_looks(config: Config, lost: int, l
     for tick in range(60):
         before = stage.heard[axis.channel, axis.received]
         if tick == lost:
-            stage.heard[axis.channel, axis.received] = Heard(8, (axis.position,))
+            stage.heard[axis.channel, axis.received] = Heard(8, (axis.position,), axis.statusword)
         stage.tick(tick * MS, newton=45.0, metre=0.226e-3 * tick, force=45.0)
         stage.heard[axis.channel, axis.received] = before
         if tick % 2 == 1:
@@ -838,14 +852,81 @@ def test_a_frame_that_is_lost_shows_in_single_looks(config: Config, lost: int, l
     assert not any(first and second for first, second in pairwise(beyond))
 
 
+def test_answers_that_come_too_often_do_not_slow_a_drum(config: Config) -> None:
+    """Two SYNCs a tick, or a drive that sends each of its PDOs twice."""
+    stage = Stage(config)
+    for tick in range(40):
+        for half in (0.0, 0.5):
+            stage.tick(tick * MS, newton=45.0, metre=0.5e-3 * (tick + half), force=45.0)
+        if tick % 2:
+            found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+    assert found.rate == pytest.approx(0.5, rel=0.02)
+
+
+def test_a_tick_as_long_as_the_time_between_two_looks(config: Config) -> None:
+    """Some looks find no new answer, and others two."""
+    stage, random = Stage(config), np.random.default_rng(2)
+    assert config.supervisor is not None
+    stage.observe = Observer(stage.wiring, config.supervisor, config.robot.contact_cell, 2 * MS)
+    tick = 0
+    for look in range(60):
+        now_ns = 2 * MS * look + int(random.integers(-60_000, 60_000))
+        while 2 * MS * tick <= now_ns:
+            stage.tick(now_ns, newton=45.0, metre=0.4e-3 * tick, force=45.0)
+            tick += 1
+        found = stage.observe(now_ns, stage.heard, [claim(at_ms=2.0 * look)])
+        if look >= 10:
+            assert found.rate == pytest.approx(0.2, rel=0.02)
+            assert np.abs(found.unexplained).max() < 10.0
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_a_drive_in_quick_stop_is_powered(config: Config, quick: bool) -> None:
+    """In a reaction to a fault it is not the daemon's any more, and that ends by itself."""
+    stage = Stage(config)
+    axis = stage.wiring.axes[2]
+    heard = stage.heard[axis.channel, axis.received]
+    assert not heard.powered
+    heard.take((0x0207 if quick else 0x020F) << axis.statusword.shift, 1)
+    assert heard.powered is quick
+    heard.take(0x0237 << axis.statusword.shift, 2)
+    assert heard.powered
+    heard.take(0x0233 << axis.statusword.shift, 3)
+    assert not heard.powered
+    assert heard.off == 2 - quick
+
+
+def test_drives_that_were_without_power_between_two_looks(config: Config) -> None:
+    """However short: every one of them, and not only some."""
+    stage = Stage(config)
+
+    def send(word: int, axes: Any) -> None:
+        for axis in axes:
+            received = stage.heard[axis.channel, axis.received]
+            received.take(word << axis.statusword.shift, 1)
+
+    axes = stage.wiring.axes
+    send(0x0237, axes)
+    assert not stage.observe(MS, stage.heard, [claim()]).rested
+    send(0x0240, axes[:7])
+    send(0x0237, axes)
+    assert not stage.observe(2 * MS, stage.heard, [claim()]).rested
+    send(0x0240, axes)
+    send(0x0237, axes)
+    found = stage.observe(3 * MS, stage.heard, [claim()])
+    assert found.rested
+    assert found.enabled.all()
+    assert not stage.observe(4 * MS, stage.heard, [claim()]).rested
+
+
 def test_positions_that_stop_to_arrive(config: Config) -> None:
-    """No division by nothing: the drum is taken to rest."""
+    """No division by nothing: the drum is taken to rest once an answer is missing."""
     stage = Stage(config)
     for tick in range(20):
         stage.tick(tick * MS, newton=45.0, metre=0.1e-3 * tick, force=45.0)
         found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
     assert found.rate == pytest.approx(0.1, rel=0.02)
-    for tick in range(20, 25):
+    for tick in range(20, 30, 2):
         found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
     assert found.rate.tolist() == [0.0] * N
 

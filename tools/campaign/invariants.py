@@ -217,11 +217,12 @@ def unpowered_on_purpose(run: Observed) -> Flags:
 
 def _named(run: Observed, bounds: Bounds) -> Iterator[Violation]:
     """A fault has a name: the one that the machine stopped for at once, and each that strikes an
-    armed robot within a second, with its place."""
+    armed robot within a second, with its place. A cable that is not used any more had its name."""
     state = run.cycle["state"]
     told = {(event.tick, event.name) for event in run.events}
     fault, where = state["fault"], state["fault_where"]
     ticks = run.cycle["timing"]["tick"]
+    cables = state["failed"].shape[1]
     for index in np.flatnonzero((fault != 0) & (np.diff(fault, prepend=0) != 0)):
         name = Fault(int(fault[index])).name.lower()
         if (int(ticks[index]), name) not in told:
@@ -240,6 +241,9 @@ def _named(run: Observed, bounds: Bounds) -> Iterator[Violation]:
         first, last = np.searchsorted(run.cycle_ns, [strike.at_ns, strike.at_ns + wait])
         # Whoever is switched off meanwhile for another reason need not find out.
         if last >= len(armed) or not armed[max(first - 1, 0) : last].all():
+            continue
+        struck = sorted(strike.axes | {cell for cell in strike.cells if cell < cables})
+        if struck and state["failed"][max(first - 1, 0), struck].all():
             continue
         heard = any(
             strike.at_ns - bounds.settle * NS <= event.time_ns <= strike.at_ns + wait
