@@ -78,7 +78,7 @@ class Config(Section):
             ("unexplained_force", tension, "control.tension.max"),
             ("opposed_force", tension, "control.tension.max"),
             ("logged_tension", 0.25 * tension, "a quarter of control.tension.max"),
-            ("tension_stopping", 2.0 * tension, "twice control.tension.max"),
+            ("tension_stopping", 3.0 * tension, "three times control.tension.max"),
             ("contact_stopping", 2.0 * envelope.contact_limit, "twice the contact limit"),
             ("speed_stopping", 10.0 * envelope.speed_limit, "ten times the speed limit"),
         ):

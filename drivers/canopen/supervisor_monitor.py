@@ -16,7 +16,6 @@ EMERGENCY = struct.Struct("<HBBf")
 none), and what was found, in the unit of the requirement."""
 ERROR_CODE = 0xFF00
 NOWHERE = 0xFF
-ITEM = "supervisor"
 
 
 @dataclass
@@ -60,8 +59,14 @@ class SupervisorMonitor:
         )
 
     def forget(self) -> None:
+        self._image.obstacles.pop(self._item, None)
+
         self._heard, self._out_of_reach = [], []
-        self._image.obstacles.pop(ITEM, None)
+
+    @property
+    def _item(self) -> str:
+        """Of its own: a robot may have several fieldbuses on CAN."""
+        return "supervisor of " + ", ".join(heard.channel for heard in self._heard)
 
     def look(self, tick: int) -> None:
         """Once a tick."""
@@ -77,11 +82,12 @@ class SupervisorMonitor:
             silent = [heard.channel for heard in self._heard if not heard.beating]
             if self._out_of_reach:
                 drives = ", ".join(self._out_of_reach)
-                self._image.obstacles[ITEM] = f"cannot stop {drives}: no second heartbeat consumer"
+                text = f"cannot stop {drives}: no second heartbeat consumer"
+                self._image.obstacles[self._item] = text
             elif silent:
-                self._image.obstacles[ITEM] = f"is not heard on {', '.join(silent)}"
+                self._image.obstacles[self._item] = f"is not heard on {', '.join(silent)}"
             else:
-                self._image.obstacles.pop(ITEM, None)
+                self._image.obstacles.pop(self._item, None)
 
     def _on_heartbeat(self, heard: _Heard) -> None:
         heard.fresh = heard.beating = True

@@ -141,12 +141,15 @@ class Judge:
         if most_drives > settings.patience_ms:
             yield Violation(Requirement.TORQUE, NOWHERE, most_drives)
         yield from _at(Requirement.TORQUE, seen, seen.torque_age, settings.axis_torque_ms, enabled)
-        fewest = int(seen.same[enabled].min())
-        if fewest >= settings.frozen_frames:
-            state = None if seen.claim is None else seen.claim.state
-            felt = state in CONTROLLED[1:] and seen.swing > settings.frozen_tension
-            if felt or seen.jolt > settings.frozen_rate:
-                yield Violation(Requirement.FROZEN, NOWHERE, fewest)
+        frozen = enabled & (seen.same >= settings.frozen_frames)
+        state = None if seen.claim is None else seen.claim.state
+        controlled = state in CONTROLLED[1:]
+        # In a stop cables are given up, without torque, and drives work at their limits.
+        most = controlled and 2 * (frozen & (seen.mille != 0)).sum() > enabled.sum()
+        if most or frozen.sum() == enabled.sum():
+            felt = controlled and (seen.swing > settings.frozen_tension)[frozen].any()
+            if felt or (seen.jolt > settings.frozen_rate)[frozen].any():
+                yield Violation(Requirement.FROZEN, NOWHERE, int(seen.same[frozen].min()))
         logged = (abs(seen.mille - seen.claimed) <= _ROUNDING).any(axis=0)
         wrong = enabled & np.isfinite(seen.torque) & ~logged
         yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong)

@@ -55,10 +55,10 @@ class Observation:
     """N of the torque's mean over the window that neither tension nor motion explain"""
     mean_torque: Floats
     """N, of the same window"""
-    swing: float
-    """N between a cable's least and largest tension since the torques of the enabled drives changed
-    last, of the cable where that is most; 0 where none is known"""
-    jolt: float
+    swing: Floats
+    """N between a cable's least and largest tension since its drive's torque changed last; 0 where
+    it is not known"""
+    jolt: Floats
     """m/s between a drum's least and largest rate, the same way"""
     claims: list[Claim]
     """new since the last look, in their order"""
@@ -227,7 +227,7 @@ class Observer:
 
 
 class _Since:
-    """How far tensions and rates have gone since any torque changed last."""
+    """How far each tension and rate has gone since its drive's torque changed last."""
 
     def __init__(self, axes: int) -> None:
         self._changed = np.zeros(axes, np.int64)
@@ -235,15 +235,14 @@ class _Since:
 
     def spans(
         self, changed: NDArray[np.int64], tension: Floats, rate: Floats
-    ) -> tuple[float, float]:
+    ) -> tuple[Floats, Floats]:
         """``changed``: number of the PDO to each drive with which its torque changed last."""
-        present = np.array([tension, rate])
-        if (changed != self._changed).any():
-            self._low = self._high = present
+        present, anew = np.array([tension, rate]), changed != self._changed
         self._changed = changed
-        self._low, self._high = np.fmin(self._low, present), np.fmax(self._high, present)
-        spans = np.nan_to_num(self._high - self._low).max(axis=1)
-        return float(spans[0]), float(spans[1])
+        self._low = np.where(anew, present, np.fmin(self._low, present))
+        self._high = np.where(anew, present, np.fmax(self._high, present))
+        swing, jolt = np.nan_to_num(self._high - self._low)
+        return swing, jolt
 
 
 def _ages(now_ns: int, frames: list[Heard]) -> Floats:

@@ -237,4 +237,5 @@ def test_without_it_the_robot_is_not_armed(monkeypatch: pytest.MonkeyPatch) -> N
     playing = Playing(config, load_scenario("hold"), 1, tail=0.1, longest=5.0)
     end = playing.run().end
     assert end is not None
-    assert "supervisor: is not heard on can0, can1, can2, can3" in end.reason
+    told = "supervisor of can0, can1, can2, can3: is not heard on can0, can1, can2, can3"
+    assert told in end.reason

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
 import pytest
@@ -9,7 +10,8 @@ import pytest
 from tonus.config import Config, ConfigError, load
 from tonus.tools.check.finding import Finding
 from tonus.tools.check.rules import check
-from tonus.tools.run.supervision import wanted
+from tonus.tools.errors import ToolError
+from tonus.tools.run.supervision import require_reach, wanted
 
 ROBOT: dict[str, Any] = {"lab": None}
 
@@ -43,13 +45,26 @@ def test_a_robot_whose_drives_do_not_watch_it() -> None:
     assert all(each.where.endswith("watches_supervisor") for each in found)
 
 
-def test_a_robot_without_a_drive_on_can() -> None:
-    found = refused("config/mixed.yaml", lab=None)
+@pytest.mark.parametrize("name", ["mixed", "ethercat", "direct"])
+def test_a_robot_with_drives_that_are_not_on_can(name: str) -> None:
+    path = f"config/{name}.yaml"
+    found = refused(path, lab=None)
     assert [each.where for each in found] == ["supervisor.policy"]
-    assert "no drive is on CAN" in found[0].text
-    config, _ = load("config/mixed.yaml")
-    assert not wanted(config), "it would send a heartbeat and judge nothing"
-    assert wanted(load("config/can.yaml")[0])
+    assert "cannot stop axes 0, 1, 2, 3, 4, 5, 6, 7" in found[0].text
+    off = {"lab": None, "supervisor__policy": "off"}
+    assert [each.where for each in refused(path, **off)] == ["supervisor"]
+    assert refused(path, **off, relaxed=["supervisor.policy"]) == []
+    assert not wanted(load(path)[0]), "it would send a heartbeat and judge nothing"
+
+
+def test_a_run_that_requires_one_that_has_no_drive_to_act_on() -> None:
+    for stated, refuses in (({}, False), ({"supervisor.policy": "require"}, True)):
+        config, _ = load("config/ethercat.yaml", overrides=stated)
+        with pytest.raises(ToolError, match="no drive is on CAN") if refuses else nullcontext():
+            require_reach(config)
+    config, _ = load("config/can.yaml", overrides={"supervisor.policy": "require"})
+    require_reach(config)
+    assert wanted(config)
     assert not wanted(load("config/can.yaml", overrides={"supervisor.policy": "off"})[0])
 
 
@@ -85,7 +100,7 @@ def test_drives_that_wait_for_less_than_its_period_allows() -> None:
         ("unexplained_force", 201),
         ("opposed_force", 201),
         ("logged_tension", 51),
-        ("tension_stopping", 401),
+        ("tension_stopping", 601),
         ("contact_stopping", 51),
         ("speed_stopping", 2.6),
     ],

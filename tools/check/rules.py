@@ -16,6 +16,7 @@ from tonus.tools.check.finding import Finding
 from tonus.tools.check.losses import check_losses
 from tonus.tools.check.mechanics import mechanics, scenario_rules
 from tonus.tools.check.plausibility import plausibility
+from tonus.tools.check.supervisor import check_supervisor
 from tonus.tools.fieldbus.registry import fieldbus_kind
 
 __all__ = ["Finding", "check", "check_catalogue"]
@@ -29,6 +30,7 @@ def check(config: Config, scenario: Scenario, *, timed: bool = False) -> list[Fi
         return findings  # whatever would be computed from them would mislead
     for bus in config.fieldbus.parts:
         findings += fieldbus_kind(bus).check(config, bus)
+    findings += check_supervisor(config)
     findings += check_data_sheets(config)
     findings += check_losses(config)
     findings += _faults(config, scenario)

@@ -12,8 +12,8 @@ from tonus.tools.check.finding import Finding
 _KEY = "supervisor"
 
 
-def check_supervisor(config: Config, bus: CanopenBus) -> Iterator[Finding]:
-    """Every rule's outcome, in a fixed order; nothing raises."""
+def check_supervisor(config: Config) -> Iterator[Finding]:
+    """Whether there is one, and whether every drive is within its reach."""
     settings = config.supervisor
     if settings is None or settings.policy == "off":
         named = config.lab is not None or "supervisor.policy" in config.relaxed
@@ -25,14 +25,27 @@ def check_supervisor(config: Config, bus: CanopenBus) -> Iterator[Finding]:
             "add supervisor: !include supervisor.yaml, or write supervisor.policy under relaxed",
         )
         return
-    if not bus.axis_places:
+    on_can = {
+        axis
+        for bus in config.fieldbus.parts
+        if isinstance(bus, CanopenBus)
+        for axis in bus.axis_places
+    }
+    others = sorted(set(range(config.robot.cables)) - on_can)
+    if others and config.lab is None and settings.policy == "require":
         yield Finding(
             "supervisor",
-            config.lab is not None or settings.policy != "require",
+            False,
             f"{_KEY}.policy",
-            "no drive is on CAN, and it acts on no other: it is not started",
-            "write supervisor.policy under relaxed, and set it to off",
+            f"it acts on CAN only, and cannot stop axes {', '.join(map(str, others))}",
+            "write supervisor.policy under relaxed, and set it to use or off",
         )
+
+
+def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
+    """Whether the drives of a bus wait for it, and no shorter than they can."""
+    settings = config.supervisor
+    if settings is None or settings.policy == "off" or not bus.axis_places:
         return
     for key, profile in bus.every_profile.items():
         if not profile.watches_supervisor:

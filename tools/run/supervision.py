@@ -31,6 +31,16 @@ def wanted(config: Config) -> bool:
     return supervisor is not None and supervisor.policy != "off" and bool(Wiring(config).axes)
 
 
+def require_reach(config: Config) -> None:
+    """Raises `ToolError` where a supervisor is required and has no drive to act on."""
+    supervisor = config.supervisor
+    if supervisor is not None and supervisor.policy == "require" and not wanted(config):
+        raise ToolError(
+            "supervisor.policy is require, and no drive is on CAN, where it acts: write "
+            "supervisor.policy under relaxed, and set it to off"
+        )
+
+
 def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
     """A bus of the supervisor's own on a channel."""
     lab: dict[str, Any] = {"gather_ms": _GATHER_MS} if interface == "tonus" else {}
@@ -60,6 +70,7 @@ def supervised(config: Config, ring: Ring) -> Iterator[Ring]:
     """In virtual time: the ring to give to the daemon, while its supervisor, if it has one, works
     on the running loop. Raises `ToolError` where a channel cannot be opened, and afterwards what
     the supervisor itself died of."""
+    require_reach(config)
     if not wanted(config):
         yield ring
         return

@@ -30,7 +30,7 @@ from tonus.runtime.timing.scheduler import TimerPacing
 from tonus.tools import output
 from tonus.tools.errors import ToolError
 from tonus.tools.run.child_process import READY, ChildProcess, say, start_child
-from tonus.tools.run.supervision import open_bus, wanted
+from tonus.tools.run.supervision import open_bus, require_reach, wanted
 
 _COMMAND = (sys.executable, "-m", "tonus.tools.run.supervisor_process")
 _START_S = 60.0
@@ -52,6 +52,7 @@ def supervisor_of(config: Config, rings: Path, report: Progress) -> ChildProcess
     settings = config.supervisor
     if settings is None or settings.policy == "off":
         return None
+    require_reach(config)
     if not wanted(config):
         report("without a supervisor: it acts on CANopen only (docs/supervisor.md)")
         return None
