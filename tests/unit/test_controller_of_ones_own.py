@@ -124,7 +124,7 @@ number = 3
 '''
 QUICK_RUN = " ".join(
     (
-        "run config/direct.yaml --virtual --scenario hold --duration 1.5 --seed 1",
+        "run config/direct.yaml --virtual --scenario hold --duration 0.3 --seed 1",
         *(f"--set {key}={value}" for key, value in QUICK.items()),
     )
 )
@@ -359,7 +359,8 @@ def test_one_that_goes_wrong_in_a_run_ends_in_a_passive_stop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "out"
-    assert tonus(f"{QUICK_RUN} --controller of_mine:{name} --out {out}", monkeypatch) == 1
+    run = f"{QUICK_RUN} --duration 1.2 --controller of_mine:{name} --out {out}"
+    assert tonus(run, monkeypatch) == 1
     summary = json.loads((out / "summary.json").read_text())
     assert summary["faults"][0]["name"] == fault
     assert np.isfinite(open_log(out / "run.mcap")["/tonus/drives"]["torque_command"]).all()
