@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hil.runs import configured, virtual
 from loop import QUICK
 
-from tonus.config import ConfigError, load
+from tonus.config import Config, ConfigError, Scenario, load
 from tonus.runtime.control.controllers import CONTROLLERS, controller_class, make_controller
 from tonus.runtime.control.controllers.base import Controller
 from tonus.runtime.control.controllers.linear import LinearLaw
 from tonus.runtime.errors import ControllerError
+from tonus.runtime.states import Fault
 from tonus.tools.check.controller import check_controller
 from tonus.tools.check.controller_time import ROUNDS, TICKS, WARM_TICKS, controller_time
 from tonus.tools.cli.main import main
@@ -160,6 +162,12 @@ def tonus(line: str, monkeypatch: pytest.MonkeyPatch) -> int:
     code = ended.value.code
     assert isinstance(code, int)
     return code
+
+
+def ours(controller: str) -> tuple[Config, Scenario]:
+    """A short run with a controller, for what is not asked of the command."""
+    overrides = {"control.controller": controller}
+    return configured("config/direct.yaml", duration=0.1, overrides=overrides)
 
 
 def found(name: str) -> dict[str, list[tuple[bool, str]]]:
@@ -325,20 +333,17 @@ def test_one_that_is_not_installed_any_more_is_told_by_a_replay(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    out = tmp_path / "out"
-    assert tonus(f"{QUICK_RUN} --set control.controller={registered} --out {out}", monkeypatch) == 0
+    _, log = virtual(*ours(registered), tmp_path / "out")
     (mine / "of_mine-1.0.dist-info" / "entry_points.txt").write_text("")
     capsys.readouterr()
-    assert tonus(f"log replay {out / 'run.mcap'}", monkeypatch) == 2
+    assert tonus(f"log replay {log.path}", monkeypatch) == 2
     assert "its controller 'soft_one' is not installed here" in capsys.readouterr().err
 
 
-def test_limits_and_limiter_apply_to_it(
-    mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    assert tonus(f"{QUICK_RUN} --controller of_mine:Greedy --out {out}", monkeypatch) == 0
-    config, log = load("config/direct.yaml")[0], open_log(out / "run.mcap")
+def test_limits_and_limiter_apply_to_it(mine: Path, tmp_path: Path) -> None:
+    config, scenario = ours("of_mine:Greedy")
+    result, log = virtual(config, scenario, tmp_path)
+    assert result.outcome.fault is Fault.NONE
     law, tension = config.control.stiffness, config.control.tension
     k_eq = log["/tonus/stiffness"]["k_eq"]
     assert log["/tonus/stiffness"]["law"].max() == 1e9
