@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hil.runs import configured, virtual
+from hil.runs import brief, configured, virtual
 from loop import QUICK
 
 from tonus.config import Config, ConfigError, Scenario, load
@@ -333,7 +333,8 @@ def test_one_that_is_not_installed_any_more_is_told_by_a_replay(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    _, log = virtual(*ours(registered), tmp_path / "out")
+    config, scenario = ours(registered)
+    _, log = virtual(config, brief(scenario), tmp_path / "out")
     (mine / "of_mine-1.0.dist-info" / "entry_points.txt").write_text("")
     capsys.readouterr()
     assert tonus(f"log replay {log.path}", monkeypatch) == 2
