@@ -179,6 +179,7 @@ def test_by_dask_it_is_the_same_table_though_a_worker_dies(
     assert table.read_bytes() == (whole / "trials.parquet").read_bytes()
 
 
+@pytest.mark.long
 def test_what_a_lost_scheduler_had_is_played_by_the_next_call(
     file: Path, whole: Path, tmp_path: Path
 ) -> None:

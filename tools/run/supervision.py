@@ -46,7 +46,7 @@ class Overheard:
 
     def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None:
         self._ring.publish(payload, stamp_ns)
-        # By way of bytes: numpy copies a record of this size field by field, in 35 us instead of 0.3.
+        # By way of bytes: numpy copies a record field by field, in 35 us instead of 0.3.
         self._new.append((stamp_ns, np.frombuffer(payload.tobytes(), payload.dtype)))
 
     def __call__(self) -> list[tuple[int, np.void]]:
