@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.supervised import DRIVES, Run, configured
+from tests.supervised import BRIEF, DRIVES, Run, configured
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import Loss
 from tonus.config.schema.supervisor import Requirement
@@ -145,18 +145,10 @@ AT_ONCE: dict[str, tuple[Change, set[Requirement]]] = {
 )
 def test_a_wrong_daemon_is_stopped_within_25_ms(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     change, requirements = AT_ONCE[name]
-    run, seen = _run(monkeypatch, change)
+    run, seen = _run(monkeypatch, change, overrides=BRIEF)
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert run.slowest_ms <= WITHIN_MS
     assert {number for number, _ in run.said} == requirements
-    if name == "a sign wrong on the bus":
-        _is_in_the_log(seen)
-
-
-def _is_in_the_log(seen: Observed) -> None:
-    found = {(each.name, each.where): each.text for each in seen.events}
-    assert "SUP-10 at 2" in found["supervisor_stopped", "can1"]
-    assert ("supervisor_lost", "can1") in found
 
 
 def _tensed(_: None, allocation: Allocation, *__: Any) -> None:
@@ -222,7 +214,7 @@ def test_a_channel_whose_devices_are_not_received() -> None:
 
 def test_a_contact_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> None:
     """From the instant at which it is truly beyond the supervisor's bound."""
-    pushed = {"control.envelope.enabled": False}
+    pushed = {**BRIEF, "control.envelope.enabled": False}
     run, seen = _run(
         monkeypatch, _blind, scenario="contact_near", overrides=pushed, seconds=6.0, at=0.1
     )
@@ -233,10 +225,17 @@ def test_a_contact_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_daemon_in_order_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    run, seen = _run(monkeypatch, lambda _: None, seconds=1.0)
+    run, seen = _run(monkeypatch, lambda _: None, overrides=BRIEF, seconds=1.0)
     assert not run.said
     assert not run.stopped_ns
     assert not [each.name for each in seen.events if "supervisor" in each.name]
+
+
+def test_its_requirement_is_in_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, seen = _run(monkeypatch, _torque_on_the_bus(_opposite), overrides=BRIEF)
+    found = {(each.name, each.where): each.text for each in seen.events}
+    assert "SUP-10 at 2" in found["supervisor_stopped", "can1"]
+    assert ("supervisor_lost", "can1") in found
 
 
 def test_without_it_the_robot_is_not_armed(monkeypatch: pytest.MonkeyPatch) -> None:
