@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from os.path import normpath
 from pathlib import Path
 from typing import Any
 
 import yaml
 from yaml.composer import ComposerError
+from yaml.constructor import SafeConstructor
 from yaml.reader import ReaderError
 
 from tonus.config.errors import ConfigError
@@ -87,7 +89,7 @@ def _file(path: Path, shown: str, key: Key, document: Document, chain: tuple[Pat
 
 def _compose(text: str, shown: str) -> yaml.Node | None:
     try:
-        return yaml.compose(text, Loader=_Composer)
+        return _tree(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 0
@@ -105,6 +107,13 @@ def _compose(text: str, shown: str) -> yaml.Node | None:
         raise ConfigError(shown, 0, "", problem, "correct the syntax") from error
     except RecursionError as error:
         raise ConfigError(shown, 0, "", "is nested too deeply", "flatten it") from error
+
+
+@lru_cache(maxsize=128)
+def _tree(text: str) -> yaml.Node | None:
+    """Kept, since most of the time to load a configuration is spent here, and a study or a test run
+    loads the same files again and again. Who is given it changes nothing in it."""
+    return yaml.compose(text, Loader=_Composer)
 
 
 def _node(
@@ -192,7 +201,7 @@ def _scalar(node: yaml.Node, shown: str, line: int, key: Key) -> Scalar:
         remedy = "use a number, a text in quotes, true, false or !include"
         raise ConfigError(shown, line, dotted(key), problem, remedy)
     try:
-        value: Scalar = yaml.SafeLoader("").construct_object(node)
+        value: Scalar = SafeConstructor().construct_object(node)
     except (ValueError, KeyError) as error:
         problem = f"{node.value!r} cannot be read as {kind}"
         raise ConfigError(shown, line, dotted(key), problem, "correct the value") from error

@@ -120,7 +120,7 @@ class ClosedLoop:
         self.keep_inputs = False
         self.late_ns = self._sampled_ns = self._sampled_tick = 0
         """by how much the next tick's SYNC goes out late, as a host has it"""
-        self._cycles: list[NDArray[np.void]] = []
+        self._cycles: list[bytes] = []
         self._truths: list[Array] = []
         self._period_ns = config.control.rates.period_ns
         self._fresh_ticks = config.control.freshness.measurement_ticks
@@ -148,7 +148,8 @@ class ClosedLoop:
     @property
     def trace(self) -> Trace:
         truth = np.array(self._truths).view(truth_dtype(len(self.image.axes))).reshape(-1)
-        return Trace(np.concatenate(self._cycles), truth)
+        cycle = np.frombuffer(bytearray().join(self._cycles), self.cycle.record.data.dtype)
+        return Trace(cycle, truth)
 
     def forget(self) -> None:
         """Begin the trace anew, as before a stretch that is looked at by itself."""
@@ -174,7 +175,7 @@ class ClosedLoop:
                 Inputs(image.axes.copy(), image.cells.copy(), image.tracker.copy(), operator)
             )
         record = self.cycle.step(self.image, self.number, operator, select, change)
-        self._cycles.append(record.data.copy())
+        self._cycles.append(record.data.tobytes())
         self._truths.append(self.plant.truth.copy())
         self._publish(now)
         self.number += 1

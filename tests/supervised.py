@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import can
 
+from tests.loop import QUICK
 from tonus.config import Config, load
 from tonus.config.schema.scenario import Scenario
 from tonus.runtime.states import State
@@ -21,6 +22,8 @@ STRICT = {
     "supervisor.patience_ms": 5,
 }
 """As on a robot, but for the margin that EPOS4 drives want (docs/supervisor.md)."""
+BRIEF = {key: value for key, value in QUICK.items() if key != "control.sequence.tare_s"}
+"""Overrides for a quick bring-up, in which the supervisor begins while the cells are tared."""
 DRIVES = range(1, 9)
 _EMERGENCY, _HEARTBEAT_LOST = 0x080, 0x8130
 _SUPERVISOR = 126

@@ -8,6 +8,7 @@ from typing import Any
 from loop import QUICK
 
 from tonus.config import Config, Scenario, load
+from tonus.config.schema.scenario import Command
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.run.composer import Order, Result, run
@@ -29,6 +30,11 @@ def configured(
     if script is not None:
         data["lab"] = script
     return config, Scenario.model_validate(data)
+
+
+def brief(scenario: Scenario, at: float = 0.3) -> Scenario:
+    """Stopped ``at`` s after arming, before anything has moved: where any run will do."""
+    return scenario.model_copy(update={"operator": (Command(at=at, command="stop"),)})
 
 
 def virtual(

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import can
 import numpy as np
+import pytest
 from hil.runs import configured, virtual
 
+from tonus.config import Config
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.master import CanopenFieldbus
@@ -16,6 +18,7 @@ from tonus.runtime.states import Fault, State
 from tonus.runtime.timing import clock
 from tonus.sim.lab.engine import Lab
 from tonus.tools.log import Log
+from tonus.tools.run.composer import Result
 
 DRIVES, CELLS = (1, 2), (17, 18)
 
@@ -62,12 +65,18 @@ def test_a_plain_listener_sees_the_documented_frames(tmp_path: Path) -> None:
     assert all(m.dlc == 8 for m in seen if m.arbitration_id == 0x181)
 
 
-def test_a_node_that_stops_answering_is_a_named_fault_and_a_controlled_stop(
-    tmp_path: Path,
-) -> None:
-    fault = {"at": 3.0, "kind": "unplug", "channel": "can1", "node": 3}
+@pytest.fixture(scope="module")
+def unplugged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, Result, Log]:
+    """A run in which a drive of can1 is unplugged in ACTIVE."""
+    fault = {"at": 2.6, "kind": "unplug", "channel": "can1", "node": 3}
     config, scenario = configured(duration=5.0, script={"faults": [fault]})
-    result, log = virtual(config, scenario, tmp_path)
+    return config, *virtual(config, scenario, tmp_path_factory.mktemp("unplugged"))
+
+
+def test_a_node_that_stops_answering_is_a_named_fault_and_a_controlled_stop(
+    unplugged: tuple[Config, Result, Log],
+) -> None:
+    config, result, log = unplugged
     outcome = result.outcome
     assert (outcome.state, outcome.fault) == (State.FAULT, Fault.DRIVE_LOST)
     assert "can1/3" in outcome.reason
@@ -136,10 +145,9 @@ async def _milliseconds(count: int) -> None:
     await asyncio.sleep(count * 1e-3)
 
 
-def test_the_log_holds_every_frame_of_a_channel(tmp_path: Path) -> None:
+def test_the_log_holds_every_frame_of_a_channel(unplugged: tuple[Config, Result, Log]) -> None:
     """Per tick: one SYNC, an RPDO per drive, a TPDO per drive and cell."""
-    config, scenario = configured(duration=0.2)
-    result, log = virtual(config, scenario, tmp_path)
+    _, result, log = unplugged
     for channel, nodes in (("can0", (1, 2, 17, 18)), ("can3", (7, 8, 23, 24, 25))):
         identifiers = _frames(log, channel)["id"]
         syncs = int((identifiers == 0x080).sum())

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.command import command
 from tonus.config.loader import load_scenario, load_study
 from tonus.config.schema.scenario import Scenario
 from tonus.tools.campaign.draw import begins, grouped, undisturbed
@@ -28,6 +28,14 @@ FAULTS: dict[str, dict[str, Any]] = {
     "can": {"kind": "unplug", "channel": "can1", "node": 3},
     "ethercat": {"kind": "drive_error", "channel": "tonus0", "node": 4, "code": 0x2310},
 }
+UNDISTURBED = [
+    pytest.param(controller, name, marks=[] if number in (0, 3) else pytest.mark.long)
+    for number, (controller, name) in enumerate(
+        zip(STUDY.controllers, STUDY.scenarios * 8, strict=False)
+    )
+]
+"""`make test` plays the first one and one in contact; `test_campaign_at_random.py` has the others,
+with faults"""
 
 
 def episode(bus: str, index: int, *, at: float, stop: float, name: str = "hold") -> Episode:
@@ -50,7 +58,9 @@ def rows(todo: list[Episode], **options: Any) -> dict[int, dict[str, Any]]:
     return {row["index"]: row for row in played(grouped(STUDY, todo), STUDY, 2, **options)}
 
 
-@pytest.mark.parametrize("bus", list(FAULTS))
+@pytest.mark.parametrize(
+    "bus", ["direct", *(pytest.param(bus, marks=pytest.mark.long) for bus in ("can", "ethercat"))]
+)
 def test_a_forked_episode_is_bit_equal_to_one_from_off(bus: str) -> None:
     todo = [
         episode(bus, 1, at=3.0, stop=3.3, name="sine_x"),
@@ -98,9 +108,7 @@ def test_a_setup_that_cannot_be_played_is_a_row_for_each_episode() -> None:
     assert all(found[n]["violations"] for n in (1, 2))
 
 
-@pytest.mark.parametrize(
-    ("controller", "name"), list(zip(STUDY.controllers, STUDY.scenarios * 8, strict=False))
-)
+@pytest.mark.parametrize(("controller", "name"), UNDISTURBED)
 def test_without_a_fault_no_bound_is_broken(controller: str, name: str) -> None:
     each = episode("direct", 1, at=9.0, stop=4.0, name=name)
     overrides = dict(each.setup.overrides) | {"control.controller": controller}
@@ -110,20 +118,17 @@ def test_without_a_fault_no_bound_is_broken(controller: str, name: str) -> None:
 
 
 def test_the_command_goes_on_where_it_was_left(tmp_path: Path) -> None:
-    def command(*options: str) -> subprocess.CompletedProcess[str]:
-        line = [sys.executable, "-m", "tonus.tools.cli", "campaign", "faults", "--bus", "direct"]
-        line += ["--out", str(tmp_path), "--minimise", "0", *options]
-        return subprocess.run(line, capture_output=True, text=True, check=False)
-
-    first = command("--episodes", "1", "--json")
-    assert first.returncode in (0, 1), first.stderr
-    assert json.loads(first.stdout)["episodes"] == 1
-    second = command("--episodes", "2", "--resume", "--json")
-    assert json.loads(second.stdout)["episodes"] == 2, second.stderr
+    line = ("campaign", "faults", "--bus", "direct", "--out", str(tmp_path), "--minimise", "0")
+    campaign = partial(command, *line)
+    first = campaign("--episodes", "1", "--json")
+    assert first.code in (0, 1), first.err
+    assert json.loads(first.out)["episodes"] == 1
+    second = campaign("--episodes", "2", "--resume", "--json")
+    assert json.loads(second.out)["episodes"] == 2, second.err
     journal = (tmp_path / "episodes.jsonl").read_text().splitlines()
     assert [json.loads(line).get("index") for line in journal] == [None, 0, 1]
-    other = command("--episodes", "2", "--resume", "--seed", "2")
-    assert other.returncode == 2
-    assert "another seed" in other.stderr
-    assert len(other.stderr.splitlines()) == 1
-    assert command("--episodes", "0").returncode == 2
+    other = campaign("--episodes", "2", "--resume", "--seed", "2")
+    assert other.code == 2
+    assert "another seed" in other.err
+    assert len(other.err.splitlines()) == 1
+    assert campaign("--episodes", "0").code == 2

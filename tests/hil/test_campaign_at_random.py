@@ -11,7 +11,7 @@ from tonus.tools.campaign.campaign import played
 from tonus.tools.campaign.draw import episodes
 
 STUDY = load_study("faults")
-EPISODES = int(os.environ.get("TONUS_EPISODES", "20"))
+EPISODES = int(os.environ.get("TONUS_EPISODES", "8"))
 SEED = int(os.environ.get("TONUS_CAMPAIGN_SEED", "1"))
 WORKERS = int(os.environ.get("TONUS_CAMPAIGN_WORKERS", "1"))
 """the other processor has tests of its own"""

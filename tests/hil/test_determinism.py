@@ -21,37 +21,37 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _start(out: Path, runtime: Path, seed: int = 3) -> subprocess.Popen[bytes]:
-    config, _ = configured()
+def _start(out: Path, bus: str) -> subprocess.Popen[bytes]:
+    config, _ = configured(f"config/{bus}.yaml")
     path = out / "quick.yaml"
     path.write_text(yaml.safe_dump(config.model_dump(mode="json")))
     command = [sys.executable, "-m", "tonus.tools.cli", "run", str(path), "--virtual", "--json"]
-    arguments = ["--duration", SECONDS, "--seed", str(seed), "--out", str(out)]
-    environment = {**os.environ, "TONUS_RUNTIME_DIR": str(runtime)}
+    arguments = ["--duration", SECONDS, "--seed", "3", "--out", str(out)]
+    environment = {**os.environ, "TONUS_RUNTIME_DIR": str(out)}
     return subprocess.Popen([*command, *arguments], env=environment, stdout=subprocess.DEVNULL)
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
-    out = tmp_path_factory.mktemp("undisturbed")
-    assert _start(out, out).wait() == 0
+def _undisturbed(out: Path, bus: str) -> str:
+    out.mkdir()
+    assert _start(out, bus).wait() == 0
     return _digest(out / "run.mcap")
 
 
-def test_in_one_process_the_same_seed_is_the_same_run_and_another_is_not(tmp_path: Path) -> None:
+@pytest.mark.parametrize("bus", ["direct", pytest.param("can", marks=pytest.mark.long)])
+def test_in_one_process_the_same_seed_is_the_same_run_and_another_is_not(
+    bus: str, tmp_path: Path
+) -> None:
     digests = []
     for number, seed in enumerate((3, 3, 4)):
-        config, scenario = configured(duration=0.2)
+        config, scenario = configured(f"config/{bus}.yaml", duration=0.2)
         result, _ = virtual(config, scenario, tmp_path / str(number), seed=seed)
         digests.append(_digest(result.log))
     first, same, other = digests
     assert first == same != other
 
 
-def test_a_stopped_and_continued_process_writes_the_same_bytes(
-    undisturbed: str, tmp_path: Path
-) -> None:
-    process = _start(tmp_path, tmp_path)
+def test_a_stopped_and_continued_process_writes_the_same_bytes(tmp_path: Path) -> None:
+    process = _start(tmp_path, "direct")
     stops = 0
     while process.poll() is None:
         time.sleep(0.3)
@@ -61,16 +61,16 @@ def test_a_stopped_and_continued_process_writes_the_same_bytes(
         stops += 1
     assert process.returncode == 0
     assert stops > 2
-    assert _digest(tmp_path / "run.mcap") == undisturbed
+    assert _digest(tmp_path / "run.mcap") == _undisturbed(tmp_path / "undisturbed", "direct")
 
 
 @pytest.mark.long
-def test_beside_a_busy_machine_the_bytes_are_the_same(undisturbed: str, tmp_path: Path) -> None:
+def test_beside_a_busy_machine_the_bytes_are_the_same(tmp_path: Path) -> None:
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(3)]
     try:
-        assert _start(tmp_path, tmp_path).wait() == 0
+        assert _start(tmp_path, "can").wait() == 0
     finally:
         for process in busy:
             process.kill()
             process.wait()
-    assert _digest(tmp_path / "run.mcap") == undisturbed
+    assert _digest(tmp_path / "run.mcap") == _undisturbed(tmp_path / "undisturbed", "can")

@@ -12,7 +12,7 @@ from tonus.runtime.operation.operator import Script
 from tonus.runtime.states import Fault, State
 
 SECONDS = 4.0
-SHORT, PLANTS = 2, 198
+SHORT, PLANTS = 1, 198
 
 
 def alarms(scenario: str, seeds: range) -> dict[int, str]:

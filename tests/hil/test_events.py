@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 
 from hil.runs import configured
 
@@ -80,6 +81,7 @@ class Meddler(Script):
         return super().next(sequence)
 
 
+@cache
 def play(hidden: tuple[float, float] = (9.0, 9.0), knock: float = 0.0) -> tuple[Outcome, Heard]:
     config, scenario = configured("config/direct.yaml", duration=1.2)
     heard = Heard()

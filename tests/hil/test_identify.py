@@ -56,7 +56,7 @@ def swept() -> dict[str, Any]:
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """The same robot moved by sines, and pushed."""
     paths = []
-    for name, duration, script in (("motion", 13.0, None), ("load", 4.5, swept())):
+    for name, duration, script in (("motion", 10.0, None), ("load", 4.5, swept())):
         config, scenario = configured(
             "config/direct.yaml",
             f"identify_{name}",

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from hil.runs import configured, virtual
 
-from tonus.config import Scenario, load
 from tonus.config.document import dotted
 from tonus.config.schema.place import DEFAULTS
 from tonus.runtime.states import Fault, State
@@ -19,7 +18,7 @@ from tonus.tools.run.composer import Result
 
 FIRST_S, APART_S = 2.6, 0.0687
 """after the drives were enabled: in ACTIVE; apart by no multiple of any period"""
-LOSSES = 40
+LOSSES = 24
 DURATION_S = FIRST_S + LOSSES * APART_S - 2.0
 CAN1 = (0x77F, 0x703, 0x713, 0x080, 0x203, 0x204, 0x183, 0x193)
 """heartbeats of master, drive and cell, SYNC, torques, measurements"""
@@ -53,13 +52,12 @@ def states_at(log: Log, event: str) -> set[int]:
 
 def test_a_lost_heartbeat_of_the_master_stops_no_drive(tmp_path: Path) -> None:
     """The one at 5.0 s stopped the robot where drives waited for exactly two periods."""
-    config, scenario = load("config/can.yaml", "hold")
     faults = [
-        {"kind": "loss", "channel": "can1", "identifier": 0x77F, "frames": 1, "at": 5.0 + at}
+        {"kind": "loss", "channel": "can1", "identifier": 0x77F, "frames": 1, "at": FIRST_S + at}
         for at in (0.0, 0.137, 0.281, 0.403, 0.555, 0.698, 0.839)
     ]
-    data = scenario.model_dump() | {"duration": 2.0, "lab": {"faults": faults}}
-    result, _ = virtual(config, Scenario.model_validate(data), tmp_path, seed=3)
+    config, scenario = configured(duration=1.4, script={"faults": faults})
+    result, _ = virtual(config, scenario, tmp_path, seed=3)
     went_on(result)
 
 
@@ -67,7 +65,9 @@ ROBOT: dict[str, Any] = {dotted(key): safe for key, (safe, _) in DEFAULTS.items(
 """what a robot without a lab has"""
 
 
-@pytest.mark.parametrize("values", [{}, ROBOT], ids=["lab", "robot"])
+@pytest.mark.parametrize(
+    "values", [pytest.param({}, marks=pytest.mark.long), ROBOT], ids=["lab", "robot"]
+)
 def test_one_lost_frame_of_each_kind_on_can_stops_nothing(
     tmp_path: Path, values: dict[str, Any]
 ) -> None:
@@ -104,7 +104,7 @@ def test_a_lost_pose_of_the_tracker_stops_nothing(
         return kept
 
     monkeypatch.setattr(Tracker, "poll", lossy)
-    result, log = virtual(*configured(duration=1.0), tmp_path, seed=3)
+    result, log = virtual(*configured("config/direct.yaml"), tmp_path, seed=3)
     went_on(result)
     assert seen[0] > 300
     assert not [event for event in log.events() if event.name == "tracker_lost"]
@@ -118,12 +118,12 @@ def test_a_tracker_whose_socket_fails_stops_nothing(
 
     def failing(tracker: Tracker, now_ns: int) -> list[bytes]:
         polls[0] += 1
-        if 4000 < polls[0] <= 4300:
+        if 2600 < polls[0] <= 2900:
             raise OSError(errno.ENETDOWN, "Network is down")
         return poll(tracker, now_ns)
 
     monkeypatch.setattr(Tracker, "poll", failing)
-    result, log = virtual(*configured(duration=2.5), tmp_path, seed=3)
+    result, log = virtual(*configured("config/direct.yaml", duration=1.0), tmp_path, seed=3)
     went_on(result)
     assert states_at(log, "tracker_receive_failure") == {State.ACTIVE}
     told = [event.name for event in log.events() if event.name.startswith("tracker_")]

@@ -10,7 +10,7 @@ import tonus
 from tonus.tools.testing.held import HeldFactory
 
 pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.tonus_expect("*")]
-BUSES = ["config/can.yaml", "config/direct.yaml"]
+BUSES = [pytest.param("config/can.yaml", marks=pytest.mark.long), "config/direct.yaml"]
 SLIP, SHIFT, OFFSET = 0.004, 0.003, 4.0
 """rad, m and N: too little for the envelope"""
 

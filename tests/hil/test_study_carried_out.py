@@ -30,10 +30,10 @@ SMALL: dict[str, Any] = {
     "name": "small",
     "configs": ["config/direct.yaml"],
     "scenarios": ["hold"],
-    "seeds": 2,
+    "seeds": 1,
     "duration": 0.2,
     "overrides": QUICK,
-    "parameters": {"control.stiffness.base": [3000.0, 3210.0]},
+    "parameters": {"control.stiffness.base": [3000.0, 3100.0, 3210.0]},
     "measures": {"k": {"topic": "stiffness", "field": "k_eq", "take": "mean"}},
     "shown": ["tracking_rms_mm", "k"],
 }
@@ -52,7 +52,7 @@ def whole(file: Path) -> Path:
     out = file.parent / "whole"
     done = CliRunner().invoke(tonus, ["campaign", str(file), "--out", str(out)])
     assert done.exit_code == 0, done.output
-    assert "4 runs, 0 not completed" in done.output
+    assert "3 runs, 0 not completed" in done.output
     return out
 
 
@@ -62,11 +62,11 @@ def rows_of(folder: Path) -> list[Row]:
 
 def test_each_row_has_its_figures_and_the_parameter_acts(whole: Path) -> None:
     rows = sorted(rows_of(whole), key=lambda row: row["index"])
-    assert [row["verdict"] for row in rows] == ["completed"] * 4
+    assert [row["verdict"] for row in rows] == ["completed"] * 3
     assert rows[0]["k"] == pytest.approx(3000.0, rel=0.02)
     assert rows[2]["k"] == pytest.approx(3210.0, rel=0.02)
     assert all(0.0 < row["tracking_rms_mm"] < 0.5 for row in rows)
-    assert len({row["digest"] for row in rows}) == 4
+    assert len({row["digest"] for row in rows}) == 3
     assert not list((whole / "runs").rglob("*.mcap")), "no log is kept"
 
 
@@ -114,7 +114,7 @@ def test_an_interrupted_study_goes_on_where_it_was_left(
     assert first.interrupted
     assert len(first.rows) == 1
     second = carry_out(study, tmp_path, workers=2)
-    assert (second.kept, len(second.rows)) == (1, 4)
+    assert (second.kept, len(second.rows)) == (1, 3)
     written = write_table(study, second.rows, tmp_path)
     assert written.read_bytes() == (whole / "trials.parquet").read_bytes()
 
@@ -174,11 +174,12 @@ def test_by_dask_it_is_the_same_table_though_a_worker_dies(
 
         address = cluster.scheduler_address.replace("tcp://", "dask://")
         found = carry_out(study, tmp_path, workers=2, engine=address, tell=kill)
-    assert [row["index"] for row in found.rows] == [0, 1, 2, 3]
+    assert [row["index"] for row in found.rows] == [0, 1, 2]
     table = write_table(study, found.rows, tmp_path)
     assert table.read_bytes() == (whole / "trials.parquet").read_bytes()
 
 
+@pytest.mark.long
 def test_what_a_lost_scheduler_had_is_played_by_the_next_call(
     file: Path, whole: Path, tmp_path: Path
 ) -> None:
@@ -191,7 +192,7 @@ def test_what_a_lost_scheduler_had_is_played_by_the_next_call(
             carry_out(study, tmp_path, workers=1, engine=address, tell=lambda _: cluster.close())
     assert [row["verdict"] for row in rows_of(tmp_path)] == ["completed"]
     found = carry_out(study, tmp_path, workers=2)
-    assert (found.kept, len(found.rows)) == (1, 4)
+    assert (found.kept, len(found.rows)) == (1, 3)
     table = write_table(study, found.rows, tmp_path)
     assert table.read_bytes() == (whole / "trials.parquet").read_bytes()
 

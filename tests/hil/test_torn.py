@@ -1,4 +1,5 @@
-"""Every cable torn at rest at three poses; `make torn` does it at all 27, and in motion."""
+"""Every cable torn at rest at home; `make test-long` does it at two more poses, `make torn` at all
+27, and in motion."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ import pytest
 from tests.torn import CABLES, Place, Torn
 from tonus.config.loader import load_bounds
 
+HOME: Place = (0.0, 0.0, 0.0)
 TENSION = 1.2 * 200.0
 """N: `tension` of config/bounds.yaml, of T_max"""
 
@@ -20,7 +22,13 @@ def robot(home: Place) -> Torn:
 
 
 @pytest.mark.parametrize(
-    "home", [(0.0, 0.0, 0.0), (-0.15, -0.15, -0.06), (0.15, 0.0, 0.0)], ids=str
+    "home",
+    [
+        HOME,
+        pytest.param((-0.15, -0.15, -0.06), marks=pytest.mark.long),
+        pytest.param((0.15, 0.0, 0.0), marks=pytest.mark.long),
+    ],
+    ids=str,
 )
 def test_no_torn_cable_throws_the_platform(home: Place) -> None:
     bounds = load_bounds()
@@ -36,11 +44,19 @@ def test_no_torn_cable_throws_the_platform(home: Place) -> None:
         assert case.ended_after is not None, case
 
 
-@pytest.mark.parametrize(("first", "second"), [(0, 1), (0, 2), (4, 2), (4, 6)])
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (0, 1),
+        pytest.param(0, 2, marks=pytest.mark.long),
+        pytest.param(4, 2, marks=pytest.mark.long),
+        (4, 6),
+    ],
+)
 def test_a_second_cable_torn_in_the_descent_is_named_and_throws_nothing(
     first: int, second: int
 ) -> None:
-    case = robot((0.0, 0.0, 0.0)).again(first, second, after=0.3)
+    case = robot(HOME).again(first, second, after=0.3)
     assert case.named, case
     assert case.given_up == tuple(sorted((first, second))), case
     assert case.peak_speed <= load_bounds().speed, case

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.supervised import DRIVES, Run, configured
+from tests.supervised import BRIEF, DRIVES, Run, configured
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import Loss
 from tonus.config.schema.supervisor import Requirement
@@ -107,6 +107,10 @@ def _raises(*_: Any) -> None:
     raise RuntimeError("changed")
 
 
+ALSO = ("nothing is recorded", "torques frozen in control")
+"""played by `make test-long`: another makes the same requirement act"""
+
+
 def _run(monkeypatch: pytest.MonkeyPatch, change: Change, **given: Any) -> tuple[Run, Observed]:
     scenario, seconds = given.pop("scenario", "sine_z"), given.pop("seconds", 0.3)
     config, _ = configured(**given.pop("overrides", {}))
@@ -135,10 +139,13 @@ AT_ONCE: dict[str, tuple[Change, set[Requirement]]] = {
 }
 
 
-@pytest.mark.parametrize("name", AT_ONCE)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.long if name in ALSO else ()) for name in AT_ONCE],
+)
 def test_a_wrong_daemon_is_stopped_within_25_ms(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     change, requirements = AT_ONCE[name]
-    run, seen = _run(monkeypatch, change)
+    run, seen = _run(monkeypatch, change, overrides=BRIEF)
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert run.slowest_ms <= WITHIN_MS
     assert {number for number, _ in run.said} == requirements
@@ -207,7 +214,7 @@ def test_a_channel_whose_devices_are_not_received() -> None:
 
 def test_a_contact_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> None:
     """From the instant at which it is truly beyond the supervisor's bound."""
-    pushed = {"control.envelope.enabled": False}
+    pushed = {**BRIEF, "control.envelope.enabled": False}
     run, seen = _run(
         monkeypatch, _blind, scenario="contact_near", overrides=pushed, seconds=6.0, at=0.1
     )
@@ -218,14 +225,14 @@ def test_a_contact_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_daemon_in_order_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    run, seen = _run(monkeypatch, lambda _: None, seconds=1.0)
+    run, seen = _run(monkeypatch, lambda _: None, overrides=BRIEF, seconds=1.0)
     assert not run.said
     assert not run.stopped_ns
     assert not [each.name for each in seen.events if "supervisor" in each.name]
 
 
 def test_its_requirement_is_in_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, seen = _run(monkeypatch, _torque_on_the_bus(_opposite))
+    _, seen = _run(monkeypatch, _torque_on_the_bus(_opposite), overrides=BRIEF)
     found = {(each.name, each.where): each.text for each in seen.events}
     assert "SUP-10 at 2" in found["supervisor_stopped", "can1"]
     assert ("supervisor_lost", "can1") in found

@@ -26,8 +26,14 @@ SHORT: dict[str, dict[str, Any]] = {
     "realtime": {"_SHORT_S": 1.0, "_SHORT_ROUNDS": 1},
 }
 """what each part has less of here"""
-MARKS = {"ethercat": [pytest.mark.realtime], "realtime": [pytest.mark.realtime, pytest.mark.long]}
-"""of parts that start processes of their own; what the second one plays, other tests play too"""
+MARKS = {
+    "ethercat": [pytest.mark.realtime],
+    "realtime": [pytest.mark.realtime, pytest.mark.long],
+    "distribution": [pytest.mark.long],
+    "whole": [pytest.mark.long],
+    "log": [pytest.mark.long],
+}
+"""The first two start processes of their own; the long ones play whole runs, as other tests do."""
 
 
 def once(action: Callable[[], object], number: int, repeat: int) -> list[float]:

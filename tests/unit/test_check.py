@@ -13,12 +13,14 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import linprog
 
+import tonus.tools.check.rules
 import tonus.tools.margins.tension_loop
 from tonus.config import Config, ConfigError, Scenario, load
 from tonus.config.loader import HERE, load_catalogue, load_plausible, load_scenario
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.plausible import Bound
 from tonus.config.timeouts import master_timeout_ms
+from tonus.tools.check.controller import check_controller
 from tonus.tools.check.feasibility import (
     Poses,
     against,
@@ -38,12 +40,23 @@ WEIGHT = CONFIG.robot.platform.mass * CONFIG.robot.gravity
 
 
 MARGINS = lru_cache(tension_loop_margins)
+JUDGED: dict[object, list[Finding]] = {}
+
+
+def judged(config: Config, *, timed: bool = False) -> list[Finding]:
+    """`check_controller`, once for all that it reads of a configuration."""
+    dumped = config.robot.model_dump_json() + config.control.model_dump_json()
+    key = (dumped, config.response, timed)
+    if key not in JUDGED:
+        JUDGED[key] = list(check_controller(config, timed=timed))
+    return JUDGED[key]
 
 
 @pytest.fixture(autouse=True)
 def _margins_of_one_loop_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are most of a check's time, and few of these tests change the loop."""
     monkeypatch.setattr(tonus.tools.margins.tension_loop, "tension_loop_margins", MARGINS)
+    monkeypatch.setattr(tonus.tools.check.rules, "check_controller", judged)
 
 
 def failed(overrides: dict[str, Any], scenario: Scenario = SCENARIO) -> dict[str, Finding]:

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from loop import QUICK
 
 import tonus.tools
 from tonus.tools.cli import campaign, log
@@ -101,6 +102,7 @@ def test_the_summary_alone_is_printed_as_json(
 ) -> None:
     monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
     arguments = ["config/direct.yaml", "--scenario", "hold", "--duration", "0.2", "--virtual"]
+    arguments += [f"--set={key}={value}" for key, value in QUICK.items()]
     assert call(monkeypatch, "run", *arguments, "--json", "--out", str(tmp_path)) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary == json.loads((tmp_path / "summary.json").read_text())

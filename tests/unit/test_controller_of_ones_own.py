@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hil.runs import brief, configured, virtual
 from loop import QUICK
 
-from tonus.config import ConfigError, load
+from tonus.config import Config, ConfigError, Scenario, load
 from tonus.runtime.control.controllers import CONTROLLERS, controller_class, make_controller
 from tonus.runtime.control.controllers.base import Controller
 from tonus.runtime.control.controllers.linear import LinearLaw
 from tonus.runtime.errors import ControllerError
+from tonus.runtime.states import Fault
 from tonus.tools.check.controller import check_controller
 from tonus.tools.check.controller_time import ROUNDS, TICKS, WARM_TICKS, controller_time
 from tonus.tools.cli.main import main
@@ -124,7 +126,7 @@ number = 3
 '''
 QUICK_RUN = " ".join(
     (
-        "run config/direct.yaml --virtual --scenario hold --duration 1.5 --seed 1",
+        "run config/direct.yaml --virtual --scenario hold --duration 0.3 --seed 1",
         *(f"--set {key}={value}" for key, value in QUICK.items()),
     )
 )
@@ -160,6 +162,12 @@ def tonus(line: str, monkeypatch: pytest.MonkeyPatch) -> int:
     code = ended.value.code
     assert isinstance(code, int)
     return code
+
+
+def ours(controller: str) -> tuple[Config, Scenario]:
+    """A short run with a controller, for what is not asked of the command."""
+    overrides = {"control.controller": controller}
+    return configured("config/direct.yaml", duration=0.1, overrides=overrides)
 
 
 def found(name: str) -> dict[str, list[tuple[bool, str]]]:
@@ -325,20 +333,18 @@ def test_one_that_is_not_installed_any_more_is_told_by_a_replay(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    out = tmp_path / "out"
-    assert tonus(f"{QUICK_RUN} --set control.controller={registered} --out {out}", monkeypatch) == 0
+    config, scenario = ours(registered)
+    _, log = virtual(config, brief(scenario), tmp_path / "out")
     (mine / "of_mine-1.0.dist-info" / "entry_points.txt").write_text("")
     capsys.readouterr()
-    assert tonus(f"log replay {out / 'run.mcap'}", monkeypatch) == 2
+    assert tonus(f"log replay {log.path}", monkeypatch) == 2
     assert "its controller 'soft_one' is not installed here" in capsys.readouterr().err
 
 
-def test_limits_and_limiter_apply_to_it(
-    mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    assert tonus(f"{QUICK_RUN} --controller of_mine:Greedy --out {out}", monkeypatch) == 0
-    config, log = load("config/direct.yaml")[0], open_log(out / "run.mcap")
+def test_limits_and_limiter_apply_to_it(mine: Path, tmp_path: Path) -> None:
+    config, scenario = ours("of_mine:Greedy")
+    result, log = virtual(config, scenario, tmp_path)
+    assert result.outcome.fault is Fault.NONE
     law, tension = config.control.stiffness, config.control.tension
     k_eq = log["/tonus/stiffness"]["k_eq"]
     assert log["/tonus/stiffness"]["law"].max() == 1e9
@@ -359,7 +365,8 @@ def test_one_that_goes_wrong_in_a_run_ends_in_a_passive_stop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "out"
-    assert tonus(f"{QUICK_RUN} --controller of_mine:{name} --out {out}", monkeypatch) == 1
+    run = f"{QUICK_RUN} --duration 1.2 --controller of_mine:{name} --out {out}"
+    assert tonus(run, monkeypatch) == 1
     summary = json.loads((out / "summary.json").read_text())
     assert summary["faults"][0]["name"] == fault
     assert np.isfinite(open_log(out / "run.mcap")["/tonus/drives"]["torque_command"]).all()

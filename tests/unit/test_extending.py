@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from loop import QUICK
 
 from tonus.tools.log import open as open_log
 
@@ -124,26 +125,23 @@ def played(copy: Path, *words: str) -> str:
 
 
 def run(copy: Path) -> dict[str, np.ndarray]:
+    quick = [f"--set={key}={value}" for key, value in QUICK.items()]
     played(copy, "run", "config/direct.yaml", "--virtual", "--scenario", "hold",
-           "--duration", "0.1", "--out", "out")  # fmt: skip
+           "--duration", "0.1", "--out", "out", *quick)  # fmt: skip
     assert "bit-equal" in played(copy, "log", "replay", "out/run.mcap")
     wrench = open_log(copy / "out" / "run.mcap")["/tonus/wrench"]
     return {name: wrench[name] for name in wrench.dtype.names}
 
 
-def test_a_signal_is_its_line_and_its_writer(copy: Path) -> None:
-    files = changed(copy, SIGNAL)
-    assert files <= row("a signal")
+def test_a_signal_is_its_line_and_its_writer_and_a_stage_its_file_and_its_call(copy: Path) -> None:
+    """In one copy, so that one run shows both."""
+    assert changed(copy, SIGNAL) <= row("a signal")
+    (copy / STAGE_FILE).write_text(STAGE, encoding="utf-8")
+    assert changed(copy, CALLED) - row("a signal") == {"runtime/cycle.py"}
+    assert {"runtime/control/", "runtime/cycle.py"} == row("a stage of the tick")
     wrench = run(copy)
     np.testing.assert_array_equal(wrench["lift"], wrench["external"][:, 2])
     assert np.any(wrench["lift"])
-
-
-def test_a_stage_is_a_file_and_its_call(copy: Path) -> None:
-    (copy / STAGE_FILE).write_text(STAGE, encoding="utf-8")
-    files = changed(copy, CALLED)
-    assert files - row("a signal") == {"runtime/cycle.py"}
-    assert {"runtime/control/", "runtime/cycle.py"} == row("a stage of the tick")
-    heave = run(copy)["heave"]
+    heave = wrench["heave"]
     assert np.all(np.diff(heave) >= 0.0)
     assert heave.max() > 0.0

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from loop import QUICK
 from operated import Operated, told
 
 from tonus.drivers.fieldbus import RAW_FRAME
@@ -326,6 +327,7 @@ def test_the_command_ends_with_1_and_its_log_is_replayed_up_to_there(
         act(cycle, image, tick, *rest)
 
     arguments = ["config/direct.yaml", "--virtual", "--scenario", "hold", "--duration", "0.2"]
+    arguments += [f"--set={key}={value}" for key, value in QUICK.items()]
     with monkeypatch.context() as broken:
         # What compiles the cycle beforehand uses another one, which must not fail.
         broken.setattr("tonus.tools.run.composer.rehearse", lambda *_: True)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from loop import QUICK
 
 from tonus.config import load
 from tonus.config.document import read
@@ -50,6 +51,7 @@ def test_it_runs_as_it_is_from_anywhere(tmp_path: Path, monkeypatch: pytest.Monk
     assert CliRunner().invoke(init, ["mine"]).exit_code == 0
     assert CliRunner().invoke(check, ["mine/robot.yaml"]).exit_code == 0
     arguments = ["mine/direct.yaml", "--virtual", "--duration", "0.2", "--json"]
+    arguments += [f"--set={key}={value}" for key, value in QUICK.items()]
     done = CliRunner().invoke(run, arguments)
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["state"] == "STANDBY"

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from loop import QUICK
 from synthetic_run import Rings, cycles, recording, truth
 
 from tonus.config.loader import HERE
@@ -96,7 +97,12 @@ def tonus(*arguments: str, stdout: int | None, **options) -> subprocess.Complete
 
 @pytest.mark.parametrize(
     ("where", "as_json", "code"),
-    [(full, False, 0), (left, False, 0), (full, True, 2), (left, True, 0)],
+    [
+        pytest.param(full, False, 0, marks=pytest.mark.long),
+        (left, False, 0),
+        (full, True, 2),
+        pytest.param(left, True, 0, marks=pytest.mark.long),
+    ],
 )
 def test_a_run_is_recorded_to_its_end_whatever_becomes_of_what_it_prints(
     tmp_path: Path, where, as_json: bool, code: int
@@ -104,6 +110,7 @@ def test_a_run_is_recorded_to_its_end_whatever_becomes_of_what_it_prints(
     environment = {**os.environ, "TONUS_RUNTIME_DIR": str(tmp_path / "runtime")}
     arguments = ["run", "config/direct.yaml", "--virtual", "--scenario", "hold"]
     arguments += ["--duration", "0.2", "--out", str(tmp_path / "out"), *["--json"] * as_json]
+    arguments += [f"--set={key}={value}" for key, value in QUICK.items()]
     with where() as descriptor:
         done = tonus(*arguments, stdout=descriptor, env=environment)
     assert done.returncode == code, done.stderr

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from loop import QUICK
 from synthetic_run import Rings, cycles, recording, truth
 
 from tonus.runtime.recording.mcap_file import McapFile
@@ -21,7 +22,8 @@ TRUE = truth(cycles(TICKS))
 
 
 def play(out: Path, *arguments: str):
-    fixed = ["config/direct.yaml", "--virtual", "--scenario", "hold", "--duration", "0.2"]
+    fixed = ["config/direct.yaml", "--virtual", "--scenario", "hold", "--duration", "0.1"]
+    fixed += [f"--set={key}={value}" for key, value in QUICK.items()]
     return CliRunner().invoke(run, [*fixed, "--out", str(out), *arguments])
 
 

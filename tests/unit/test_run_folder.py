@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hil.runs import configured, virtual
+from hil.runs import brief, configured, virtual
 
 from tonus.drivers.errors import DriverError
 from tonus.runtime.daemon import Daemon
@@ -95,7 +95,8 @@ def test_a_bring_up_that_fails_costs_no_log(
     """The whole of it: a run, then one whose bus does not come up, into the same folder."""
     monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
     out = tmp_path / "out"
-    config, scenario = configured("config/direct.yaml", duration=0.2)
+    config, scenario = configured("config/direct.yaml")
+    scenario = brief(scenario)
     virtual(config, scenario, out)
     before = (out / "run.mcap").read_bytes()
 

@@ -342,7 +342,7 @@ def test_equal_inputs_make_equal_records_bit_for_bit(hold: tuple[ClosedLoop, Tra
         assert record.data.tobytes() == trace.cycle[tick].tobytes(), tick
 
 
-@pytest.mark.parametrize("cable", [2, 6], ids=["an upper cable", "a lower cable"])
+@pytest.mark.parametrize("cable", [pytest.param(2, marks=pytest.mark.long), 6])
 def test_without_a_cable_the_platform_comes_down_on_moderate_tensions(cable: int) -> None:
     config, scenario = configured("hold", QUICK)
     loop = ClosedLoop(config, scenario)

@@ -114,7 +114,9 @@ def test_controllers_that_are_not_tuned_alike_are_never_said_to_be(tmp_path: Pat
     assert "the tuned PID" not in page
 
 
-@pytest.mark.parametrize(("mass", "tuned"), [(None, True), (3.21, False)])
+@pytest.mark.parametrize(
+    ("mass", "tuned"), [pytest.param(None, True, marks=pytest.mark.long), (3.21, False)]
+)
 def test_the_command_says_of_an_own_robot_that_nothing_was_tuned_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mass: float | None, tuned: bool
 ) -> None:

@@ -1,10 +1,10 @@
 """Every tutorial is played: its files are written, its edits made, its commands run.
 
-`make test` plays a short form: a run is shortened, without frames where the page has a bus, and
-left out where no later command reads its log; of tests those that pass are left out. `make
-test-long` plays what stands there. Each command must print what the page shows, but for the
-numbers. A block that begins a line with `$` holds commands and what they print; `...` stands for
-lines that are left out. A title names the file that a block is, or edits.
+`make test` plays a short form: a run is shortened and brought up quickly, without frames where the
+page has a bus, and left out where no later command reads its log; of tests those that pass are left
+out. `make test-long` plays what stands there. Each command must print what the page shows, but for
+the numbers. A block that begins a line with `$` holds commands and what they print; `...` stands
+for lines that are left out. A title names the file that a block is, or edits.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from click.testing import CliRunner
+from loop import QUICK
 from markdown_it import MarkdownIt
 
+from tests.command import command
 from tests.foreign import pytest_in
-from tonus.tools.cli.failures import explained
-from tonus.tools.cli.main import tonus
 
 ROOT = Path(__file__).resolve().parents[2]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
-SHORT = ["--duration", "0.1"]
+SHORT = ["--duration", "0.1", *(f"--set={key}={value}" for key, value in QUICK.items())]
 SHORT_DESIGN = ["--evaluations", "160"]
 WITHOUT_FRAMES = {"config/can.yaml": "config/direct.yaml", "mine/robot.yaml": "mine/direct.yaml"}
 """for a run: without a bus it takes half the time"""
@@ -99,9 +98,9 @@ def is_good_test(command: Command) -> bool:
     return command.line.startswith("python -m pytest ") and not command.code
 
 
-def printed(command: Command, folder: Path, *, whole: bool) -> tuple[str, int]:
+def printed(step: Command, folder: Path, *, whole: bool) -> tuple[str, int]:
     """What a command prints, and its exit code."""
-    words = shlex.split(command.line)
+    words = shlex.split(step.line)
     if words[:3] == ["python", "-m", "pytest"]:
         return pytest_in(folder, *words[3:])
     if words[0] == "python":
@@ -109,17 +108,13 @@ def printed(command: Command, folder: Path, *, whole: bool) -> tuple[str, int]:
         with contextlib.redirect_stdout(out):
             runpy.run_path(words[1], run_name="__main__")
         return out.getvalue(), 0
-    assert words[0] == "tonus", command.line
-    if is_run(command) and not whole:
+    assert words[0] == "tonus", step.line
+    if is_run(step) and not whole:
         words = [WITHOUT_FRAMES.get(word, word) for word in words] + SHORT
     elif words[1] == "tune" and not whole:
         words = words + SHORT_DESIGN
-    result = CliRunner().invoke(tonus, words[1:], standalone_mode=False)
-    if isinstance(result.exception, Exception):
-        text, code = explained(result.exception)
-        return result.output + text, code
-    code = result.return_value if isinstance(result.return_value, int) else result.exit_code
-    return result.output, code
+    done = command(*words[1:])
+    return done.out + done.err, done.code
 
 
 def shape(line: str) -> str:

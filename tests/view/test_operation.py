@@ -21,7 +21,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def daemon(folder: Path) -> Iterator[Served]:
-    made = Served(folder, "config/can.yaml", "--virtual")
+    made = Served(folder, "config/direct.yaml", "--virtual")
     yield made
     made.close()
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
 
+from tests.loop import QUICK
 from tonus.runtime.timing import clock
 
 TONUS = [sys.executable, "-m", "tonus.tools.cli"]
@@ -151,6 +152,7 @@ class Served:
         # Its lab has no load, which would push a platform that lies in its cradle.
         command = [*TONUS, "run", config, "--serve", "--scenario", "hold"]
         command += ["--out", str(folder / "out"), *arguments]
+        command += [f"--set={key}={value}" for key, value in QUICK.items()]
         self.process = subprocess.Popen(
             command, cwd=ROOT, env=environment, stdout=self.text.open("w"), stderr=subprocess.STDOUT
         )
@@ -170,6 +172,7 @@ def recorded(folder: Path) -> Path:
     out = folder / "recorded"
     arguments = ["config/direct.yaml", "--virtual", "--scenario", "sine_z"]
     arguments += ["--duration", "3", "--out", str(out)]
+    arguments += [f"--set={key}={value}" for key, value in QUICK.items()]
     environment = {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
     subprocess.run(
         [*TONUS, "run", *arguments], cwd=ROOT, env=environment, check=True, capture_output=True

@@ -56,7 +56,8 @@ class Overheard:
 
     def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None:
         self._ring.publish(payload, stamp_ns)
-        self._new.append((stamp_ns, payload.copy()))
+        # By way of bytes: numpy copies a record field by field, in 35 us instead of 0.3.
+        self._new.append((stamp_ns, np.frombuffer(payload.tobytes(), payload.dtype)))
 
     def __call__(self) -> list[tuple[int, np.void]]:
         """New records with their stamps, once."""
