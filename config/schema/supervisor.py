@@ -34,6 +34,7 @@ class Requirement(IntEnum):
     DISARMED = 12
     STOP_ENDS = 13
     STALE = 14
+    LATE = 24
 
 
 REQUIREMENT_TEXTS: dict[Requirement, str] = {
@@ -51,6 +52,7 @@ REQUIREMENT_TEXTS: dict[Requirement, str] = {
     Requirement.DISARMED: "no drive is enabled while the daemon says that it is disarmed",
     Requirement.STOP_ENDS: "a controlled stop comes to its end",
     Requirement.STALE: "no torque is sent to a drive whose measurements have stopped",
+    Requirement.LATE: "it looks in time itself",
 }
 
 
@@ -114,7 +116,7 @@ class Supervisor(Section):
     logged_tension: Positive
     """N by which a recorded force may differ from the one on the bus"""
     logged_ticks: Annotated[int, Field(ge=1, le=64)]
-    """newest records among which the torque on the bus has to be"""
+    """records before the last two looks among which a torque on the bus may be too"""
     priority: Priority
     """SCHED_FIFO; it need not be above the daemon's: a supervisor that is kept from its turn is
     silent, and the robot stops"""

@@ -19,11 +19,11 @@ NOWHERE = -1
 CONTROLLED = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
 _ARMED = (*CONTROLLED, State.SAFE_STOP)
 _STIFF = (State.HOLD, State.ACTIVE)
-_ROUNDING = 1
 _FORGETTING = 4
 """times slower than it was counted is the time forgotten for which a condition held"""
-Key = tuple[Requirement, int, int]
-"""requirement, axis, and patience in ns"""
+Key = tuple[Requirement, int]
+"""requirement and patience in ns: that it is broken at one axis now and then at another is no
+excuse"""
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,16 @@ class Judge:
         self._most_rise = control.stiffness.rise_rate * settings.margin
         self._tare = control.sequence.tare_limit
         self._twists = _twists(config, settings.spread)
+        self._tick_ns = control.rates.period_ns
         patience = dict.fromkeys(Requirement, settings.patience_ms)
         patience[Requirement.TICK] = patience[Requirement.TORQUE] = 0.0  # ages by themselves
         patience[Requirement.FROZEN] = 0.0
         # A frame that is lost at an end of the window shows in one look there.
         patience[Requirement.UNEXPLAINED] = settings.period_ms
         patience[Requirement.STIFFNESS] = patience[Requirement.STOP_ENDS] = 0.0
+        # What it compares is a look old already.
+        logged_ms = max(0.0, settings.patience_ms - settings.period_ms)
+        patience[Requirement.COMMAND_LOGGED] = logged_ms
         patience[Requirement.DISARMED] = settings.disarmed_ms
         patience[Requirement.STALE] = 0.0
         self._patience_ns = {key: round(value * 1e6) for key, value in patience.items()}
@@ -75,7 +79,7 @@ class Judge:
         self._looked_ns = seen.now_ns
         broken: dict[Key, Violation] = {}
         for each, patience_ns in self._broken(seen):
-            broken.setdefault((each.requirement, each.where, patience_ns), each)
+            broken.setdefault((each.requirement, patience_ns), each)
         held = {
             key: held_ns - elapsed_ns // _FORGETTING
             for key, held_ns in self._held.items()
@@ -84,7 +88,7 @@ class Judge:
         for key in broken:
             held[key] = self._held[key] + elapsed_ns if key in self._held else 0
         self._held = held
-        return next((each for key, each in broken.items() if held[key] >= key[2]), None)
+        return next((each for key, each in broken.items() if held[key] >= key[1]), None)
 
     def _broken(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
         for each in (*self._daemon(seen), *self._bus(seen), *self._controlled(seen)):
@@ -128,8 +132,9 @@ class Judge:
             before, self._before = self._before, claim
             if not self._least_stiffness <= claim.stiffness <= self._most_stiffness:
                 yield Violation(Requirement.STIFFNESS, NOWHERE, claim.stiffness)
-            if before is not None and claim.at_ns > before.at_ns:
-                rise = (claim.stiffness - before.stiffness) / ((claim.at_ns - before.at_ns) * 1e-9)
+            if before is not None:
+                passed_ns = max(claim.at_ns - before.at_ns, self._tick_ns)
+                rise = (claim.stiffness - before.stiffness) / (passed_ns * 1e-9)
                 if not rise <= self._most_rise:
                     yield Violation(Requirement.STIFFNESS, NOWHERE, rise)
 
@@ -150,8 +155,7 @@ class Judge:
             felt = controlled and (seen.swing > settings.frozen_tension)[frozen].any()
             if felt or (seen.jolt > settings.frozen_rate)[frozen].any():
                 yield Violation(Requirement.FROZEN, NOWHERE, int(seen.same[frozen].min()))
-        logged = (abs(seen.mille - seen.claimed) <= _ROUNDING).any(axis=0)
-        wrong = enabled & np.isfinite(seen.torque) & ~logged
+        wrong = enabled & seen.unlogged
         yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong)
         sent = (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import deque
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
@@ -36,10 +37,21 @@ class Watched(NamedTuple):
 
 class Heard:
     """What was received under one identifier: the newest data, when it was read, how many frames,
-    how many of them in a row equal to the one before, the sum of each number, and the frames of a
-    drive that was not powered."""
+    how many of them in a row equal to the one before, the sum of each number, the frames of a drive
+    that was not powered, and the data of each frame since `words` was emptied last."""
 
-    __slots__ = ("at_ns", "count", "off", "same", "size", "statusword", "totals", "values", "word")
+    __slots__ = (
+        "at_ns",
+        "count",
+        "off",
+        "same",
+        "size",
+        "statusword",
+        "totals",
+        "values",
+        "word",
+        "words",
+    )
 
     def __init__(
         self, size: int, values: tuple[Value, ...], statusword: Value | None = None
@@ -47,6 +59,7 @@ class Heard:
         self.size, self.values, self.statusword = size, values, statusword
         self.word = self.at_ns = self.count = self.same = self.off = 0
         self.totals = [0.0] * len(values)
+        self.words: deque[int] = deque(maxlen=_MOST)
 
     @property
     def powered(self) -> bool:
@@ -61,6 +74,7 @@ class Heard:
         self.same = self.same + 1 if self.count and word == self.word else 0
         self.word, self.at_ns = word, now_ns
         self.count += 1
+        self.words.append(word)
         self.off += not self.powered
         for place, value in enumerate(self.values):
             number = value.number(word)

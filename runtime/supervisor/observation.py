@@ -16,6 +16,8 @@ from tonus.runtime.supervisor.record import Claim, Floats
 from tonus.runtime.supervisor.wiring import Cell, Wiring
 
 _MS = 1e-6
+_ROUNDING = 1
+"""per mille"""
 Listened = Mapping[tuple[str, int], Heard]
 """By channel and identifier."""
 
@@ -64,8 +66,8 @@ class Observation:
     """new since the last look, in their order"""
     claim: Claim | None
     """the newest"""
-    claimed: NDArray[np.int64]
-    """torques of the newest records (k, axes), per mille"""
+    unlogged: NDArray[np.bool_]
+    """a torque that the drive was sent is in none of the newest records"""
 
 
 @dataclass
@@ -106,7 +108,10 @@ class Observer:
             [np.nan if a.newton is None else a.per_newton_metre for a in wiring.axes]
         )
         self._claim: Claim | None = None
-        self._claimed: deque[NDArray[np.int64]] = deque(maxlen=settings.logged_ticks)
+        self._claimed: deque[NDArray[np.int64]] = deque()
+        self._new = 0
+        self._sent: list[list[int]] = [[] for _ in wiring.axes]
+        """to each axis in the look before, per mille"""
         self._samples: deque[_Sample] = deque()
         self._since = _Since(len(wiring.axes))
         self._off = np.zeros(len(wiring.axes), np.int64)
@@ -151,8 +156,34 @@ class Observer:
             *self._since.spans(changed, tension, rate),
             claims,
             self._claim,
-            np.array(self._claimed, np.int64).reshape(len(self._claimed), len(self._axes)),
+            self._unlogged(sent, mille, len(claims)),
         )
+
+    def _unlogged(self, sent: list[Heard], mille: NDArray[np.int64], new: int) -> NDArray[np.bool_]:
+        """A tick is recorded after its torques are sent: those of the look before are compared, or
+        the newest where there was none, with the records since then and ``logged_ticks`` more."""
+        while len(self._claimed) > self._settings.logged_ticks + self._new + new:
+            self._claimed.popleft()
+        claimed = np.array(self._claimed, np.int64).reshape(-1, len(self._axes))
+        found = np.array(
+            [
+                any(
+                    not (abs(each - claimed[:, row]) <= _ROUNDING).any()
+                    for each in {*self._sent[row]} or {int(mille[row])}
+                )
+                for row in range(len(self._axes))
+            ],
+            bool,
+        )
+        self._new = new
+        self._sent = [
+            [int(axis.torque.number(word)) for word in heard.words]
+            for axis, heard in zip(self._axes, sent, strict=True)
+        ]
+        for heard in sent:
+            heard.words.clear()
+        found &= np.isfinite(self._newton)
+        return found
 
     def _sample(
         self,

@@ -11,7 +11,7 @@ import can
 import numpy as np
 
 from tonus.config.schema.root import Config
-from tonus.config.schema.supervisor import REQUIREMENT_TEXTS
+from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
 from tonus.runtime.supervisor.judge import NOWHERE, Judge, Violation
 from tonus.runtime.supervisor.listener import Listener, Watched
 from tonus.runtime.supervisor.observation import Listened, Observation, Observer
@@ -56,6 +56,7 @@ class Supervisor:
         self._observe = Observer(wiring, settings, config.robot.contact_cell, tick_ns)
         self._judge = Judge(config, settings)
         self._quiet_ns: int | None = None
+        self._looked_ns = 0
         self._listeners: list[Listener] = []
         for interface, channel, bitrate in wiring.channels:
             bus = open_bus(interface, channel, bitrate)
@@ -93,11 +94,20 @@ class Supervisor:
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
         seen.enabled &= np.array(self._beating)[self._channel_of]
         if seen.enabled.any():
-            self.violation = self._judge(seen)
+            self.violation = self._late(now_ns) or self._judge(seen)
             if self.violation is not None:
                 self._send(_EMERGENCY, _error(self.violation))
                 self._beating = [False] * len(self._listeners)
         self._send(_HEARTBEAT, _OPERATIONAL)
+        self._looked_ns = now_ns
+
+    def _late(self, now_ns: int) -> Violation | None:
+        """Looks that come late keep the drives alive, and find everything late."""
+        settings = self.settings
+        since_ms = (now_ns - self._looked_ns) * 1e-6
+        if since_ms <= 2 * settings.period_ms + settings.patience_ms:
+            return None
+        return Violation(Requirement.LATE, NOWHERE, since_ms)
 
     @property
     def beating(self) -> bool:

@@ -77,6 +77,18 @@ def _torque_in_control(change: Callable[[Any], Any]) -> Change:
     return _after(ControlCycle, "act", changed)
 
 
+class _EverySecond:
+    """The sign of one torque, in every second tick; ``first``: of which the supervisor sees the
+    last before it looks, or the other."""
+
+    def __init__(self, first: int) -> None:
+        self.count = first
+
+    def __call__(self, torques: Any) -> Any:
+        self.count += 1
+        return _opposite(torques) if self.count % 2 else torques
+
+
 class _Frozen:
     """Keeps the first value."""
 
@@ -131,6 +143,14 @@ AT_ONCE: dict[str, tuple[Change, set[Requirement]]] = {
     "torques frozen on the bus": (_torque_on_the_bus(_Frozen()), {Requirement.FROZEN}),
     "torques frozen in control": (_torque_in_control(_Frozen()), {Requirement.FROZEN}),
     "a sign wrong on the bus": (_torque_on_the_bus(_opposite), {Requirement.COMMAND_LOGGED}),
+    "a sign wrong on the bus in each even tick": (
+        _torque_on_the_bus(_EverySecond(0)),
+        {Requirement.COMMAND_LOGGED},
+    ),
+    "a sign wrong on the bus in each odd tick": (
+        _torque_on_the_bus(_EverySecond(1)),
+        {Requirement.COMMAND_LOGGED},
+    ),
     "no torque for one axis on the bus": (
         _torque_on_the_bus(_slack),
         {Requirement.COMMAND_LOGGED},
