@@ -63,8 +63,8 @@ def examine(file: str, tests: Sequence[str], sample: int | None, seed: int, work
         todo = sorted(random.Random(seed).sample(todo, sample), key=lambda each: each.line)
     found.tried = len(todo)
     left = [each for each in todo if each.key not in explained]
-    left.insert(0, original((ROOT / file).read_text()))
     found.equivalent = len(todo) - len(left)
+    left.insert(0, original((ROOT / file).read_text()))
     module = "tonus." + file.removesuffix(".py").replace("/", ".")
     for mutant, dead in killed(module, ROOT / file, left, tests, workers):
         if mutant.line == 0:

@@ -71,6 +71,7 @@ def test_a_sample_of_the_judge_is_killed() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"{file}: 3 mutants" in done.stdout
     assert "0 survived" in done.stdout
+    assert "-1 equivalent" not in done.stdout
 
 
 def test_every_file_of_the_plan_has_its_tests() -> None:
