@@ -69,26 +69,6 @@ class Config(Section):
         return self
 
     @model_validator(mode="after")
-    def _supervisor_fits_the_envelope(self) -> Config:
-        supervisor, control = self.supervisor, self.control
-        if supervisor is None:
-            return self
-        tension, envelope = control.tension.max, control.envelope
-        for key, most, of in (
-            ("unexplained_force", tension, "control.tension.max"),
-            ("opposed_force", tension, "control.tension.max"),
-            ("logged_tension", 0.25 * tension, "a quarter of control.tension.max"),
-            ("tension_stopping", 3.0 * tension, "three times control.tension.max"),
-            ("contact_stopping", 2.0 * envelope.contact_limit, "twice the contact limit"),
-            ("speed_stopping", 10.0 * envelope.speed_limit, "ten times the speed limit"),
-        ):
-            value = getattr(supervisor, key)
-            if value > most:
-                problem = f"{value:g} is more than {of}: it would stop too little"
-                raise PlacedError(("supervisor", key), f"{problem}; set it to at most {most:g}")
-        return self
-
-    @model_validator(mode="after")
     def _tunable_has_an_effect(self) -> Config:
         if self.control.stiffness.profile == "eq10":
             return self

@@ -93,27 +93,27 @@ class Supervisor(Section):
     """N by which a tension may, while the robot is controlled"""
     window_ms: Annotated[Positive, Field(le=100)]
     """over which a drive's torque is compared with its cable and its drum"""
-    unexplained_force: Positive
+    unexplained_force: Annotated[Positive, Field(le=200)]
     """N at the cable: friction, and what the window blurs"""
     unexplained_share: Share
     """and of the torque itself: the gearbox's efficiency"""
-    opposed_force: Positive
+    opposed_force: Annotated[Positive, Field(le=200)]
     """N between torque and tension, in the direction away from the reference"""
     opposed_error: Annotated[Positive, Field(le=20)]
     """N between tension and reference"""
     margin: Annotated[Number, Field(ge=1, le=1.5)]
     """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
-    tension_stopping: Positive
+    tension_stopping: Annotated[Positive, Field(le=2000)]
     """N, in every state"""
-    contact_stopping: Positive
+    contact_stopping: Annotated[Positive, Field(le=100)]
     """N, in every state"""
-    speed_stopping: Positive
+    speed_stopping: Annotated[Positive, Field(le=5)]
     """m/s, in every state"""
     rotation: Annotated[Positive, Field(le=5)]
     """rad/s, while the robot is controlled"""
     rotation_stopping: Annotated[Positive, Field(le=30)]
     """rad/s, in every state"""
-    logged_tension: Positive
+    logged_tension: Annotated[Positive, Field(le=50)]
     """N by which a recorded force may differ from the one on the bus"""
     logged_ticks: Annotated[int, Field(ge=1, le=64)]
     """records before the last two looks among which a torque on the bus may be too"""

@@ -272,7 +272,8 @@ class _Since:
         self._changed = changed
         self._low = np.where(anew, present, np.fmin(self._low, present))
         self._high = np.where(anew, present, np.fmax(self._high, present))
-        swing, jolt = np.nan_to_num(self._high - self._low)
+        with np.errstate(invalid="ignore"):
+            swing, jolt = np.nan_to_num(self._high - self._low)
         return swing, jolt
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
+from tonus.runtime.states import ARMED
 from tonus.runtime.supervisor.judge import NOWHERE, Judge, Violation
 from tonus.runtime.supervisor.listener import Listener, Watched
 from tonus.runtime.supervisor.observation import Listened, Observation, Observer
@@ -35,8 +36,8 @@ class Supervisor:
     It is silent at first, and after a violation; the heartbeat begins when no drive has been
     enabled for ``quiet_s`` and everything arrives that it judges by. So its restart, or a mistake
     of its own that has passed, gives an armed robot nothing back, and a drive that it stopped needs
-    the operator's reset. A drive counts as enabled until it reports something else, however long it
-    has been silent. A channel on which no device answers gets no heartbeat any more.
+    the operator's reset. A silent drive counts as what it was, while the daemon's record is armed.
+    A channel on which no device answers gets no heartbeat any more.
     """
 
     def __init__(self, config: Config, records: Records, open_bus: OpenBus) -> None:
@@ -77,6 +78,11 @@ class Supervisor:
             with contextlib.suppress(can.CanError, OSError):
                 listener.read(now_ns)
         seen = self._observe(now_ns, self._heard, claims(self._records()))
+        # A drive that is silent is what it was, unless daemon and all others are disarmed: then it
+        # was pulled, or has no power.
+        present = seen.measured_age < self.settings.stale_ms
+        armed_by_record = seen.claim is not None and seen.claim.state in ARMED
+        seen.enabled &= present | (not present.any()) | armed_by_record
         armed = bool(seen.enabled.any())
         if armed:
             self._quiet_ns = None

@@ -68,6 +68,18 @@ def test_a_run_that_requires_one_that_has_no_drive_to_act_on() -> None:
     assert not wanted(load("config/can.yaml", overrides={"supervisor.policy": "off"})[0])
 
 
+@pytest.mark.parametrize(
+    ("key", "most"),
+    [("tension_stopping", 600.0), ("contact_stopping", 50.0), ("speed_stopping", 2.5)],
+)
+def test_bounds_that_are_far_beyond_the_envelope(key: str, most: float) -> None:
+    beyond = {f"supervisor__{key}": most + 0.1}
+    assert refused("config/can.yaml", **beyond) == []
+    found = refused("config/can.yaml", lab=None, **beyond)
+    assert [each.where for each in found] == [f"supervisor.{key}"]
+    assert refused("config/can.yaml", lab=None, **{f"supervisor__{key}": most}) == []
+
+
 def test_drives_that_wait_for_less_than_its_period_allows() -> None:
     found = refused("config/can.yaml", lab=None, supervisor__timeout_ms=21)
     assert [each.where for each in found] == ["supervisor.timeout_ms"]
@@ -100,9 +112,9 @@ def test_drives_that_wait_for_less_than_its_period_allows() -> None:
         ("unexplained_force", 201),
         ("opposed_force", 201),
         ("logged_tension", 51),
-        ("tension_stopping", 601),
-        ("contact_stopping", 51),
-        ("speed_stopping", 2.6),
+        ("tension_stopping", 2001),
+        ("contact_stopping", 101),
+        ("speed_stopping", 5.1),
     ],
 )
 def test_a_bound_of_any_size_is_none(key: str, value: float) -> None:

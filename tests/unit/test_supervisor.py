@@ -1289,14 +1289,18 @@ def test_a_drive_that_was_enabled_and_is_silent_is_enabled_still(watchdog: Watch
     axis = watchdog.wiring.axes[0]
     list(watchdog.steps(0, 310, enabled=False))
     assert watchdog.step(310, enabled=True) == BEAT
-    watchdog.state = State.STANDBY
     alone = {(axis.channel, axis.received)}
-    sent = list(watchdog.steps(312, 2000, enabled=False, deaf=alone))
+    assert all(sent == BEAT for sent in watchdog.steps(312, 400, enabled=False, deaf=alone))
+    sent = list(watchdog.steps(400, 800, enabled=False, deaf=alone, tick=False))
     assert sent[-1] == []
     violation = watchdog.supervisor.violation
     assert violation is not None
-    assert violation.requirement is Requirement.DISARMED
-    assert list(watchdog.steps(2000, 2304, enabled=False))[-1] == BEAT
+    assert violation.requirement is Requirement.TICK
+    assert list(watchdog.steps(800, 1104, enabled=False))[-1] == BEAT
+    assert watchdog.step(1104, enabled=True) == BEAT
+    watchdog.state = State.FAULT
+    pulled = watchdog.steps(1106, 2000, enabled=False, deaf=alone)
+    assert all(sent == BEAT for sent in pulled), "the daemon is disarmed, and so are the others"
 
 
 def test_what_held_is_over_when_the_drives_are_disabled(watchdog: Watchdog) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from tonus.config import Config
 from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.bus.base import numbers
 from tonus.config.schema.supervisor import Supervisor
 from tonus.tools.check.finding import Finding
 
@@ -25,11 +26,12 @@ def check_supervisor(config: Config) -> Iterator[Finding]:
             "add supervisor: !include supervisor.yaml, or write supervisor.policy under relaxed",
         )
         return
+    yield from _wide(config, settings)
     on_can = {
         axis
         for bus in config.fieldbus.parts
-        if isinstance(bus, CanopenBus)
-        for axis in bus.axis_places
+        if bus.heartbeats
+        for axis in numbers(list(bus.nodes()))[0]
     }
     others = sorted(set(range(config.robot.cables)) - on_can)
     if others and config.lab is None and settings.policy == "require":
@@ -40,6 +42,21 @@ def check_supervisor(config: Config) -> Iterator[Finding]:
             f"it acts on CAN only, and cannot stop axes {', '.join(map(str, others))}",
             "write supervisor.policy under relaxed, and set it to use or off",
         )
+
+
+def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
+    """The bounds of every state, against those of the envelope."""
+    envelope = config.control.envelope
+    for key, bound, times in (
+        ("tension_stopping", config.control.tension.max, 3.0),
+        ("contact_stopping", envelope.contact_limit, 2.0),
+        ("speed_stopping", envelope.speed_limit, 10.0),
+    ):
+        value = getattr(settings, key)
+        if value > times * bound and config.lab is None:
+            text = f"{value:g} is more than {times:g} times the envelope's {bound:g}"
+            remedy = f"set it to at most {times * bound:g}"
+            yield Finding("supervisor", False, f"{_KEY}.{key}", text, remedy)
 
 
 def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
