@@ -148,6 +148,7 @@ def _strike_slave(slave: Slave, fault: SegmentFault, now_ns: int) -> _Ender | No
         device.fail(fault.code)
     elif isinstance(fault, DriveInput):
         device.set_input(fault.input, fault.active)
+        return (lambda: device.set_input(fault.input, False)) if fault.active else None
     elif isinstance(fault, CellBreak):
         device.break_sensor(broken=fault.broken)
         return (lambda: device.break_sensor(broken=False)) if fault.broken else None

@@ -172,6 +172,8 @@ class Faults:
             self._last(fault, end)
 
     def _strike_segment(self, segment: Segment, fault: ethercat.SegmentFault) -> None:
+        if isinstance(fault, DriveInput):
+            self._forget(fault, DriveInput)
         for kind in ethercat.undone_by(fault):
             self._end_same(fault, kind)
         end, played = ethercat.strike(segment, fault, self._draws, self._timers.now_ns)
@@ -210,6 +212,9 @@ class Faults:
             device.fail(fault.code)
         elif isinstance(fault, DriveInput):
             device.set_input(fault.input, fault.active)
+            self._forget(fault, DriveInput)
+            if fault.active:
+                self._last(fault, lambda: device.set_input(fault.input, False))
         else:
             device.break_sensor(broken=fault.broken)
             self._forget(fault, CellBreak)
@@ -266,15 +271,13 @@ class Faults:
         self._lasting = [
             item
             for item in self._lasting
-            if not (
-                isinstance(item.fault, kind)
-                and (item.fault.channel, item.fault.node) == (fault.channel, fault.node)
-            )
+            if not (isinstance(item.fault, kind) and _place(item.fault) == _place(fault))
         ]
 
 
 def _place(fault: Any) -> tuple[object, ...]:
-    return (fault.channel, getattr(fault, "node", None), getattr(fault, "behind", None))
+    named = ("node", "behind", "input")
+    return (fault.channel, *(getattr(fault, name, None) for name in named))
 
 
 def _list(names: Mapping[str, object] | list[str]) -> str:

@@ -294,6 +294,18 @@ def test_a_scenarios_faults_begin_when_all_drives_are_enabled() -> None:
     assert lost.index(True) > 15
 
 
+def test_an_input_is_released_by_clearing() -> None:
+    bench = Orders()
+    drive = bench.lab.drives[1]
+    for _ in range(2):
+        bench.inject("drive_input", node=2, input="sto")
+    assert len(bench.lab.faults()) == 1
+    assert drive.objects.number(0x3202, 1) == 0
+    bench.must(op="clear")
+    assert drive.objects.number(0x3202, 1) == 3
+    assert not bench.lab.faults()
+
+
 def test_a_broken_cell_is_an_emergency_and_a_status() -> None:
     bench = Orders()
     bench.pre_op(9)

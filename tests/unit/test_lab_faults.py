@@ -215,6 +215,20 @@ def test_a_broken_cell_is_mended_by_clearing() -> None:
         assert struct.unpack("<i", frames(ticks(bench, 3), 0x191)[-1].data) != (50000,)
 
 
+def test_an_input_is_told_while_it_acts_and_released_by_clearing() -> None:
+    with running(Bench()) as bench:
+        drive = bench.lab.drives[0]
+        for name in ("sto", "home", "sto"):
+            inject(bench, "drive_input", node=1, input=name)
+        assert [each["fault"]["input"] for each in bench.lab.faults()] == ["home", "sto"]
+        inject(bench, "drive_input", node=1, input="home", active=False)
+        assert [each["fault"]["input"] for each in bench.lab.faults()] == ["sto"]
+        assert drive.objects.number(0x3202, 1) == 0
+        inject(bench, "clear")
+        assert drive.objects.number(0x3202, 1) == 3
+        assert not bench.lab.faults()
+
+
 def test_a_fault_with_a_time_waits_for_it() -> None:
     with running(Bench()) as bench:
         inject(bench, "drive_error", node=2, code=0x4210, at=0.01)
