@@ -18,6 +18,7 @@ from tonus.config.schema.scenario import Scenario
 from tonus.drivers.fieldbus import Fieldbus, Progress
 from tonus.runtime.control.tuning import GainChange
 from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.operation.brakes import BrakeWatch
 from tonus.runtime.operation.operator import Commander
 from tonus.runtime.operation.orders import Orders
 from tonus.runtime.operation.reporter import EventSink, Reporter
@@ -34,7 +35,7 @@ from tonus.runtime.timing.clock import Stopwatch, now_ns
 from tonus.runtime.timing.latencies import Latencies, Marks
 from tonus.runtime.timing.overruns import Overruns
 from tonus.runtime.timing.scheduler import Misses, Pacing, Scheduler
-from tonus.runtime.words import describe
+from tonus.runtime.words import axis_name, describe
 
 _NOTICEABLE_S = 0.5
 """Slowing at the start and at the end takes a tenth of a second; more was the envelope."""
@@ -93,7 +94,8 @@ class Daemon:
         self._guard = GuardedParts(self.firewall)
         self._fallback = Fallback(config, self.cycle, self._guard.fallback)
         self._reporter = Reporter(config, self.cycle, self._send)
-        self.self_test = SelfTest(config)
+        self._brakes = BrakeWatch(config)
+        self.self_test = SelfTest(config, self._brakes)
         self.scheduler: Scheduler | None = None
         """there is one once the bus is up"""
         self._services: list[tuple[Part, Callable[[int], None]]] = []
@@ -308,7 +310,11 @@ class Daemon:
         fallback.step(image, tick, disable=command is Operator.ESTOP)
 
     def _look(self, tick: int) -> None:
-        """The self-test, as long as the robot is not armed."""
+        """The brakes, and the self-test as long as the robot is not armed."""
+        for axis, slip in self._brakes.look(self._fieldbus.image, tick):
+            text = f"its cable went by {1e3 * slip:.0f} mm with the brake closed"
+            name = axis_name(self._config, axis)
+            self._emit(tick, Level.ERROR, "brake_slipped", name, text)
         if self.cycle.sequence.state is not State.STANDBY:
             self.self_test.forget()
             return

@@ -59,6 +59,11 @@ EVENTS: dict[str, Meaning] = {
     "drums_observed": Meaning(
         "the samples of every drive are on time again", "torque and motion are compared again"
     ),
+    "brake_slipped": Meaning(
+        "a drum turned while its drive was off and its holding brake closed",
+        "arming is refused until the daemon is started again",
+        "support the platform, then repair the brake (docs/sto.md)",
+    ),
     "tracker_lost": Meaning(
         "no usable tracker pose for tracker.maximum_age_ms",
         "the pose estimate uses the cables alone; arming is refused",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tonus.config import load
+from tonus.config.schema.axis import Brake
 from tonus.config.schema.lab import LabScript
 from tonus.sim.devices.cia402.states import State
 from tonus.sim.lab.engine import Lab
@@ -11,16 +12,16 @@ MS = 1_000_000
 CONFIG = load("config/direct.yaml")[0]
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP = 0x06, 0x07, 0x0F, 0x00, 0x02
 TORQUE_CONSTANT = 71000
+BRAKE = Brake(torque=0.4, opening_ms=10.0, closing_ms=10.0)
+"""of times that 0x3158 has by default"""
 
 
 class OneDrive:
     """``errors``: code and register of every emergency, in order."""
 
-    def __init__(self, *, holding_brake: bool = False, cable: bool = False) -> None:
-        assert CONFIG.lab is not None
-        plant = CONFIG.lab.plant.model_copy(update={"holding_brake": holding_brake})
-        lab = CONFIG.lab.model_copy(update={"plant": plant})
-        config = CONFIG.model_copy(update={"lab": lab})
+    def __init__(self, *, brake: Brake | None = None, cable: bool = False) -> None:
+        robot = CONFIG.robot.model_copy(update={"brake": brake})
+        config = CONFIG.model_copy(update={"robot": robot})
         self.lab = Lab(config, LabScript(), seed=1, clock=lambda: 0)
         self.drive = self.lab.drives[0]
         self.errors: list[tuple[int, int]] = []

@@ -71,6 +71,17 @@ class Motor(Section):
         return round(micro) * 1e-6
 
 
+class Brake(Section):
+    """A holding brake on the motor's shaft: closed without power, opened by its drive."""
+
+    torque: Positive
+    """N m at the motor, which it holds at least"""
+    opening_ms: NonNegative
+    """from power on its coil until it is open"""
+    closing_ms: NonNegative
+    """from power off until it holds"""
+
+
 class DriveTrain(Section):
     """What one motor moves one cable with."""
 
@@ -78,6 +89,12 @@ class DriveTrain(Section):
     drum: Drum
     gearbox: Gearbox
     motor: Motor
+    brake: Brake | None = None
+
+    @property
+    def brake_torque(self) -> float | None:
+        """N m at the drum that the brake holds, without losses; None without a brake."""
+        return None if self.brake is None else self.brake.torque * self.gearbox.ratio
 
     @property
     def drum_mass(self) -> float:
@@ -158,6 +175,8 @@ class AxisOverrides(_Overrides):
     drum: DrumOverrides = DrumOverrides()
     gearbox: GearboxOverrides = GearboxOverrides()
     motor: MotorOverrides = MotorOverrides()
+    brake: Brake | None = None
+    """one of its own, whole"""
 
     @model_serializer(mode="wrap")
     def _as_stated(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -170,4 +189,5 @@ class AxisOverrides(_Overrides):
             drum=self.drum.over(default.drum),
             gearbox=self.gearbox.over(default.gearbox),
             motor=self.motor.over(default.motor),
+            brake=self.brake or default.brake,
         )

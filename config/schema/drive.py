@@ -24,6 +24,7 @@ UNITS = {
     "N m": {"N m": 1.0, "mN m": 1e3, "uN m": 1e6},
     "N m/A": {"N m/A": 1.0, "mN m/A": 1e3, "uN m/A": 1e6},
     "rpm": {"rpm": 1.0},
+    "ms": {"ms": 1.0},
     "": {"": 1.0},
 }
 """Of each quantity's own unit: the units an object may have it in, and how many make one."""
@@ -37,6 +38,8 @@ Quantity = Literal[
     "motor.increments_per_revolution",
     "gearbox.numerator",
     "gearbox.denominator",
+    "brake.opening_ms",
+    "brake.closing_ms",
 ]
 UNIT_OF: dict[Quantity, str] = {
     "motor.nominal_current": "A",
@@ -48,6 +51,8 @@ UNIT_OF: dict[Quantity, str] = {
     "motor.increments_per_revolution": "",
     "gearbox.numerator": "",
     "gearbox.denominator": "",
+    "brake.opening_ms": "ms",
+    "brake.closing_ms": "ms",
 }
 """What of an axis an object can carry, and the unit the configuration has it in."""
 
@@ -80,7 +85,8 @@ class Device(Section):
 
 
 class DriveSetting(Section):
-    """One object at bring-up: a fixed ``value``, or a ``quantity`` of its axis in ``unit``."""
+    """One object at bring-up: a fixed ``value``, or a ``quantity`` of its axis in ``unit``. One
+    of a brake is left out where the axis has none."""
 
     index: Index
     subindex: Subindex = 0

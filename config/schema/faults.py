@@ -12,6 +12,7 @@ from pydantic import Field, TypeAdapter
 from tonus.config.schema.base import Count, Finite, Fraction, NodeId, Positive
 from tonus.config.schema.fault_section import LONGEST_S, FaultSection
 from tonus.config.schema.robot_faults import (
+    BrakeWeak,
     CableCut,
     CellFrozen,
     CellGain,
@@ -24,6 +25,7 @@ from tonus.config.schema.robot_faults import (
     MotorWeak,
     PhantomHit,
     Push,
+    SafeTorqueOff,
     ShiftedTracker,
     TrackerHidden,
 )
@@ -275,6 +277,8 @@ Fault = Annotated[
     | DrumJam
     | DrumFriction
     | MotorWeak
+    | BrakeWeak
+    | SafeTorqueOff
     | CellGain
     | CellOffset
     | CellFrozen

@@ -81,8 +81,6 @@ class Plant(Section):
     """each drum's Coulomb and load-dependent friction by itself"""
     anchor_sigma: NonNegative = 0.0
     """m, drawn once per seed for each frame anchor coordinate"""
-    holding_brake: bool = False
-    """every motor has a brake that its drive opens (0x3158) and that is closed without power"""
     slack_at_start: tuple[NonNegative, NonNegative]
     """m: range from which every cable's slack in the cradle is drawn; loose enough to lie still,
     short enough to be reeled in during referencing"""

@@ -48,6 +48,8 @@ class SelfTest(Section):
     """how long a script waits for a good one"""
     slack_tension: Positive = 10.0
     """N: most that a cable of a disarmed robot pulls, or a zeroed cell may read"""
+    brake_slip: Positive = 0.002
+    """m: most that a cable moves at its drum while its holding brake is closed"""
 
 
 class Firewall(Section):

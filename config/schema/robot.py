@@ -16,7 +16,15 @@ from pydantic import (
 )
 
 from tonus.config.errors import no_such
-from tonus.config.schema.axis import AxisOverrides, Cable, DriveTrain, Drum, Gearbox, Motor
+from tonus.config.schema.axis import (
+    AxisOverrides,
+    Brake,
+    Cable,
+    DriveTrain,
+    Drum,
+    Gearbox,
+    Motor,
+)
 from tonus.config.schema.base import (
     Count,
     Finite,
@@ -109,8 +117,10 @@ class Robot(Section):
     drum: Drum
     gearbox: Gearbox
     motor: Motor
+    brake: Brake | None = None
+    """of every axis; null: only of those that state one"""
     axes: dict[AxisNumber, AxisOverrides] = Field(default_factory=dict)
-    """by axis, from 0: what it has that differs from ``cable``, ``drum``, ``gearbox``, ``motor``"""
+    """by axis, from 0: what it has that differs from the sections above"""
     response: Response = Response()
     workspace: Workspace
     home: Vector3
@@ -128,10 +138,12 @@ class Robot(Section):
 
     @model_serializer(mode="wrap")
     def _as_stated(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A robot whose axes are alike is written as one that has no ``axes``."""
+        """A robot whose axes are alike is written as one that has no ``axes``, one without brakes
+        as one that has no ``brake``."""
         written: dict[str, Any] = write(self)
-        if not self.axes:
-            written.pop("axes", None)
+        for name in ("axes", "brake"):
+            if not getattr(self, name):
+                written.pop(name, None)
         return written
 
     @property
@@ -152,7 +164,13 @@ class Robot(Section):
     @property
     def drive_trains(self) -> tuple[DriveTrain, ...]:
         """One for each cable, in their order."""
-        train = DriveTrain(cable=self.cable, drum=self.drum, gearbox=self.gearbox, motor=self.motor)
+        train = DriveTrain(
+            cable=self.cable,
+            drum=self.drum,
+            gearbox=self.gearbox,
+            motor=self.motor,
+            brake=self.brake,
+        )
         return tuple(
             self.axes[axis].of(train) if axis in self.axes else train for axis in range(self.cables)
         )

@@ -77,6 +77,24 @@ class MotorWeak(_LastingOfRobot):
     """share of the torque constant that is left; negative: it turns the other way"""
 
 
+class BrakeWeak(_LastingOfRobot):
+    """A holding brake holds only a share of its torque when it is closed."""
+
+    kind: Literal["brake_weak"] = "brake_weak"
+    axis: Index
+    """of the cable and its drum, from 0"""
+    gain: Annotated[Finite, Field(ge=0.0, le=1.0)]
+    """share of its torque that is left; 0: it does not hold at all"""
+
+
+class SafeTorqueOff(_LastingOfRobot):
+    """The safe torque off inputs of a drive, or of every drive, lose their voltage."""
+
+    kind: Literal["sto"] = "sto"
+    axis: Index | None = None
+    """from 0; without it every drive"""
+
+
 class CellGain(_Growing):
     """A load cell shows a multiple of its force."""
 
@@ -169,6 +187,8 @@ OfRobot = (
     | DrumJam
     | DrumFriction
     | MotorWeak
+    | BrakeWeak
+    | SafeTorqueOff
     | CellGain
     | CellOffset
     | CellFrozen

@@ -65,7 +65,7 @@ def require_interpolation(profile: DriveProfile, key: str, period_us: int) -> No
 def settings(train: DriveTrain, profile: DriveProfile) -> tuple[Setting, ...]:
     """What the drive of a ``train`` must hold before it is started, in the order in which it is
     written. Raises `DriverError` for a quantity that its object cannot hold."""
-    found = [_setting(each, train, profile) for each in profile.settings]
+    found = [_setting(each, train, profile) for each in profile.settings if _concerns(each, train)]
     if profile.interpolation_ms is not None:
         why = "interpolation and RPDO timeout, ms"
         found.append(Setting(0x60C2, 1, profile.interpolation_ms, 1, why))
@@ -74,6 +74,11 @@ def settings(train: DriveTrain, profile: DriveProfile) -> tuple[Setting, ...]:
         if code is not None:
             found.append(Setting(index, 0, code, 2, _WHY[option]))
     return tuple(found)
+
+
+def _concerns(each: DriveSetting, train: DriveTrain) -> bool:
+    """A brake's times are nothing to an axis without one."""
+    return train.brake is not None or not (each.quantity or "").startswith("brake.")
 
 
 def _setting(each: DriveSetting, train: DriveTrain, profile: DriveProfile) -> Setting:

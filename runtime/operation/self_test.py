@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from tonus.config.schema.root import Config
 from tonus.drivers.process_image import AxisState, ProcessImage
 from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.operation.brakes import BrakeWatch
 from tonus.runtime.words import axis_name, cell_name
 
 _DISABLED = (
@@ -34,8 +35,9 @@ class Finding:
 class SelfTest:
     """`look` now and then; `obstacles` says what stands against arming."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, brakes: BrakeWatch) -> None:
         self._config = config
+        self._brakes = brakes
         self._settings = config.operation.self_test
         period = config.control.rates.period
         self.interval = max(1, round(self._settings.interval_ms * 1e-3 / period))
@@ -54,6 +56,7 @@ class SelfTest:
             _judged("cells", "answer and are well", self._cells(image)),
             _judged("tare", self._tared(cycle), self._tare(cycle)),
             _judged("tensions", "all cables are slack", self._tensions(cycle)),
+            *self._brake_findings(),
             _judged("tracker", "sees the platform in its cradle", self._tracker(image)),
             *(Finding(item, ok=False, text=text) for item, text in image.obstacles.items()),
         )
@@ -84,6 +87,16 @@ class SelfTest:
                 error = int(image.axes["error_code"][axis])
                 said = f"{AxisState(state).name}{f', error 0x{error:04X}' if error else ''}"
                 yield f"{axis_name(self._config, axis)} is in {said}"
+
+    def _brake_findings(self) -> Iterator[Finding]:
+        """None for a robot without brakes."""
+        if self._brakes.fitted:
+            yield _judged("brakes", "none was seen to slip", self._slipped())
+
+    def _slipped(self) -> Iterator[str]:
+        for axis, slip in sorted(self._brakes.slipped.items()):
+            name = axis_name(self._config, axis)
+            yield f"the brake of {name} let its cable go by {1e3 * slip:.0f} mm; repair it"
 
     def _cells(self, image: ProcessImage) -> Iterator[str]:
         ages, statuses = image.cells["age"].tolist(), image.cells["status"].tolist()

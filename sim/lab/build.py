@@ -47,20 +47,20 @@ def _drive(timeline: Timeline, config: Config, axis: int, node_id: int) -> Cia40
     lab, bus = config.lab, config.fieldbus
     assert lab is not None
     profile = bus.profile(axis)
-    samples, stage, brake = timeline.samples, lab.drive, lab.plant.holding_brake
+    samples, stage = timeline.samples, lab.drive
+    train = config.robot.drive_trains[axis]
     if profile.eds is not None:
         sheet = sheets.read(profile.eds.name, profile.eds.text, node_id)
         on_can = not any(axis in each.devices[0] for each in bus.parts if each.over_ethercat)
-        motor = config.robot.drive_trains[axis].motor
         feed = profile.scaling.position == "0x6092"
         return EdsDrive(
             axis,
             sheet,
-            motor,
+            train.motor,
             samples,
             timeline,
             stage,
-            holding_brake=brake,
+            train.brake,
             on_can=on_can,
             feed=feed,
         )
@@ -69,7 +69,7 @@ def _drive(timeline: Timeline, config: Config, axis: int, node_id: int) -> Cia40
             f"fieldbus: the lab cannot emulate the {profile.name} of axis {axis}: its profile has "
             "no eds; add eds: FILE, the drive's electronic data sheet"
         )
-    return Epos4(axis, node_id, samples, timeline, stage, holding_brake=brake)
+    return Epos4(axis, node_id, samples, timeline, stage, train.brake)
 
 
 def _numbers(

@@ -129,7 +129,7 @@ class Lab:
         self._ports = built.ports
         self._bitrate = built.bitrate
         self._awaited = built.awaited
-        self._robot_faults = RobotFaults(config.robot, self.plant, self._tracker)
+        self._robot_faults = RobotFaults(config.robot, self.plant, self._tracker, self.drives)
         self._faults = Faults(
             self.channels, self.nodes, self.segments, self._robot_faults, self, seed
         )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from tonus.config.schema.robot import Robot
 from tonus.config.schema.robot_faults import (
+    BrakeWeak,
     CableCut,
     CellFrozen,
     CellGain,
@@ -19,8 +20,10 @@ from tonus.config.schema.robot_faults import (
     OfRobot,
     PhantomHit,
     Push,
+    SafeTorqueOff,
     ShiftedTracker,
 )
+from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.tracker import Tracker
 from tonus.sim.errors import LabError
 from tonus.sim.plant import Plant
@@ -36,13 +39,20 @@ def place(fault: OfRobot) -> tuple[object, ...]:
 class RobotFaults:
     """What is wrong with one robot and its tracker on purpose, whatever bus they are on."""
 
-    def __init__(self, robot: Robot, plant: Plant, tracker: Tracker) -> None:
+    def __init__(
+        self, robot: Robot, plant: Plant, tracker: Tracker, drives: Sequence[Cia402Drive]
+    ) -> None:
         self._robot = robot
         self._plant = plant
         self._tracker = tracker
+        self._drives = drives
+        self._torque_off: set[int | None] = set()
+        """axes whose torque a fault holds off; None: every axis"""
 
     def places(self, kind: str, *, axis: bool, cell: bool) -> list[str]:
         """Where a kind of fault can happen here; ``axis`` and ``cell`` say what it names."""
+        if kind == "brake_weak":
+            return [str(axis) for axis in self._braked]
         if axis or cell:
             count = self._robot.cables if axis else self._robot.cells
             return [str(number) for number in range(count)]
@@ -58,10 +68,20 @@ class RobotFaults:
                 raise LabError(
                     f"fault {fault.kind}: there is no {name} {number}; there are 0 to {count - 1}"
                 )
+        if isinstance(fault, BrakeWeak) and fault.axis not in self._braked:
+            raise LabError(
+                f"fault {fault.kind}: axis {fault.axis} has no holding brake; give the robot one "
+                "in robot: brake:"
+            )
         if isinstance(fault, PhantomHit) and not self._plant.has_phantom:
             raise LabError(
                 f"fault {fault.kind}: this scenario has no phantom; give it one in lab: phantom:"
             )
+
+    @property
+    def _braked(self) -> list[int]:
+        trains = self._robot.drive_trains
+        return [axis for axis, train in enumerate(trains) if train.brake is not None]
 
     def strike(self, fault: OfRobot, now_ns: int) -> _Ender | None:
         """Make it happen; returns what ends it if it lasts."""
@@ -79,6 +99,10 @@ class RobotFaults:
             return defects.rub_drum(fault.axis, fault.force, fault.over)
         elif isinstance(fault, MotorWeak):
             return defects.weaken_motor(fault.axis, fault.gain)
+        elif isinstance(fault, BrakeWeak):
+            return defects.weaken_brake(fault.axis, fault.gain)
+        elif isinstance(fault, SafeTorqueOff):
+            return self._take_torque(fault.axis)
         elif isinstance(fault, CellGain):
             return defects.scale_cell(fault.cell, fault.gain, fault.over)
         elif isinstance(fault, CellOffset):
@@ -96,6 +120,21 @@ class RobotFaults:
         else:
             return self._hide()
         return None
+
+    def _take_torque(self, axis: int | None) -> _Ender:
+        off = self._torque_off
+
+        def switch() -> None:
+            for each in range(len(self._drives)) if axis is None else (axis,):
+                self._drives[each].set_input("sto", not off.isdisjoint((None, each)))
+
+        def give_back() -> None:
+            off.discard(axis)
+            switch()
+
+        off.add(axis)
+        switch()
+        return give_back
 
     def _shift_tracker(self, fault: ShiftedTracker) -> _Ender:
         self._tracker.shift[:] = fault.shift

@@ -54,6 +54,7 @@ class Defects:
         """what changes with time"""
         self._coulomb = parameters["coulomb"][0].copy()
         self._torque_per_amp = parameters["torque_per_amp"][0].copy()
+        self._brake_torque = parameters["brake_torque"][0].copy()
         self._gain = np.ones_like(parameters["cell_gain"][0])
         self._offset = np.zeros_like(self._gain)
         self._held = np.full_like(self._gain, np.nan)
@@ -144,6 +145,16 @@ class Defects:
 
         set_to(gain)
         return lambda: set_to(1.0)
+
+    def weaken_brake(self, axis: int, gain: float) -> Ender:
+        """Leave a share of the torque that the axis's holding brake holds when it is closed."""
+        torque, sound = self._p["brake_torque"], float(self._brake_torque[axis])
+        torque[axis] = gain * sound
+
+        def restore() -> None:
+            torque[axis] = sound
+
+        return restore
 
     # -- sensors ---------------------------------------------------------------------------------
 

@@ -86,7 +86,9 @@ def _kick_rotor(s: Any, p: Any, i: int, motor: float, dt: float) -> tuple[float,
     trial = old + dt / p.rotor_inertia[i] * (motor - s.teeth_torque[i] - drag)
     friction = _sliding(p, i, p.rotor_coulomb[i], s.rotor_rate[i])
     friction += _gearbox(p, i, motor, trial)
-    new = 0.0 if s.locked[i] else _slowed(trial, dt / p.rotor_inertia[i] * friction)
+    if s.locked[i]:
+        friction += p.brake_torque[i]
+    new = _slowed(trial, dt / p.rotor_inertia[i] * friction)
     mean = 0.5 * (old + new)
     s.rotor_acceleration[i] = (new - old) / dt
     s.half_rotor_rate[i] = new
@@ -122,16 +124,17 @@ def kick_drums(s: Any, p: Any, dt: float, losses: float) -> float:
         friction = _sliding(
             p, i, p.coulomb[i] + p.load_friction[i] * p.radius[i] * s.tension[i], s.drum_rate[i]
         )
-        held = s.locked[i] != 0 or s.jammed[i] != 0
         if p.backlash > 0.0:
             mean, lost = _kick_rotor(s, p, i, torque, dt)
             s.input_work += dt * torque * mean
             losses += lost
-            torque, held = s.teeth_torque[i], s.jammed[i] != 0
+            torque = s.teeth_torque[i]
         trial = old + dt / p.drum_inertia[i] * (torque - p.radius[i] * s.tension[i] - drag)
         if p.backlash == 0.0:
             friction += _gearbox(p, i, torque, trial)
-        new = 0.0 if held else _slowed(trial, dt / p.drum_inertia[i] * friction)
+            if s.locked[i]:
+                friction += p.brake_torque[i]
+        new = 0.0 if s.jammed[i] else _slowed(trial, dt / p.drum_inertia[i] * friction)
         mean = 0.5 * (old + new)
         losses += drag * s.drum_rate[i] + _lost(s, p.drum_inertia[i] * (trial - new) * mean, dt)
         if p.backlash == 0.0:

@@ -74,7 +74,7 @@ def state_dtype(cables: int) -> np.dtype[np.void]:
                 drum_acceleration=per_cable,  # rad/s2, of the last kick
                 rotor_acceleration=per_cable,  # rad/s2, of the last kick
                 powered=("u1", (cables,)),  # power stage on
-                locked=("u1", (cables,)),  # holding brake engaged
+                locked=("u1", (cables,)),  # holding brake closed
                 jammed=("u1", (cables,)),  # the drum cannot turn
             ),
         ]
@@ -103,6 +103,7 @@ def parameters_dtype(cables: int) -> np.dtype[np.void]:
             viscous=per_cable,
             coulomb=per_cable,  # N m at the drum
             load_friction=per_cable,  # share of the tension
+            brake_torque=per_cable,  # N m at the drum (the rotor) that a closed brake holds
             stribeck=_FLOAT,  # share by which friction is higher at standstill
             stribeck_rate=per_cable,  # rad/s of the drum
             backlash=_FLOAT,  # 1: rotor and drum are two bodies; then drum's values are its own

@@ -65,6 +65,8 @@ def parameters(
         "viscous": robot.viscous_friction,
         "coulomb": plant.coulomb_friction * robot.drum_radius * friction,
         "load_friction": plant.load_friction * friction,
+        # A motor that is locked by hand, in a test, is held by anything.
+        "brake_torque": [train.brake_torque or inf for train in robot.drive_trains],
         "teeth_stiffness": inf,
         "driving_loss": 1.0 - efficiency,
         "driven_loss": 1.0 / efficiency - 1.0,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
-from one_drive import OneDrive
+from one_drive import BRAKE, OneDrive
 
 from tonus.sim.devices.cia402.states import State
 from tonus.sim.devices.epos4.errors import ERRORS
@@ -51,7 +51,7 @@ class AnySequence(RuleBasedStateMachine):
 
     @initialize(mode=st.sampled_from([1, 3, 6, 8, 9, 10]), brake=st.booleans())
     def begin(self, mode: int, brake: bool) -> None:
-        self.bench = OneDrive(holding_brake=brake)
+        self.bench = OneDrive(brake=BRAKE if brake else None)
         self.brake = brake
         self.bench.write(0x6065, 0, 0xFFFFFFFF)
         self.bench.write(0x6060, 0, mode)

@@ -6,8 +6,9 @@ from math import exp
 
 import pytest
 from lab_bench import Bench
-from one_drive import ENABLE, SHUTDOWN, OneDrive
+from one_drive import BRAKE, ENABLE, SHUTDOWN, OneDrive
 
+from tonus.config.schema.axis import Brake
 from tonus.sim.devices.cia402.states import State
 from tonus.sim.devices.objects import (
     CANNOT_STORE,
@@ -116,7 +117,7 @@ def test_a_wire_there_is_not_is_refused() -> None:
 
 
 def test_the_brake_opens_before_the_motor_turns_and_closes_before_the_power_goes() -> None:
-    bench = OneDrive(holding_brake=True)
+    bench = OneDrive(brake=Brake(torque=0.4, opening_ms=50.0, closing_ms=30.0))
     locked = bench.lab.plant.locked
     bench.write(0x3158, 1, 50)
     bench.write(0x3158, 2, 30)
@@ -147,7 +148,7 @@ def test_the_brake_opens_before_the_motor_turns_and_closes_before_the_power_goes
 
 
 def test_an_error_takes_the_power_before_the_brake_has_closed() -> None:
-    bench = OneDrive(holding_brake=True)
+    bench = OneDrive(brake=BRAKE)
     bench.enable(CST)
     bench.wait(20)
     bench.drive.fail(0x2310)

@@ -24,6 +24,8 @@ LASTING: dict[str, dict[str, Any]] = {
     "drum_jam": {"axis": 1},
     "drum_friction": {"axis": 1, "force": 20.0, "over": 0.005},
     "motor_weak": {"axis": 1, "gain": -0.5},
+    "brake_weak": {"axis": 1, "gain": 0.5},
+    "sto": {"axis": 1},
     "cell_gain": {"cell": 1, "gain": 1.5},
     "cell_offset": {"cell": 8, "force": 9.0, "over": 0.005},
     "cell_frozen": {"cell": 1},
@@ -38,6 +40,7 @@ PASSING: dict[str, dict[str, Any]] = {
     "encoder_slip": {"axis": 1, "angle": 0.2, "over": 0.01},
 }
 PUSH = {"force": [5.0, 0.0, 0.0], "point": [0.0, 0.1, 0.0], "rise": 0.01, "duration": 0.03}
+BRAKED = {"robot.brake": {"torque": 0.4, "opening_ms": 40.0, "closing_ms": 20.0}}
 BUSES = ["can", "direct", "mixed", "ethercat"]
 
 
@@ -50,13 +53,14 @@ def outside(bench: Bench) -> bytes:
     plant = bench.lab.plant
     p = plant.parameters
     names = ("coulomb", "torque_per_amp", "cell_gain", "cell_offset", "encoder_gain", "slip_rate")
-    names += ("contact_rate", "pushed", "axial_stiffness")
+    names += ("contact_rate", "pushed", "axial_stiffness", "brake_torque")
     tracker = bench.lab.tracker
     kept = [p[name].tobytes() for name in names]
     kept += [
         plant.state["jammed"].tobytes(),
         (0.0 + np.round(plant.state["contact_shift"], 9)).tobytes(),
     ]
+    kept.append(bytes(drive.objects.number(0x3202, 1) for drive in bench.lab.drives))
     return b"".join([*kept, bytes([tracker.blocked]), bench.lab._tracker.shift.tobytes()])
 
 
@@ -67,7 +71,7 @@ def test_every_kind_of_the_robot_is_tried_here() -> None:
 
 @pytest.mark.parametrize("bus", BUSES)
 def test_every_kind_can_happen_on_every_bus(bus: str) -> None:
-    with Bench(f"config/{bus}.yaml", CONTACT) as bench:
+    with Bench(f"config/{bus}.yaml", CONTACT, overrides=BRAKED) as bench:
         for kind, fields in (LASTING | PASSING | {"load": PUSH}).items():
             before = outside(bench)
             inject(bench, kind, **fields)
@@ -82,7 +86,7 @@ def test_every_kind_can_happen_on_every_bus(bus: str) -> None:
 @pytest.mark.parametrize("kind", LASTING)
 @pytest.mark.parametrize("ending", ["duration", "clear", "replaced"])
 def test_what_lasts_is_told_and_ends(kind: str, ending: str) -> None:
-    with Bench(DIRECT, CONTACT) as bench:
+    with Bench(DIRECT, CONTACT, overrides=BRAKED) as bench:
         sound = outside(bench)
         fields = LASTING[kind]
         if ending == "duration":
@@ -166,6 +170,7 @@ def test_the_tracker_is_off_and_hidden() -> None:
         ({"kind": "cable_cut", "axis": 8}, "no axis 8; there are 0 to 7"),
         ({"kind": "cell_gain", "cell": 9, "gain": 1.0}, "no cell 9; there are 0 to 8"),
         ({"kind": "phantom_hit", "distance": 0.01, "speed": 0.1}, "has no phantom; give it one"),
+        ({"kind": "brake_weak", "axis": 1, "gain": 0.5}, "axis 1 has no holding brake; give"),
     ],
 )
 def test_what_the_robot_does_not_have_is_refused(fault: dict[str, Any], words: str) -> None:
@@ -182,6 +187,8 @@ def test_what_the_robot_does_not_have_is_refused(fault: dict[str, Any], words: s
         if fault["kind"] == "phantom_hit":
             data["lab"]["phantom"] = CONTACT.phantom
             sound = fault
+        if fault["kind"] == "brake_weak":
+            config = load(DIRECT, overrides=BRAKED)[0]
         data["lab"]["faults"] = [sound]
         (found,) = [
             each for each in check(config, Scenario.model_validate(data)) if each.rule == "faults"
@@ -194,6 +201,8 @@ def test_the_door_tells_where() -> None:
         kinds = Door(bench.lab).request({"op": "kinds"})["kinds"]
         assert kinds["drum_slip"]["where"] == [str(axis) for axis in range(8)]
         assert kinds["cell_frozen"]["where"][-1] == "8"
+        assert kinds["sto"]["where"] == [str(axis) for axis in range(8)]
+        assert kinds["brake_weak"]["where"] == []
         assert kinds["phantom_hit"]["where"] == ["phantom"]
         assert kinds["tracker_hidden"]["where"] == ["tracker"]
         assert kinds["load"]["where"] == ["platform"]

@@ -65,14 +65,16 @@ def _strike(config: Config, fault: Any, at_ns: int, named: frozenset[str]) -> St
         places = (channel,) if node is None else (f"{channel}/{node} ",)
     elif kind.startswith("tracker"):
         places = _TRACKER
-    sto = kind == "drive_input" and fault.active and fault.input in ("sto", "drive_enable")
+    if kind == "sto" and axis is None:
+        axes = set(range(config.robot.cables))
+    wired = kind == "drive_input" and fault.active and fault.input in ("sto", "drive_enable")
     return Strike(
         kind,
         at_ns,
         frozenset(axes),
         frozenset(cells | axes),
         places,
-        unpowers=sto or kind == "power_loss",
+        unpowers=wired or kind in ("sto", "power_loss"),
         named=kind in named,
     )
 

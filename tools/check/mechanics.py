@@ -245,6 +245,20 @@ def _drives(config: Config) -> Iterator[Finding]:
         f"{control.envelope.speed_limit:g} m/s",
         "lower control.envelope.speed_limit or the gear ratio",
     )
+    held = [
+        (axis, train.brake_torque / train.drum.radius)
+        for axis, train in enumerate(robot.drive_trains)
+        if train.brake_torque is not None
+    ]
+    if held:
+        axis, force = min(held, key=lambda each: each[1])
+        yield Finding(
+            "brakes",
+            force >= control.tension.max,
+            "robot.brake.torque",
+            f"a closed brake holds {force:.0f} N{_whose(robot, axis)} of {control.tension.max:g} N",
+            "choose brakes that hold control.tension.max, with a margin",
+        )
 
 
 def _drum_damping(config: Config) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from tonus.config import Config, Scenario
-from tonus.config.schema.robot_faults import OfRobot, PhantomHit
+from tonus.config.schema.robot_faults import BrakeWeak, OfRobot, PhantomHit
 from tonus.tools.check.controller import check_controller
 from tonus.tools.check.data_sheets import check_data_sheets
 from tonus.tools.check.finding import Finding
@@ -82,14 +82,16 @@ def _robot_fault(config: Config, scenario: Scenario, index: int, fault: OfRobot)
     where = f"scenario {scenario.name}: lab.faults.{index}"
     for name, count in (("axis", config.robot.cables), ("cell", config.robot.cells)):
         number = getattr(fault, name, None)
-        if number is not None:
-            return Finding(
-                "faults",
-                number < count,
-                where,
-                f"{fault.kind} of {name} {number}" + ("" if number < count else ", not there"),
-                f"choose one of 0 to {count - 1}",
-            )
+        if number is None:
+            continue
+        there = number < count
+        text = f"{fault.kind} of {name} {number}" + ("" if there else ", not there")
+        remedy = f"choose one of 0 to {count - 1}"
+        if isinstance(fault, BrakeWeak) and there:
+            there = config.robot.drive_trains[number].brake is not None
+            text += "" if there else ", which has no holding brake"
+            remedy = "give the robot one in robot: brake:"
+        return Finding("faults", there, where, text, remedy)
     phantom = scenario.lab.phantom or (config.lab and config.lab.phantom)
     there = phantom is not None or not isinstance(fault, PhantomHit)
     return Finding(

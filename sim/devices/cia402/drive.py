@@ -7,6 +7,7 @@ other modes the drive's own loops move the motor (`tonus.sim.devices.cia402.moti
 
 from __future__ import annotations
 
+from tonus.config.schema.axis import Brake
 from tonus.config.schema.lab import PowerStage
 from tonus.sim.devices.cia402 import axis_table
 from tonus.sim.devices.cia402.error_memory import ErrorMemory
@@ -61,8 +62,7 @@ class Cia402Drive:
         stage: PowerStage | None,
         errors: ErrorTable,
         codes: Codes,
-        *,
-        holding_brake: bool,
+        brake: Brake | None,
     ) -> None:
         """``objects`` is what masters see. ``core`` holds every object that the states, loops and
         limits here read or write; entries of standard objects are the same in both."""
@@ -83,7 +83,7 @@ class Cia402Drive:
             stage or PowerStage(),
             self._terminals,
             codes,
-            holding_brake=holding_brake,
+            brake,
             fail=self.fail,
             changed=self._show,
             standstill=self._standstill,

@@ -1,9 +1,14 @@
-"""A holding brake on the motor, open while its coil has power (0x3158)."""
+"""A holding brake on the motor, open while its coil has power.
+
+The brake takes its own times; the drive waits for those of 0x3158 (EPOS4: 1 rise, 2 fall), and
+follows set-points too soon, or takes the power too soon, where they are shorter.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from tonus.config.schema.axis import Brake
 from tonus.sim.devices.objects import ObjectDictionary
 from tonus.sim.devices.samples import Measured
 from tonus.sim.devices.timers import Timers
@@ -21,40 +26,59 @@ class HoldingBrake:
         objects: ObjectDictionary,
         plant: Measured,
         timers: Timers,
-        *,
-        fitted: bool,
+        brake: Brake | None,
     ) -> None:
         self._axis = axis
         self._objects = objects
         self._plant = plant
         self._timers = timers
-        self.fitted = fitted
+        self._brake = brake
         self._order = 0  # number of the last order; a timer of an older one is stale
-        self.closed = fitted
+        self._turn = 0  # the same of the coil, which two equal orders switch once
+        self._coil_closes = self.fitted
+        self.closed = self.fitted
         objects.find(0x3158, 3).read = lambda: CLOSED if self.closed else OPEN
-        if fitted:
+        if self.fitted:
             plant.locked[axis] = True
 
+    @property
+    def fitted(self) -> bool:
+        return self._brake is not None
+
     def open(self, then: Callable[[], None]) -> None:
-        """Let the motor go; ``then`` when it is free."""
-        self._move(0x01, False, then)
+        """Let the motor go; ``then`` when the drive takes it for free."""
+        if self._brake is not None:
+            self._move(self._brake.opening_ms, 0x01, False, then)
+        else:
+            then()
 
     def close(self, then: Callable[[], None]) -> None:
-        """Hold the motor; ``then`` when it is held."""
-        self._move(0x02, True, then)
+        """Hold the motor; ``then`` when the drive takes it for held."""
+        if self._brake is not None:
+            self._move(self._brake.closing_ms, 0x02, True, then)
+        else:
+            then()
 
-    def _move(self, time: int, closed: bool, then: Callable[[], None]) -> None:
+    def _move(self, own_ms: float, waited: int, closed: bool, then: Callable[[], None]) -> None:
         self._order += 1
-        if not self.fitted or self.closed is closed:
+        turned, self._coil_closes = self._coil_closes is not closed, closed
+        if turned:
+            self._turn += 1
+        if self.closed is closed:
             then()
             return
-        order = self._order
+        order, turn, now_ns = self._order, self._turn, self._timers.now_ns
 
-        def done(at_ns: int) -> None:
-            if order == self._order:
+        def moved(at_ns: int) -> None:
+            if turn == self._turn:
                 self._plant.advance(at_ns)
                 self._plant.locked[self._axis] = self.closed = closed
+
+        def waited_for(_: int) -> None:
+            if order == self._order:
                 then()
 
-        wait_ns = self._objects.number(0x3158, time) * _MS_NS
-        self._timers.call_at(self._timers.now_ns + wait_ns, done)
+        if turned:
+            self._timers.call_at(now_ns + round(own_ms * _MS_NS), moved)
+        wait_ns = self._objects.number(0x3158, waited) * _MS_NS
+        self._timers.call_at(now_ns + wait_ns, waited_for)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from tonus.config.schema.axis import Brake
 from tonus.config.schema.lab import PowerStage
 from tonus.sim.devices.cia402 import axis_table
 from tonus.sim.devices.cia402.errors import Codes
@@ -45,8 +46,8 @@ class Output:
         stage: PowerStage,
         terminals: Terminals,
         codes: Codes,
+        brake: Brake | None,
         *,
-        holding_brake: bool,
         fail: Callable[[int], None],
         changed: Callable[[], None],
         standstill: Callable[[], None],
@@ -64,7 +65,7 @@ class Output:
         )
         self._motion = Motion(servo, plant, timers, changed)
         self.braking = Braking(servo, standstill)
-        self._brake = HoldingBrake(axis, objects, plant, timers, fitted=holding_brake)
+        self._brake = HoldingBrake(axis, objects, plant, timers, brake)
         position = CyclicPosition(servo, fail, codes.software_limit, self._ampere)
         velocity = CyclicVelocity(servo, self._ampere)
         self.lines = (position.interpolation, velocity.interpolation)

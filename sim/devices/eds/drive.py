@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from tonus.config.schema.axis import Motor
+from tonus.config.schema.axis import Brake, Motor
 from tonus.config.schema.lab import PowerStage
 from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.cia402.errors import STANDARD_CODES, StandardErrors
@@ -84,8 +84,8 @@ class EdsDrive(Cia402Drive):
         samples: Samples,
         timers: Timers,
         stage: PowerStage | None = None,
+        brake: Brake | None = None,
         *,
-        holding_brake: bool = False,
         on_can: bool = True,
         feed: bool = False,
     ) -> None:
@@ -100,6 +100,9 @@ class EdsDrive(Cia402Drive):
         objects, core = _dictionaries(sheet, on_can=on_can)
         usual = dictionary(0)
         self._set_up(core)
+        if brake is not None:
+            core.find(0x3158, 1).set(round(brake.opening_ms))
+            core.find(0x3158, 2).set(round(brake.closing_ms))
         counts = self._counts(core)
         samples.set_resolution(axis, counts)
         per_rpm = counts / 60.0
@@ -114,7 +117,7 @@ class EdsDrive(Cia402Drive):
             stage,
             StandardErrors(),
             STANDARD_CODES,
-            holding_brake=holding_brake,
+            brake,
         )
         self._resolution = counts
         for key in _SCALES:

@@ -3,6 +3,7 @@ whatever 0x3010:1 says."""
 
 from __future__ import annotations
 
+from tonus.config.schema.axis import Brake
 from tonus.config.schema.lab import PowerStage
 from tonus.sim.devices.cia402.drive import QUICK_STOP_RAMP, Cia402Drive
 from tonus.sim.devices.cia402.servo import RPM
@@ -42,8 +43,7 @@ class Epos4(Cia402Drive):
         samples: Samples,
         timers: Timers,
         stage: PowerStage | None = None,
-        *,
-        holding_brake: bool = False,
+        brake: Brake | None = None,
     ) -> None:
         objects = dictionary(node_id)
         super().__init__(
@@ -55,7 +55,7 @@ class Epos4(Cia402Drive):
             stage,
             ERRORS,
             CODES,
-            holding_brake=holding_brake,
+            brake,
         )
         self._connect()
         self.reset()
