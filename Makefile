@@ -8,7 +8,7 @@ MINUTES ?= 20
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test test-long bench bench-realtime bench-studies least-stop load paper campaign torn isolation
+.PHONY: setup run test test-long bench bench-realtime bench-studies least-stop load paper campaign torn sto isolation
 .PHONY: fuzz robust replay kill soak mutation
 .PHONY: lint check-types docs lock clean
 
@@ -67,6 +67,11 @@ campaign: setup
 # into docs/stop.md.
 torn: setup
 	$(BIN)/python -m tests.bench.torn --write
+
+# The torque of every drive and of each one taken away, with holding brakes and without: some ten
+# minutes. Table and figure go into docs/sto.md.
+sto: setup
+	$(BIN)/python -m tests.bench.sto --write
 
 # Every fault of cables, drums, motors and sensors by itself: what it is taken for, and how soon. A few
 # minutes; the table goes into docs/stop.md.
