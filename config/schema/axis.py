@@ -54,6 +54,10 @@ class Motor(Section):
     encoder_pulses: Count
     """per motor revolution; the drive counts four increments per pulse"""
     nominal_speed_rpm: Positive
+    maximum_speed_rpm: Positive | None = None
+    """above which its drive lets no torque drive it on (0x6080); null: the drive's own limit"""
+    thermal_time_constant: Positive | None = None
+    """s, of the winding, by which its drive bounds the current (0x3001:4); null: the drive's own"""
 
     @property
     def increments_per_revolution(self) -> int:
@@ -164,6 +168,8 @@ class MotorOverrides(_Overrides):
     current_limit: Positive | None = None
     encoder_pulses: Count | None = None
     nominal_speed_rpm: Positive | None = None
+    maximum_speed_rpm: Positive | None = None
+    thermal_time_constant: Positive | None = None
 
 
 class AxisOverrides(_Overrides):

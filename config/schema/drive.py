@@ -24,6 +24,7 @@ UNITS = {
     "N m": {"N m": 1.0, "mN m": 1e3, "uN m": 1e6},
     "N m/A": {"N m/A": 1.0, "mN m/A": 1e3, "uN m/A": 1e6},
     "rpm": {"rpm": 1.0},
+    "s": {"s": 1.0, "0.1 s": 10.0},
     "ms": {"ms": 1.0},
     "": {"": 1.0},
 }
@@ -34,6 +35,8 @@ Quantity = Literal[
     "motor.torque_constant",
     "motor.rated_torque",
     "motor.nominal_speed_rpm",
+    "motor.maximum_speed_rpm",
+    "motor.thermal_time_constant",
     "motor.encoder_pulses",
     "motor.increments_per_revolution",
     "gearbox.numerator",
@@ -47,6 +50,8 @@ UNIT_OF: dict[Quantity, str] = {
     "motor.torque_constant": "N m/A",
     "motor.rated_torque": "N m",
     "motor.nominal_speed_rpm": "rpm",
+    "motor.maximum_speed_rpm": "rpm",
+    "motor.thermal_time_constant": "s",
     "motor.encoder_pulses": "",
     "motor.increments_per_revolution": "",
     "gearbox.numerator": "",
@@ -85,8 +90,8 @@ class Device(Section):
 
 
 class DriveSetting(Section):
-    """One object at bring-up: a fixed ``value``, or a ``quantity`` of its axis in ``unit``. One
-    of a brake is left out where the axis has none."""
+    """One object at bring-up: a fixed ``value``, or a ``quantity`` of its axis in ``unit``. A
+    quantity that the axis does not state, such as one of a brake, is left out."""
 
     index: Index
     subindex: Subindex = 0

@@ -65,7 +65,8 @@ def require_interpolation(profile: DriveProfile, key: str, period_us: int) -> No
 def settings(train: DriveTrain, profile: DriveProfile) -> tuple[Setting, ...]:
     """What the drive of a ``train`` must hold before it is started, in the order in which it is
     written. Raises `DriverError` for a quantity that its object cannot hold."""
-    found = [_setting(each, train, profile) for each in profile.settings if _concerns(each, train)]
+    asked = (_setting(each, train, profile) for each in profile.settings)
+    found = [setting for setting in asked if setting is not None]
     if profile.interpolation_ms is not None:
         why = "interpolation and RPDO timeout, ms"
         found.append(Setting(0x60C2, 1, profile.interpolation_ms, 1, why))
@@ -76,18 +77,18 @@ def settings(train: DriveTrain, profile: DriveProfile) -> tuple[Setting, ...]:
     return tuple(found)
 
 
-def _concerns(each: DriveSetting, train: DriveTrain) -> bool:
-    """A brake's times are nothing to an axis without one."""
-    return train.brake is not None or not (each.quantity or "").startswith("brake.")
-
-
-def _setting(each: DriveSetting, train: DriveTrain, profile: DriveProfile) -> Setting:
+def _setting(each: DriveSetting, train: DriveTrain, profile: DriveProfile) -> Setting | None:
+    """None for a quantity that the axis does not state."""
     value = each.value
     if value is None:
         assert each.quantity is not None
         section, name = each.quantity.split(".")
         one = UNITS[UNIT_OF[each.quantity]][each.unit]
-        value = round(getattr(getattr(train, section), name) * one)
+        part = getattr(train, section)
+        amount = None if part is None else getattr(part, name)
+        if amount is None:
+            return None
+        value = round(amount * one)
         if not fits(value, each.length):
             raise DriverError(
                 f"{profile.name}: {each.name} ({each.why}) is {value}, which does not fit "

@@ -61,6 +61,7 @@ def epos4(node_id: int) -> ObjectDictionary:
         (0x1018, 3): (0x01700000, UNSIGNED32, "ro"),
         (0x3001, 1): (8000, UNSIGNED32, "rw"),
         (0x3001, 2): (30000, UNSIGNED32, "rw"),
+        (0x3001, 4): (40, UNSIGNED16, "rw"),
         (0x3001, 5): (0, UNSIGNED32, "rw"),
         (0x3010, 1): (500, UNSIGNED32, "rw"),
         (0x603F, 0): (0, UNSIGNED16, "ro"),
@@ -71,6 +72,7 @@ def epos4(node_id: int) -> ObjectDictionary:
         (0x6071, 0): (0, INTEGER16, "rw"),
         (0x6076, 0): (568_000, UNSIGNED32, "rw"),
         (0x6077, 0): (0, INTEGER16, "ro"),
+        (0x6080, 0): (50_000, UNSIGNED32, "rw"),
         (0x60C2, 1): (0, UNSIGNED8, "rw"),
     }
     for index in (0x6007, 0x605A, 0x605B, 0x605C, 0x605E):

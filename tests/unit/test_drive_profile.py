@@ -11,6 +11,7 @@ import pytest
 
 import tonus
 from tonus.config import ConfigError, load
+from tonus.config.schema.axis import Brake, DriveTrain
 from tonus.config.schema.bus import CanopenBus, EthercatBus
 from tonus.config.schema.drive import (
     UNIT_OF,
@@ -78,8 +79,10 @@ def test_an_epos4_is_told_the_same_objects_as_ever_in_the_same_order() -> None:
         (0x6040, 0, 0, 2),
         (0x3001, 1, 8000, 4),
         (0x3001, 2, 16000, 4),
+        (0x3001, 4, 40, 2),
         (0x3001, 5, 71000, 4),
         (0x6076, 0, 568000, 4),
+        (0x6080, 0, 5200, 4),
         (0x3010, 1, 1024, 4),
         (0x6071, 0, 0, 2),
         (0x6060, 0, 10, 1),
@@ -90,6 +93,21 @@ def test_an_epos4_is_told_the_same_objects_as_ever_in_the_same_order() -> None:
         (0x605C, 0, 0, 2),
         (0x605E, 0, 2, 2),
     ]
+
+
+def test_what_an_axis_does_not_state_is_not_written() -> None:
+    epos4 = load("config/can.yaml")[0].fieldbus.profile(0)
+    brake = Brake(torque=0.4, opening_ms=40.0, closing_ms=19.6)
+    bare = TRAIN.motor.model_copy(update={"maximum_speed_rpm": None, "thermal_time_constant": None})
+
+    def written(train: DriveTrain) -> dict[tuple[int, int], int]:
+        return {(each.index, each.subindex): each.value for each in settings(train, epos4)}
+
+    own = {(0x3001, 4), (0x6080, 0)}
+    assert own <= written(TRAIN).keys()
+    assert not own & written(TRAIN.model_copy(update={"motor": bare})).keys()
+    braked = written(TRAIN.model_copy(update={"brake": brake}))
+    assert braked == written(TRAIN) | {(0x3158, 1): 40, (0x3158, 2): 20}
 
 
 @pytest.mark.parametrize(

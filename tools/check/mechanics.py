@@ -245,6 +245,7 @@ def _drives(config: Config) -> Iterator[Finding]:
         f"{control.envelope.speed_limit:g} m/s",
         "lower control.envelope.speed_limit or the gear ratio",
     )
+    yield from _drive_speeds(config)
     held = [
         (axis, train.brake_torque / train.drum.radius)
         for axis, train in enumerate(robot.drive_trains)
@@ -259,6 +260,24 @@ def _drives(config: Config) -> Iterator[Finding]:
             f"a closed brake holds {force:.0f} N{_whose(robot, axis)} of {control.tension.max:g} N",
             "choose brakes that hold control.tension.max, with a margin",
         )
+
+
+def _drive_speeds(config: Config) -> Iterator[Finding]:
+    """A drive that holds a motor back sooner than the stop needs it weakens the stop."""
+    stop, robot = config.control.stop, config.robot
+    needed = max(stop.reel_in, stop.reel_out)
+    for train, axes in robot.kinds_of_axes.items():
+        most = train.motor.maximum_speed_rpm
+        if most is not None:
+            speed = most * 2.0 * np.pi / 60.0 / train.gearbox.ratio * train.drum.radius
+            yield Finding(
+                "motor speed",
+                speed >= needed,
+                "robot.motor.maximum_speed_rpm",
+                f"the drive admits {speed:.3f} m/s of cable{robot.whose(axes)}, a stop reels at up "
+                f"to {needed:g} m/s",
+                "raise robot.motor.maximum_speed_rpm, or lower control.stop.reel_in and reel_out",
+            )
 
 
 def _drum_damping(config: Config) -> Iterator[Finding]:
