@@ -207,6 +207,12 @@ EVENTS: dict[str, Meaning] = {
         "the drives there brake and disable by themselves",
         "look whether its process runs, and at the channel; a reset arms nothing without it",
     ),
+    "unsupervised": Meaning(
+        "drives are enabled while supervisor.policy is use and its heartbeat has not begun on a "
+        "channel",
+        "the run continues without it there",
+        "look whether its process runs; give it supervisor.quiet_s with the drives off to begin",
+    ),
     "supervisor_back": Meaning(
         "the supervisor's heartbeat is received again",
         "",

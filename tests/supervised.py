@@ -22,7 +22,8 @@ STRICT = {
     "supervisor.patience_ms": 5,
 }
 """As on a robot, but for the margin that EPOS4 drives want (docs/supervisor.md)."""
-BRIEF = {key: value for key, value in QUICK.items() if key != "control.sequence.tare_s"}
+_ALONE = ("control.sequence.tare_s", "supervisor.policy")
+BRIEF = {key: value for key, value in QUICK.items() if key not in _ALONE}
 """Overrides for a quick bring-up, in which the supervisor begins while the cells are tared."""
 DRIVES = range(1, 9)
 _EMERGENCY, _HEARTBEAT_LOST = 0x080, 0x8130

@@ -9,7 +9,7 @@ from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement, Super
 from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT
 from tonus.drivers.events import EventLog
-from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.process_image import AxisCommand, ProcessImage
 
 EMERGENCY = struct.Struct("<HBBf")
 """Error code 0xFF00 plus the requirement's number, error register, axis or cell from 0 (0xFF:
@@ -24,6 +24,8 @@ class _Heard:
     tick: int = 0
     fresh: bool = False
     beating: bool = False
+    lost: bool = False
+    """it has been beating before"""
 
 
 class SupervisorMonitor:
@@ -60,7 +62,6 @@ class SupervisorMonitor:
 
     def forget(self) -> None:
         self._image.obstacles.pop(self._item, None)
-
         self._heard, self._out_of_reach = [], []
 
     @property
@@ -75,9 +76,12 @@ class SupervisorMonitor:
                 heard.fresh = False
                 heard.tick = tick
             elif heard.beating and tick - heard.tick > self._patience:
-                heard.beating = False
+                heard.beating, heard.lost = False, True
                 text = f"no heartbeat for more than {self._patience} ticks"
                 self._events.begin("supervisor_lost", heard.channel, text)
+            elif not (heard.beating or heard.lost) and self._enabling():
+                text = "the drives are enabled, and it has not begun"
+                self._events.begin("unsupervised", heard.channel, text)
         if self._settings is not None and self._settings.policy == "require":
             silent = [heard.channel for heard in self._heard if not heard.beating]
             if self._out_of_reach:
@@ -89,8 +93,13 @@ class SupervisorMonitor:
             else:
                 self._image.obstacles.pop(self._item, None)
 
+    def _enabling(self) -> bool:
+        return bool((self._image.commands["command"] == AxisCommand.ENABLE).any())
+
     def _on_heartbeat(self, heard: _Heard) -> None:
         heard.fresh = heard.beating = True
+        heard.lost = False
+        self._events.end("unsupervised", heard.channel)
         if self._events.end("supervisor_lost", heard.channel):
             self._events.counted("supervisor_back", heard.channel, "heartbeat received again")
 

@@ -20,14 +20,13 @@ from tonus.tools.campaign.play import Playing
 AXIS = 5
 WILD = 32767
 """per mille of the rated torque, all that 0x6071 holds"""
-OFF = QUICK | {"supervisor.policy": "off"}
 
 
 def played(
     monkeypatch: pytest.MonkeyPatch, seconds: float, *, torn: bool, **overrides: Any
 ) -> Observed:
     """The axis gets all torque there is from an instant on, its cable ``torn`` or not."""
-    config, scenario = configured(**OFF, **overrides)
+    config, scenario = configured(**QUICK, **overrides)
     original = Exchange.commands
 
     def wild(exchange: Exchange, *given: Any) -> Any:

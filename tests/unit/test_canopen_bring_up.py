@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
+from itertools import count
 
 import can
 import pytest
@@ -13,7 +14,7 @@ from tonus.config import load
 from tonus.config.schema.bus import CanopenBus
 from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.errors import BringUpError, DriverError
-from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.process_image import AxisCommand, ProcessImage
 
 
 def brought_up() -> Robot:
@@ -211,6 +212,30 @@ def test_a_drive_that_does_not_watch_the_supervisor_is_not_armed_where_it_is_req
 
     in_virtual_time(work())
     assert not robot.image.obstacles
+
+
+def test_a_supervisor_that_has_not_begun_when_drives_are_enabled_is_told_once() -> None:
+    robot = Robot()
+
+    async def work() -> None:
+        await robot.start()
+        robot.fieldbus.take_events()
+
+        def told() -> list[str]:
+            robot.fieldbus.collect(next(ticks))
+            found = robot.fieldbus.take_events()
+            return [event.where for event in found if event.name == "unsupervised"]
+
+        ticks = count()
+        robot.buses["can1"].put(0x77E, b"\5")
+        assert not told() + told(), "nothing is enabled"
+        robot.image.commands["command"] = AxisCommand.ENABLE
+        assert told() + told() == ["can0", "can2", "can3"]
+        robot.buses["can0"].put(0x77E, b"\5")
+        assert not told() + told()
+        await robot.fieldbus.stop()
+
+    in_virtual_time(work())
 
 
 def test_a_drive_that_hears_only_the_second_reset_is_found() -> None:
