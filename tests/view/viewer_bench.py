@@ -30,6 +30,17 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def _end(process: subprocess.Popen[bytes], patience_s: float) -> None:
+    """One that does not end when it is asked is a failure, and leaves nothing that computes."""
+    process.terminate()
+    try:
+        process.wait(patience_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        raise
+
+
 class Viewer:
     """`tonus view` with these arguments; ``with_token`` names the one it has."""
 
@@ -72,13 +83,7 @@ class Viewer:
         )
 
     def close(self) -> None:
-        self.process.terminate()
-        try:
-            self.process.wait(20)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-            raise
+        _end(self.process, 20)
 
 
 class Page:
@@ -163,8 +168,7 @@ class Served:
         assert self.process.poll() is None, self.text.read_text()
 
     def close(self) -> None:
-        self.process.terminate()
-        self.process.wait(60)
+        _end(self.process, 60)
 
 
 def recorded(folder: Path) -> Path:
