@@ -76,9 +76,12 @@ class RingWriter:
         self._slot = self._first
 
     @classmethod
-    def create(cls, path: Path, payload_size: int, capacity: int, meta: Meta) -> Self:
+    def create(
+        cls, path: Path, payload_size: int, capacity: int, meta: Meta, *, touched: bool = True
+    ) -> Self:
         """A new ring file of ``capacity`` records of ``payload_size`` bytes. It appears complete or
-        not at all. Raises FileExistsError: what an earlier run left is never overwritten."""
+        not at all. ``touched``: its pages are in memory from the start on, which only real time
+        needs. Raises FileExistsError: what an earlier run left is never overwritten."""
         if payload_size < 1 or capacity < 1:
             raise ValueError("a ring holds at least one record of at least one byte")
         text = json.dumps(meta, sort_keys=True).encode()
@@ -89,7 +92,8 @@ class RingWriter:
             # Real blocks, not a hole: a full disk shows here and not as SIGBUS in a tick.
             os.posix_fallocate(file.fileno(), 0, size)
             memory = mmap.mmap(file.fileno(), size)
-        _touch(memory)
+        if touched:
+            _touch(memory)
         memory[_META_START : _META_START + len(text)] = text
         with memoryview(memory) as view, view.cast("q") as words:
             words[_VERSION_AT] = _VERSION

@@ -92,6 +92,18 @@ def _strangers(frames: NDArray[np.void]) -> int:
     return count
 
 
+def compile_frames() -> None:
+    """What takes frames as they were received, before a tick needs it."""
+    words, ring = np.zeros(8, np.int64), (0, 8, 8)
+    for read_only in (False, True):  # which a bus gives is its own business
+        frames = np.zeros(0, RAW_FRAME)
+        frames.flags.writeable = not read_only
+        _strangers(frames)
+        _fill(words, ring, 0, frames, 0, 0)
+    _invalidate(words, ring, 0, 0)
+    _validate(words, ring, 0, 0, 0)
+
+
 class FrameRing(RingWriter):
     """Every frame of a bus, as it is sent and received."""
 
@@ -100,13 +112,15 @@ class FrameRing(RingWriter):
     """first slot, words from slot to slot, end"""
 
     @classmethod
-    def open(cls, path: Path, channels: Sequence[str], capacity: int) -> Self:
+    def open(
+        cls, path: Path, channels: Sequence[str], capacity: int, *, touched: bool = True
+    ) -> Self:
         """A new ring for the named channels; frames refer to them by index."""
         meta = {"kind": "frames", "channels": list(channels)}
-        ring = cls.create(path, FRAME.itemsize, capacity, meta)
+        ring = cls.create(path, FRAME.itemsize, capacity, meta, touched=touched)
         ring._array = np.frombuffer(ring._memory, np.int64, len(ring._words))
         ring._shape = (ring._first, ring._stride, ring._end)
-        ring.received(np.zeros(0, RAW_FRAME), 0, 0)  # compiles it before a tick needs it
+        compile_frames()
         return ring
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
@@ -138,8 +152,8 @@ class EventRing(RingWriter):
     """What a person wants to know about a run: a few a second at most."""
 
     @classmethod
-    def open(cls, path: Path, capacity: int = 4096) -> Self:
-        return cls.create(path, EVENT.itemsize, capacity, {"kind": "events"})
+    def open(cls, path: Path, capacity: int = 4096, *, touched: bool = True) -> Self:
+        return cls.create(path, EVENT.itemsize, capacity, {"kind": "events"}, touched=touched)
 
     def write(
         self, stamp_ns: int, tick: int, level: Level, name: str, where: str = "", text: str = ""
@@ -158,8 +172,9 @@ class KeyframeRing(RingWriter):
     _record: NDArray[np.void]
 
     @classmethod
-    def open(cls, path: Path, capacity: int = 8) -> Self:
-        ring = cls.create(path, KEYFRAME.itemsize, capacity, {"kind": "keyframes"})
+    def open(cls, path: Path, capacity: int = 8, *, touched: bool = True) -> Self:
+        meta = {"kind": "keyframes"}
+        ring = cls.create(path, KEYFRAME.itemsize, capacity, meta, touched=touched)
         ring._record = np.zeros(1, KEYFRAME)
         return ring
 

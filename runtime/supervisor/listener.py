@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import struct
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import can
+import numpy as np
 from can.interfaces.socketcan import SocketcanBus
+from numpy.typing import NDArray
 
 from tonus.runtime.supervisor.wiring import Value
 
@@ -67,19 +69,23 @@ class Heard:
         it does in a reaction to a fault is its own, and ends by itself."""
         if self.statusword is None or not self.count:
             return False
-        state = self.statusword.unsigned(self.word) & _STATE
-        return state in (_OPERATION_ENABLED, _QUICK_STOP_ACTIVE)
+        return _powered(self.word, self.statusword)
 
-    def take(self, word: int, now_ns: int) -> None:
-        self.same = self.same + 1 if self.count and word == self.word else 0
-        self.word, self.at_ns = word, now_ns
-        self.count += 1
-        self.words.append(word)
-        self.off += not self.powered
+    def take(self, words: Sequence[int], now_ns: int) -> None:
+        """The data of frames that were read at one time, in their order; at least one."""
+        same, newest = self.same, self.word if self.count else None
+        for word in words:
+            same = same + 1 if word == newest else 0
+            newest = word
+        self.same, self.word, self.at_ns = same, words[-1], now_ns
+        self.count += len(words)
+        self.words.extend(words)
+        if self.statusword is not None:
+            self.off += sum(not _powered(word, self.statusword) for word in words)
         for place, value in enumerate(self.values):
-            number = value.number(word)
-            if math.isfinite(number):  # the sum is for ever
-                self.totals[place] += number
+            for number in map(value.number, words):
+                if math.isfinite(number):  # the sum is for ever
+                    self.totals[place] += number
 
 
 class Listener:
@@ -90,26 +96,43 @@ class Listener:
         self.heard = {
             each.identifier: Heard(each.size, each.values, each.statusword) for each in watched
         }
+        self._arrived: dict[tuple[int, int], list[int]] = {
+            (identifier, heard.size): [] for identifier, heard in self.heard.items()
+        }
+        """data by identifier and length"""
         self._fetch = _fetch(bus)
 
     def read(self, now_ns: int) -> None:
         """Raises `can.CanError` and OSError."""
-        heard = self.heard
-        for identifier, size, word in self._fetch():
-            found = heard.get(identifier)
-            if found is not None and size == found.size:
-                found.take(word, now_ns)
+        arrived = self._arrived
+        try:
+            for identifier, size, word in self._fetch():
+                words = arrived.get((identifier, size))
+                if words is not None:
+                    words.append(word)
+        finally:
+            for (identifier, _), words in arrived.items():
+                if words:
+                    self.heard[identifier].take(words, now_ns)
+                    words.clear()
+
+
+def _powered(word: int, statusword: Value) -> bool:
+    return statusword.unsigned(word) & _STATE in (_OPERATION_ENABLED, _QUICK_STOP_ACTIVE)
 
 
 def _fetch(bus: can.BusABC) -> Fetch:
     receive = getattr(bus, "receive_frames", None)
     if receive is not None:
-        return lambda: (
-            (each[1], each[2], each[5] & 0xFFFFFFFFFFFFFFFF) for each in receive(_MOST).tolist()
-        )
+        return lambda: _from_array(receive(_MOST))
     if isinstance(bus, SocketcanBus):
         return lambda: _from_kernel(bus)
     return lambda: _messages(bus)
+
+
+def _from_array(frames: NDArray[np.void]) -> Iterable[tuple[int, int, int]]:
+    words = frames["data"].view(np.uint64).tolist()
+    return zip(frames["identifier"].tolist(), frames["dlc"].tolist(), words, strict=True)
 
 
 def _from_kernel(bus: SocketcanBus) -> Iterable[tuple[int, int, int]]:

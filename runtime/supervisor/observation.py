@@ -108,19 +108,21 @@ class Observer:
             [np.nan if a.newton is None else a.per_newton_metre for a in wiring.axes]
         )
         self._claim: Claim | None = None
-        self._claimed: deque[NDArray[np.int64]] = deque()
+        self._claimed: deque[list[int]] = deque()
+        """per mille, of each axis, by record"""
         self._new = 0
-        self._sent: list[list[int]] = [[] for _ in wiring.axes]
+        self._sent: list[set[float]] = [set() for _ in wiring.axes]
         """to each axis in the look before, per mille"""
         self._samples: deque[_Sample] = deque()
         self._since = _Since(len(wiring.axes))
         self._off = np.zeros(len(wiring.axes), np.int64)
 
     def __call__(self, now_ns: int, heard: Listened, claims: list[Claim]) -> Observation:
-        for claim in claims:
-            wanted = claim.torque[self._numbers] * self._per_newton_metre
-            self._claimed.append(np.rint(np.nan_to_num(wanted)).astype(np.int64))
-            self._claim = claim
+        if claims:
+            torque = np.array([claim.torque for claim in claims])[:, self._numbers]
+            wanted = np.rint(np.nan_to_num(torque * self._per_newton_metre)).astype(np.int64)
+            self._claimed.extend(wanted.tolist())
+            self._claim = claims[-1]
         tared = self._claim.tare if self._claim is not None else None
         sent = [heard[axis.channel, axis.sent] for axis in self._axes]
         received = [heard[axis.channel, axis.received] for axis in self._axes]
@@ -164,20 +166,19 @@ class Observer:
         the newest where there was none, with the records since then and ``logged_ticks`` more."""
         while len(self._claimed) > self._settings.logged_ticks + self._new + new:
             self._claimed.popleft()
-        claimed = np.array(self._claimed, np.int64).reshape(-1, len(self._axes))
+        around = range(-_ROUNDING, _ROUNDING + 1)
         found = np.array(
             [
-                any(
-                    not (abs(each - claimed[:, row]) <= _ROUNDING).any()
-                    for each in {*self._sent[row]} or {int(mille[row])}
+                not (self._sent[row] or {newest}).issubset(
+                    {claimed[row] + each for claimed in self._claimed for each in around}
                 )
-                for row in range(len(self._axes))
+                for row, newest in enumerate(mille.tolist())
             ],
             bool,
         )
         self._new = new
         self._sent = [
-            [int(axis.torque.number(word)) for word in heard.words]
+            {axis.torque.number(word) for word in heard.words}
             for axis, heard in zip(self._axes, sent, strict=True)
         ]
         for heard in sent:

@@ -181,9 +181,8 @@ def _watched(wiring: Wiring, channel: str) -> list[Watched]:
     found: list[Watched] = []
     for axis in wiring.axes:
         if axis.channel == channel:
-            sent, received = (axis.torque,), (axis.position,)
-            found.append(Watched(axis.sent, axis.sent_bytes, sent))
-            found.append(Watched(axis.received, axis.received_bytes, received, axis.statusword))
+            found.append(Watched(axis.sent, axis.sent_bytes, (axis.torque,)))
+            found.append(Watched(axis.received, axis.received_bytes, (), axis.statusword))
     cells: dict[int, tuple[int, list[Value]]] = {}
     for cell in wiring.cells:
         if cell.channel == channel:

@@ -19,6 +19,7 @@ from tonus.config import Config, load
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.bus.canopen import CellNode
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
+from tonus.drivers.fieldbus import RAW_FRAME
 from tonus.runtime.recording.ring import RingReader, RingWriter
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
@@ -586,7 +587,7 @@ def test_every_torque_is_compared_with_the_records(config: Config) -> None:
         for each in stage.wiring.axes:
             for mille in sent if each in to else recorded:
                 word = (mille & 0xFFFF) << each.torque.shift
-                stage.heard[each.channel, each.sent].take(word, tick * MS)
+                stage.heard[each.channel, each.sent].take([word], tick * MS)
         found = stage.observe(tick * MS, stage.heard, [told(mille) for mille in recorded])
         return np.flatnonzero(found.unlogged).tolist()
 
@@ -764,14 +765,47 @@ def test_a_listener_on_messages() -> None:
 
 
 def test_a_listener_on_arrays_of_frames() -> None:
-    row = np.dtype([("s", "i8"), ("i", "u4"), ("n", "u1"), ("o", "u1"), ("p", "u2"), ("d", "i8")])
     word = -1 << 32 | 0x0005_000F
     bus = FakeBus()
-    bus.receive_frames = lambda _: np.array([(1, 0x201, 4, 0, 0, word)], row)  # type: ignore[attr-defined]
+    bus.receive_frames = lambda _: np.array([(1, 0x201, 4, 0, 0, word)], RAW_FRAME)  # type: ignore[attr-defined]
     listener = Listener(bus, WATCHED)
     listener.read(9)
     assert listener.heard[0x201].totals == [5.0]
     assert listener.heard[0x201].word == 0xFFFF_FFFF_0005_000F
+
+
+def test_frames_of_one_look_count_as_if_each_had_its_own() -> None:
+    state = Value(0, 16)
+    words = [
+        off_or_on | number << 16
+        for off_or_on, number in zip(
+            (0x27, 0x27, 0x07, 0x40, 0x27, 0x27, 0x27), (1, 1, -2 & 0xFFFF, 3, 3, 3, 3), strict=True
+        )
+    ]
+    together, apart = (Heard(4, (Value(16, 16),), state) for _ in range(2))
+    together.take(words[:2], 1)
+    together.take(words[2:], 2)
+    for at, word in enumerate(words):
+        apart.take([word], 1 + (at > 1))
+    for name in Heard.__slots__:
+        assert getattr(together, name) == getattr(apart, name)
+    assert (together.count, together.same, together.off, together.totals) == (7, 2, 1, [12.0])
+
+
+def test_a_channel_that_fails_in_mid_look_gives_what_came_before() -> None:
+    bus = FakeBus()
+
+    def fail(timeout: float | None = None) -> can.Message:
+        if bus.waiting:
+            return bus.waiting.pop()
+        raise can.CanOperationError("gone")
+
+    bus.waiting = [can.Message(arbitration_id=0x201, is_extended_id=False, data=bytes(4))]
+    bus.recv = fail  # type: ignore[method-assign]
+    listener = Listener(bus, WATCHED)
+    with pytest.raises(can.CanOperationError):
+        listener.read(7)
+    assert (listener.heard[0x201].count, listener.heard[0x201].at_ns) == (1, 7)
 
 
 def test_a_listener_takes_no_more_than_its_share_of_a_flood() -> None:
@@ -892,12 +926,12 @@ class Stage:
         for axis in self.wiring.axes:
             assert axis.newton is not None
             mille = round(newton / axis.newton) & 0xFFFF
-            self.heard[axis.channel, axis.sent].take(mille << axis.torque.shift | 0xF, now_ns)
+            self.heard[axis.channel, axis.sent].take([mille << axis.torque.shift | 0xF], now_ns)
             place = round(metre / axis.metre) & 0xFFFFFFFF
             word = place << axis.position.shift | 0x0237
-            self.heard[axis.channel, axis.received].take(word, now_ns)
+            self.heard[axis.channel, axis.received].take([word], now_ns)
         for cell in self.wiring.cells:
-            self.heard[cell.channel, cell.received].take(round(force / cell.newton), now_ns)
+            self.heard[cell.channel, cell.received].take([round(force / cell.newton)], now_ns)
 
 
 def test_what_neither_tension_nor_motion_explain(config: Config) -> None:
@@ -995,11 +1029,11 @@ def test_a_drive_in_quick_stop_is_powered(config: Config, quick: bool) -> None:
     axis = stage.wiring.axes[2]
     heard = stage.heard[axis.channel, axis.received]
     assert not heard.powered
-    heard.take((0x0207 if quick else 0x020F) << axis.statusword.shift, 1)
+    heard.take([(0x0207 if quick else 0x020F) << axis.statusword.shift], 1)
     assert heard.powered is quick
-    heard.take(0x0237 << axis.statusword.shift, 2)
+    heard.take([0x0237 << axis.statusword.shift], 2)
     assert heard.powered
-    heard.take(0x0233 << axis.statusword.shift, 3)
+    heard.take([0x0233 << axis.statusword.shift], 3)
     assert not heard.powered
     assert heard.off == 2 - quick
 
@@ -1011,7 +1045,7 @@ def test_drives_that_were_without_power_between_two_looks(config: Config) -> Non
     def send(word: int, axes: Any) -> None:
         for axis in axes:
             received = stage.heard[axis.channel, axis.received]
-            received.take(word << axis.statusword.shift, 1)
+            received.take([word << axis.statusword.shift], 1)
 
     axes = stage.wiring.axes
     send(0x0237, axes)
@@ -1064,8 +1098,8 @@ def test_a_drive_that_alone_knows_its_scale(config: Config) -> None:
     stage.observe = Observer(stage.wiring, config.supervisor, config.robot.contact_cell, MS)
     for tick in range(40):
         for axis in stage.wiring.axes:
-            stage.heard[axis.channel, axis.sent].take(100 << axis.torque.shift, tick * MS)
-            stage.heard[axis.channel, axis.received].take(tick << axis.position.shift, tick * MS)
+            stage.heard[axis.channel, axis.sent].take([100 << axis.torque.shift], tick * MS)
+            stage.heard[axis.channel, axis.received].take([tick << axis.position.shift], tick * MS)
         found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
     assert np.isnan(found.rate).all()
     assert np.isnan(found.torque).all()
@@ -1095,7 +1129,7 @@ def test_a_force_that_is_no_number_is_beyond_every_bound(config: Config, force: 
     word = int.from_bytes(struct.pack("<f", force), "little")
     for cell in stage.wiring.cells:
         stage.heard[cell.channel, cell.received] = Heard(8, (cell.force,))
-        stage.heard[cell.channel, cell.received].take(word << cell.force.shift, 0)
+        stage.heard[cell.channel, cell.received].take([word << cell.force.shift], 0)
     found = stage.observe(MS, stage.heard, [claim()])
     assert (found.tension == np.inf).all()
     assert found.contact == np.inf
@@ -1108,7 +1142,7 @@ def test_a_force_that_is_no_number_once_is_in_no_sum(force: float) -> None:
     value = Value(0, 32, real=True)
     heard = Heard(4, (value,))
     for each in (1.5, force, 2.5):
-        heard.take(int.from_bytes(struct.pack("<f", each), "little"), 1)
+        heard.take([int.from_bytes(struct.pack("<f", each), "little")], 1)
     assert heard.totals == [4.0]
     assert heard.count == 3
 

@@ -1,8 +1,8 @@
 """The wheel works beside a project that has modules of the same names as its rooms; and in one that
 has the examples of docs/hil_examples.md for its tests.
 
-Of these `make test` plays one seed instead of 50, on two processes; `make test-long` what stands
-there, serially and in parallel, with the same figures. The one in real time is a test of its own.
+Of these `make test` plays two seeds instead of 50, serially and on two processes with the same
+logs; `make test-long` what stands there. The one in real time is a test of its own.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import shutil
 import sysconfig
 import tarfile
 import zipfile
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,22 @@ from tonus.runtime.signals import SCHEMA_VERSION
 PAGE = ROOT / "docs" / "hil_examples.md"
 GOLDEN = ROOT / "tests" / "replay" / "golden" / f"v{SCHEMA_VERSION}.mcap"
 REAL_TIME = "test_latency.py"
-SHORT = ("tonus_seeds(50)", "tonus_seeds(1)")
+SHORT = ("tonus_seeds(50)", "tonus_seeds(2)")
+LOST_FRAMES = "test_lost_frames.py"
+ETHERCAT = """\
+import pytest
+
+
+@pytest.mark.tonus(config="config/ethercat.yaml")
+@pytest.mark.tonus_expect("*")
+def test_a_slave_without_power_is_found(tonus_held):
+    robot = tonus_held()
+    robot.fault("unplug", channel="tonus0", node=3)
+    robot.advance(20)
+    run = robot.end()
+    run.expect("slave_silent", where="tonus0/4", within=0.01)  # and all behind it
+    run.replays()
+"""
 ROOMS = ("config", "drivers", "runtime", "sim", "tools")
 OF_THE_PROJECT = """\
 import can
@@ -140,6 +156,7 @@ def foreign(installed: Installed, tmp_path: Path) -> Path:
         if name != REAL_TIME:
             (tmp_path / name).write_text(text)
     shutil.copyfile(GOLDEN, tmp_path / "field.mcap")
+    (tmp_path / "test_ethercat.py").write_text(ETHERCAT)
     return tmp_path
 
 
@@ -149,29 +166,48 @@ def figures(text: str) -> list[str]:
     return sorted(table.splitlines())
 
 
+def logs(out: Path) -> dict[str, str]:
+    """Digest of each log that was kept, by its place in the folder."""
+    return {
+        str(log.relative_to(out)): sha256(log.read_bytes()).hexdigest()
+        for log in out.rglob("*.mcap")
+    }
+
+
 def test_the_page_has_eight_examples() -> None:
     assert len(files()) == 8
 
 
 def test_the_examples_pass(installed: Installed, foreign: Path) -> None:
-    lost = foreign / "test_lost_frames.py"
+    lost, python = foreign / LOST_FRAMES, str(installed.python)
     lost.write_text(lost.read_text().replace(*SHORT))
-    text, code = pytest_in(foreign, "-n2", "--tonus-durations", python=str(installed.python))
+    kept = ("--tonus-keep=all", "--tonus-out")
+    text, code = pytest_in(foreign, "-n2", "--tonus-durations", *kept, "parallel", python=python)
     assert code == 0, text
-    assert "10 passed" in text, text
-    assert len(figures(text)) == 2, text
+    assert "12 passed" in text, text
+    assert len(figures(text)) == 3, text
+    serial, code = pytest_in(foreign, *kept, "serial", LOST_FRAMES, python=python)
+    assert code == 0, serial
+    assert "2 passed" in serial, serial
+    assert set(figures(serial)) < set(figures(text))
+    one_by_one = logs(foreign / "serial")
+    assert len(set(one_by_one.values())) == 2
+    assert one_by_one.items() < logs(foreign / "parallel").items()
 
 
 @pytest.mark.long
 def test_the_examples_as_they_stand_serially_and_in_parallel(
     installed: Installed, foreign: Path
 ) -> None:
-    parallel, code = pytest_in(foreign, "-n2", python=str(installed.python))
+    python, kept = str(installed.python), ("--tonus-keep=all", "--tonus-out")
+    parallel, code = pytest_in(foreign, "-n2", *kept, "parallel", python=python)
     assert code == 0, parallel
-    serial, code = pytest_in(foreign, python=str(installed.python))
+    serial, code = pytest_in(foreign, *kept, "serial", python=python)
     assert code == 0, serial
     assert len(figures(serial)) == 51
     assert figures(serial) == figures(parallel)
+    assert len(set(logs(foreign / "serial").values())) > 50
+    assert logs(foreign / "serial") == logs(foreign / "parallel")
 
 
 def test_the_tests_of_a_new_project_pass(installed: Installed, tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from functools import lru_cache
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import yaml
@@ -153,9 +154,15 @@ def catalogue(log: Log) -> list[Scenario]:
     return list(_validated(log, text, _Catalogue, "catalogue").scenarios)
 
 
+@lru_cache(maxsize=16)
+def _parsed(text: str, model: type[BaseModel]) -> BaseModel:
+    """Most logs that a process looks into have the same configuration, and YAML is slow to read."""
+    return model.model_validate(yaml.safe_load(text))
+
+
 def _validated(log: Log, text: str, model: type[Model], what: str) -> Model:
     try:
-        return model.model_validate(yaml.safe_load(text))
+        return cast(Model, _parsed(text, model))
     except (ValidationError, yaml.YAMLError) as error:
         found = error.errors()[0] if isinstance(error, ValidationError) else None
         if found and found["loc"] == ("control", "controller"):

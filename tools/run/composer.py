@@ -138,7 +138,7 @@ class _Stage:
             script = Script(played.duration, patience, played.operator, period)
         self._console = Console(script)
         self._image = ProcessImage(config.robot.cables)
-        self._rings = Rings(rings, config)
+        self._rings = Rings(rings, config, touched=not order.virtual)
         self._describe()
         self._firewall = Firewall(config.operation.firewall.failures)
         frames = self._rings.frames

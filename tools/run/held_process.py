@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -20,6 +21,7 @@ from tonus.runtime.operation.operator import Console, Script
 from tonus.runtime.operation.rehearsal import rehearse
 from tonus.runtime.recording.keyframe import FROM_A_KEYFRAME
 from tonus.runtime.recording.recorder import Recorder
+from tonus.runtime.recording.taps import compile_frames
 from tonus.runtime.recording.viewer import Scene
 from tonus.runtime.states import State
 from tonus.runtime.timing import clock
@@ -74,6 +76,10 @@ class HeldProcess:
                 raise ToolError(
                     "the control cycle does not reach ACTIVE even with an obedient robot"
                 )
+            # What would else be made in each run, for it alone.
+            compile_frames()
+            provenance.attachments(self._config, self._scenario, ())
+            provenance.metadata(self._config, self._scenario, seed=self._seed, virtual=True)
             outcome = clock.run(self._main(), virtual=True)
             if self._running is None:
                 raise ToolError(f"the robot did not reach {self._at.name}: {outcome.reason}")
@@ -138,6 +144,9 @@ class HeldProcess:
 
     def _stand(self) -> None:
         """In the parent for ever; in a child once there is one."""
+        # A run's collections would look through, and so copy, all that it has from here.
+        gc.collect()
+        gc.freeze()
         self._connection.send(Answer(0))
         while True:
             try:
@@ -217,7 +226,7 @@ class _Running:
         folder = RunFolder(request.out, link=False)
         rings = self._cleanup.enter_context(ring_directory(lambda _: None))
         self._cleanup.enter_context(folder.occupied())
-        sinks.open(Rings(rings, config))
+        sinks.open(Rings(rings, config, touched=False))
         self._log = folder.path / LOG
         self.recorder = Recorder(
             rings,

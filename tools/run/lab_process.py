@@ -86,7 +86,7 @@ async def _until_left_alone(job: dict[str, Any]) -> None:
     """Serve until standard input closes."""
     config = Config.model_validate(job["config"])
     scenario = Scenario.model_validate(job["scenario"])
-    truth = TruthRing(Path(job["truth"]), job["truth_capacity"], config.robot.cables)
+    truth = TruthRing(Path(job["truth"]), job["truth_capacity"], config.robot.cables, touched=True)
     loop, standard_input = asyncio.get_running_loop(), sys.stdin.fileno()
 
     def ready(lab: Lab) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import os
 import platform
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from importlib.metadata import distributions, version
 from typing import Any
 
 import yaml
+from pydantic import BaseModel
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
@@ -25,7 +27,7 @@ SCRIPT_START = "script_start_ns"
 def metadata(config: Config, scenario: Scenario, *, seed: int, virtual: bool) -> dict[str, str]:
     """The same for the same run, on whatever machine."""
     return {
-        **{f"version.{name}": version(name) for name in _LIBRARIES},
+        **_versions(),
         "version.python": platform.python_version(),
         "config": config.name,
         "controller": config.control.controller,
@@ -44,9 +46,9 @@ def attachments(config: Config, scenario: Scenario, others: Sequence[Scenario]) 
         scenarios = [each.model_dump(mode="json") for each in others]
         catalogue["catalogue.yaml"] = _yaml({"scenarios": scenarios})
     return {
-        "config.yaml": _yaml(config.model_dump(mode="json")),
+        "config.yaml": _of_model(config),
         "environment.txt": _environment(),
-        "scenario.yaml": _yaml(scenario.model_dump(mode="json")),
+        "scenario.yaml": _of_model(scenario),
         **catalogue,
     }
 
@@ -61,10 +63,25 @@ def host() -> dict[str, str]:
 
 
 @functools.cache
+def _versions() -> dict[str, str]:
+    return {f"version.{name}": version(name) for name in _LIBRARIES}
+
+
+@functools.cache
 def _environment() -> bytes:
     """Every installed distribution with its version, as pip takes them."""
     found = {each.metadata["Name"].lower(): each.version for each in distributions()}
     return "".join(f"{name}=={found[name]}\n" for name in sorted(found)).encode()
+
+
+def _of_model(model: BaseModel) -> bytes:
+    return _of_json(json.dumps(model.model_dump(mode="json")))
+
+
+@functools.lru_cache(maxsize=16)
+def _of_json(text: str) -> bytes:
+    """Most runs of a process have the same configuration, and YAML is slow to write."""
+    return _yaml(json.loads(text))
 
 
 def _yaml(data: Any) -> bytes:

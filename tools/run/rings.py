@@ -16,25 +16,29 @@ FRAMES_PER_TICK = 64
 
 
 class Rings:
-    """Made in ``folder``, each for `recording.ring_s`."""
+    """Made in ``folder``, each for `recording.ring_s`; ``touched`` as in `RingWriter.create`."""
 
-    def __init__(self, folder: Path, config: Config) -> None:
+    def __init__(self, folder: Path, config: Config, *, touched: bool) -> None:
         cables = config.robot.cables
-        self._folder, self._cables = folder, cables
+        self._folder, self._cables, self._touched = folder, cables, touched
         self.ticks = int(config.recording.ring_s / config.control.rates.period)
         """records that the ring of cycles holds"""
         meta = {"kind": "record", "topics": to_json(topics(cables))}
         size = cycle_dtype(cables).itemsize
-        self.cycles = RingWriter.create(folder / "cycle.ring", size, self.ticks, meta)
-        self.events = EventRing.open(folder / "events.ring")
-        self.keyframes = KeyframeRing.open(folder / "keyframes.ring")
+        self.cycles = RingWriter.create(
+            folder / "cycle.ring", size, self.ticks, meta, touched=touched
+        )
+        self.events = EventRing.open(folder / "events.ring", touched=touched)
+        self.keyframes = KeyframeRing.open(folder / "keyframes.ring", touched=touched)
         self.frames: FrameRing | None = None
         """None where no frames are recorded, or there are none"""
         channels = fieldbuses.channels(config)
         if config.recording.raw_frames and channels:
             capacity = self.ticks * FRAMES_PER_TICK
-            self.frames = FrameRing.open(folder / "frames.ring", channels, capacity)
+            path = folder / "frames.ring"
+            self.frames = FrameRing.open(path, channels, capacity, touched=touched)
 
     def truth(self) -> TruthRing:
         """A ring for the truth of a lab in this process."""
-        return TruthRing(self._folder / "truth.ring", self.ticks, self._cables)
+        path = self._folder / "truth.ring"
+        return TruthRing(path, self.ticks, self._cables, touched=self._touched)

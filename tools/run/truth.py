@@ -26,9 +26,10 @@ TOPIC = Topic(
 class TruthRing:
     """Where a lab writes its truth, a record each millisecond."""
 
-    def __init__(self, path: Path, capacity: int, cables: int) -> None:
+    def __init__(self, path: Path, capacity: int, cables: int, *, touched: bool) -> None:
         meta = {"kind": "record", "topics": to_json([TOPIC.sized(cables)])}
-        self._ring = RingWriter.create(path, truth_dtype(cables).itemsize, capacity, meta)
+        size = truth_dtype(cables).itemsize
+        self._ring = RingWriter.create(path, size, capacity, meta, touched=touched)
 
     def publish(self, record: NDArray[np.void], stamp_ns: int) -> None:
         self._ring.publish(record, stamp_ns)
