@@ -152,6 +152,10 @@ class Judge:
         # In a stop cables are given up, without torque, and drives work at their limits.
         most = controlled and 2 * (frozen & (seen.mille != 0)).sum() > enabled.sum()
         if most or frozen.sum() == enabled.sum():
+            if seen.claim is not None and state == State.SAFE_STOP:
+                # A drum whose cable is given up has no torque, and moves as it will.
+                used = frozen & ~(seen.claim.failed[seen.axes] & (seen.mille == 0))
+                frozen = used if used.any() else frozen
             felt = controlled and (seen.swing > settings.frozen_tension)[frozen].any()
             if felt or (seen.jolt > settings.frozen_rate)[frozen].any():
                 yield Violation(Requirement.FROZEN, NOWHERE, int(seen.same[frozen].min()))
@@ -191,11 +195,14 @@ class Judge:
             yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, claim.contact - seen.contact)
 
     def _always(self, seen: Observation) -> Iterator[Violation]:
-        """Bounds of every state, wide enough for what a torn cable does to a good stop."""
-        settings = self._settings
-        limit = settings.tension_stopping
-        yield from _at(Requirement.TENSION, seen, seen.tension, limit)
-        if abs(seen.contact) > settings.contact_stopping:
+        """Bounds of every state, wide enough for what a torn cable does to a good stop. While the
+        daemon stops, a cell whose amplifier reports an error says nothing."""
+        settings, claim = self._settings, seen.claim
+        stopping = claim is not None and claim.state == State.SAFE_STOP
+        limit, judged = settings.tension_stopping, ~(seen.defective & stopping)
+        yield from _at(Requirement.TENSION, seen, seen.tension, limit, judged)
+        known = not (stopping and seen.contact_defective)
+        if known and abs(seen.contact) > settings.contact_stopping:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
         yield from self._speed(seen, settings.speed_stopping, settings.rotation_stopping)
 

@@ -71,6 +71,11 @@ class Heard:
             return False
         return _powered(self.word, self.statusword)
 
+    @property
+    def reports_error(self) -> bool:
+        """Of emergency frames: the newest error code (CiA 301, two bytes) is not 0."""
+        return bool(self.word & 0xFFFF)
+
     def take(self, words: Sequence[int], now_ns: int) -> None:
         """The data of frames that were read at one time, in their order; at least one."""
         same, newest = self.same, self.word if self.count else None

@@ -53,6 +53,9 @@ class Observation:
     """ms since the last PDO of the cable's cell; 0 without one on the bus"""
     contact_age: float
     """the same of the contact cell"""
+    defective: NDArray[np.bool_]
+    """the cable's amplifier reports an error of its own"""
+    contact_defective: bool
     unexplained: Floats
     """N of the torque's mean over the window that neither tension nor motion explain"""
     mean_torque: Floats
@@ -153,6 +156,8 @@ class Observer:
             _force(self._contact, heard, tared),
             np.array([_cell_age(now_ns, cell, heard) for cell in cells]),
             _cell_age(now_ns, self._contact, heard),
+            np.array([_defective(cell, heard) for cell in cells], bool),
+            _defective(self._contact, heard),
             unexplained,
             mean,
             *self._since.spans(changed, tension, rate),
@@ -288,6 +293,10 @@ def _age(now_ns: int, frames: Heard) -> float:
 
 def _cell_age(now_ns: int, cell: Cell | None, heard: Listened) -> float:
     return 0.0 if cell is None else _age(now_ns, heard[cell.channel, cell.received])
+
+
+def _defective(cell: Cell | None, heard: Listened) -> bool:
+    return cell is not None and heard[cell.channel, cell.emergency].reports_error
 
 
 def _force(cell: Cell | None, heard: Listened, tared: Floats | None) -> float:

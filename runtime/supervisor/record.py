@@ -33,6 +33,8 @@ class Claim:
     contact: float
     stiffness: float
     """N/m"""
+    failed: NDArray[np.bool_]
+    """cables that are given up (n,)"""
 
 
 Records = Callable[[], Iterable[tuple[int, Any]]]
@@ -62,6 +64,7 @@ def claims(records: Iterable[tuple[int, Any]]) -> list[Claim]:
             record["force_cells"]["tare"].copy(),
             float(record["wrench"]["contact"]),
             float(record["stiffness"]["k_eq"]),
+            record["state"]["failed"].astype(bool),
         )
         for stamp, record in records
     ]

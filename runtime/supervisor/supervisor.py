@@ -24,6 +24,7 @@ OpenBus = Callable[[str, str, int], can.BusABC]
 _EMERGENCY, _HEARTBEAT = 0x080, 0x700
 _OPERATIONAL = b"\5"
 _ERROR = struct.Struct("<HBBf")
+_EMERGENCY_BYTES = 8
 """Error code, error register, axis or 0xFF, value; CiA 301 leaves the last five to the device."""
 _ERROR_CODE, _REGISTER, _NO_AXIS = 0xFF00, 0x81, 0xFF
 _LARGEST = 3.4e38
@@ -187,4 +188,6 @@ def _watched(wiring: Wiring, channel: str) -> list[Watched]:
     for cell in wiring.cells:
         if cell.channel == channel:
             cells.setdefault(cell.received, (cell.received_bytes, []))[1].append(cell.force)
-    return found + [Watched(key, size, tuple(values)) for key, (size, values) in cells.items()]
+    found += [Watched(key, size, tuple(values)) for key, (size, values) in cells.items()]
+    errors = {cell.emergency for cell in wiring.cells if cell.channel == channel}
+    return found + [Watched(each, _EMERGENCY_BYTES, ()) for each in sorted(errors)]

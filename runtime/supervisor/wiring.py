@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.root import Config
 
-_TPDO, _RPDO = 0x180, 0x200
+_EMERGENCY, _TPDO, _RPDO = 0x080, 0x180, 0x200
 _STATUSWORD, _POSITION, _TARGET_TORQUE = 0x6041, 0x6064, 0x6071
 _REAL_VALUE = 0x6130
 _PROCESS_VALUES = (_REAL_VALUE, 0x7130, 0x9130)
@@ -70,6 +70,8 @@ class Cell:
     force: Value
     newton: float
     """for one unit"""
+    emergency: int
+    """identifier under which its amplifier reports an error"""
 
 
 class Wiring:
@@ -125,6 +127,7 @@ class Wiring:
                             _bytes(mapping),
                             _value(mapping, entry >> 16, entry >> 8 & 0xFF),
                             1.0 if real else 10.0**-bus.force_cell.decimal_digits,
+                            _EMERGENCY + node.node_id,
                         )
                     )
 

@@ -14,7 +14,7 @@ import pytest
 
 from tests.supervised import BRIEF, DRIVES, Run, configured
 from tonus.config.loader import load_scenario
-from tonus.config.schema.faults import Loss
+from tonus.config.schema.faults import CellBreak, Loss
 from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.exchange import Exchange
 from tonus.runtime.control.allocation import Allocation
@@ -23,6 +23,7 @@ from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.daemon import Daemon
 from tonus.runtime.safety.fallback import Fallback
 from tonus.runtime.safety.faults import Faults
+from tonus.runtime.states import State
 from tonus.runtime.supervisor.supervisor import Supervisor
 from tonus.runtime.timing import clock
 from tonus.tools.campaign.observed import Observed
@@ -184,13 +185,6 @@ LATER: dict[str, tuple[Change, float]] = {
         _both(_blind, _torque_in_control(_opposite)),
         40.0,
     ),
-    "control raises and has no fallback": (
-        _both(
-            _instead(ControlCycle, "act", _raises),
-            _instead(Fallback, "step", lambda *_, **__: None),
-        ),
-        70.0,
-    ),
 }
 """With the longest time to the last drive, ms: what is wrong has to show first."""
 
@@ -204,6 +198,25 @@ def test_a_daemon_whose_mistake_has_to_show(name: str, monkeypatch: pytest.Monke
     after = seen.truth_ns > run.changed_ns
     speed = np.linalg.norm(seen.truth["velocity"][after], axis=1)
     assert speed.max() <= 0.8
+
+
+def test_torques_that_are_kept_where_control_raises_and_has_no_fallback(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """They hold the platform for a while. From the instant at which a drum's rate has truly changed
+    by what the supervisor takes for motion."""
+    nothing = _instead(Fallback, "step", lambda *_, **__: None)
+    run, seen = _run(monkeypatch, _both(_instead(ControlCycle, "act", _raises), nothing))
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert {number for number, _ in run.said} == {Requirement.FROZEN}
+    after = seen.truth_ns > run.changed_ns
+    rate = seen.truth["drum_rate"][after] * seen.config.robot.drum_radius
+    settings = seen.config.supervisor
+    assert settings is not None
+    moved = (abs(rate - rate[0]) > settings.frozen_rate).any(axis=1)
+    beyond = seen.truth_ns[after][moved][0]
+    assert (max(run.stopped_ns.values()) - beyond) * 1e-6 <= WITHIN_MS
+    assert np.linalg.norm(seen.truth["velocity"][after], axis=1).max() <= 0.8
 
 
 def test_a_channel_whose_devices_are_not_received() -> None:
@@ -249,6 +262,21 @@ def test_a_daemon_in_order_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not run.said
     assert not run.stopped_ns
     assert not [each.name for each in seen.events if "supervisor" in each.name]
+
+
+def test_a_daemon_that_stops_for_a_broken_cell_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its amplifier reports the end of its range, and that it is defective."""
+
+    def breaks() -> None:
+        assert run._playing.lab is not None
+        run._playing.lab.inject(CellBreak(channel="can2", node=21))
+
+    config, _ = configured(**BRIEF)
+    run = Run(config, load_scenario("sine_z"), breaks)
+    seen = run.play(1.5)
+    assert State.SAFE_STOP in seen.state
+    assert not run.said
+    assert not run.stopped_ns
 
 
 def test_its_requirement_is_in_the_log(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,7 +51,8 @@ def config() -> Config:
 def claim(state: State = State.ACTIVE, at_ms: float = 100.0, **given: Any) -> Claim:
     tension = np.full(N, 45.0)
     zero = np.zeros(N)
-    found = Claim(round(at_ms * MS), state, zero, tension, tension, np.zeros(N + 1), 0.0, 3210.0)
+    tare, given_up = np.zeros(N + 1), np.zeros(N, bool)
+    found = Claim(round(at_ms * MS), state, zero, tension, tension, tare, 0.0, 3210.0, given_up)
     return replace(found, **given)
 
 
@@ -73,6 +74,8 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         contact=0.0,
         cell_age=np.zeros(N),
         contact_age=0.0,
+        defective=np.zeros(N, bool),
+        contact_defective=False,
         unexplained=np.zeros(N),
         mean_torque=np.full(N, 45.0),
         swing=np.full(N, 0.2),
@@ -400,6 +403,39 @@ def test_torques_that_have_no_reason_to_change(config: Config) -> None:
     for swing, frozen in ((0.05, False), (0.051, True)):
         found = judged(config, seen(same=np.full(N, 6), swing=at(4, swing)))[0]
         assert (found is not None) is frozen
+
+
+def test_a_cable_that_is_given_up_may_move_while_the_others_stand(config: Config) -> None:
+    """In a slow stop equal torques are right; what moves meanwhile is a drum without torque."""
+    given_up, without = np.arange(N) == 3, at(3, 0.0, 20.0)
+    for failed, mille, moves, found in (
+        (given_up, without, 3, False),
+        (given_up, without, 4, True),
+        (~given_up, without, 3, True),
+        (given_up, at(3, 1.0, 20.0), 3, True),
+        (given_up | True, np.zeros(N), 3, True),
+    ):
+        given = {"same": np.full(N, 6), "mille": mille, "jolt": at(moves, 0.04)}
+        stop = claim(State.SAFE_STOP, failed=failed)
+        assert (judged(config, seen(said=stop, **given))[0] is not None) is found
+        control = claim(State.ACTIVE, failed=failed)
+        assert judged(config, seen(said=control, **given))[0] is not None
+
+
+def test_a_cell_that_reports_its_own_defect(config: Config) -> None:
+    """It is none to judge by while the daemon stops, and does not excuse a daemon that goes on."""
+    bad = np.arange(N) == 3
+    for given in (
+        {"tension": at(3, 500.0, 45.0), "defective": bad},
+        {"contact": 500.0, "contact_defective": True},
+    ):
+        assert lasting(config, 200.0, State.SAFE_STOP, **given) is None
+        assert lasting(config, 200.0, State.ACTIVE, **given) is not None
+    others = {"tension": at(3, 500.0, 45.0), "defective": ~bad}
+    assert lasting(config, 200.0, State.SAFE_STOP, **others).where == 3
+    other = {"contact": 500.0, "defective": np.ones(N, bool)}
+    found = lasting(config, 200.0, State.SAFE_STOP, **other)
+    assert found.requirement is Requirement.CONTACT
 
 
 def test_which_torques_are_frozen(config: Config) -> None:
@@ -920,6 +956,7 @@ class Stage:
             self.heard[axis.channel, axis.received] = Heard(8, (axis.position,), axis.statusword)
         for cell in self.wiring.cells:
             self.heard[cell.channel, cell.received] = Heard(4, (cell.force,))
+            self.heard[cell.channel, cell.emergency] = Heard(8, ())
         self.observe = Observer(self.wiring, config.supervisor, config.robot.contact_cell, MS)
 
     def tick(self, now_ns: int, *, newton: float, metre: float, force: float) -> None:
@@ -1135,6 +1172,19 @@ def test_a_force_that_is_no_number_is_beyond_every_bound(config: Config, force: 
     assert found.contact == np.inf
     assert found.cell_age.tolist() == [1.0] * N
     assert found.contact_age == 1.0
+
+
+def test_a_cell_is_defective_until_its_amplifier_takes_the_error_back(config: Config) -> None:
+    stage = Stage(config)
+    cells = {cell.number: cell for cell in stage.wiring.cells}
+    assert cells[2].emergency == 0x080 + 17 + 2
+    for number in (2, config.robot.contact_cell):
+        emergency = stage.heard[cells[number].channel, cells[number].emergency]
+        for code, bad in ((0, False), (0x5010, True), (0x1000, True), (0, False)):
+            emergency.take([code | 0x81 << 16], MS)
+            found = stage.observe(MS, stage.heard, [claim()])
+            assert found.contact_defective is (bad and number != 2)
+            assert found.defective.tolist() == [bad and number == axis for axis in range(N)]
 
 
 @pytest.mark.parametrize("force", [float("nan"), float("inf")])
