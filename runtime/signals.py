@@ -160,6 +160,7 @@ TABLE: tuple[Topic, ...] = (
         _f8("desired_position", 3, "m", "reference"),
         _f8("desired_velocity", 3, "m/s", "reference"),
         _f8("desired_acceleration", 3, "m/s2", "reference"),
+        _f8("desired_quaternion", 4, "", "reference, w x y z"),
         _f8("cable_position", 3, "m", "pose solved from the cables alone"),
         _f8("bias", 3, "m", "estimated error of the cables' pose"),
         _f8("residual", 0, "m", "disagreement of the cable lengths, RMS"),

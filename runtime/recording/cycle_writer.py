@@ -122,6 +122,7 @@ class CycleWriter:
                 estimate.external,
             ),
             self._guide.desired,
+            self._guide.attitude[0],
             estimator.cable_position,
             estimator.bias,
             estimator.offsets,

@@ -62,6 +62,7 @@ def write_motion(
     record: Table,
     estimate: tuple[Table, Table, Table, Table, Table],
     desired: tuple[Table, Table, Table],
+    desired_quaternion: Table,
     cable_position: Table,
     bias: Table,
     length_offset: Table,
@@ -80,6 +81,7 @@ def write_motion(
         pose.bias[k] = bias[k]
     for k in range(4):
         pose.quaternion[k] = estimate[1][k]
+        pose.desired_quaternion[k] = desired_quaternion[k]
     for k in range(6):
         wrench.external[k] = estimate[4][k]
     for k in range(length_offset.shape[0]):

@@ -91,13 +91,14 @@ class ViewerEncoder:
         number = (some["timing"]["tick"] // self._scene.ticks).astype(np.int64)
         bodies = {topic: np.repeat(body, len(chosen)) for topic, body in self._bodies.items()}
         pose = some["pose"]
-        # The platform's quaternion stands w first in our records and last in ROS.
-        turned = np.roll(pose["quaternion"], -1, axis=1)
-        level = np.tile([0.0, 0.0, 0.0, 1.0], (len(chosen), 1))
+        # A quaternion stands w first in our records and last in ROS.
+        turned, wanted = (
+            np.roll(pose[name], -1, axis=1) for name in ("quaternion", "desired_quaternion")
+        )
         places = {
             "/tf": (pose["position"], turned),
             "/viewer/pose": (pose["position"], turned),
-            "/viewer/desired": (pose["desired_position"], level),
+            "/viewer/desired": (pose["desired_position"], wanted),
         }
         for topic, (place, rotation) in places.items():
             bodies[topic]["position"], bodies[topic]["rotation"] = place, rotation

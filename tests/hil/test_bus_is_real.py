@@ -8,23 +8,20 @@ import can
 import numpy as np
 import pytest
 from hil.runs import configured, virtual
+from loop import QUICK
 
-from tonus.config import Config
+import tonus
+from tonus.config import load
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.process_image import ProcessImage
-from tonus.runtime.states import Fault, State
+from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.sim.lab.engine import Lab
-from tonus.tools.log import Log
-from tonus.tools.run.composer import Result
+from tonus.tools.testing.held import HeldFactory
 
 DRIVES, CELLS = (1, 2), (17, 18)
-
-
-def _frames(log: Log, channel: str) -> np.ndarray:
-    return log[f"/can/{channel}"]
 
 
 def test_a_plain_listener_sees_the_documented_frames(tmp_path: Path) -> None:
@@ -65,28 +62,21 @@ def test_a_plain_listener_sees_the_documented_frames(tmp_path: Path) -> None:
     assert all(m.dlc == 8 for m in seen if m.arbitration_id == 0x181)
 
 
-@pytest.fixture(scope="module")
-def unplugged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, Result, Log]:
-    """A run in which a drive of can1 is unplugged in ACTIVE."""
-    fault = {"at": 2.6, "kind": "unplug", "channel": "can1", "node": 3}
-    config, scenario = configured(duration=5.0, script={"faults": [fault]})
-    return config, *virtual(config, scenario, tmp_path_factory.mktemp("unplugged"))
-
-
+@pytest.mark.tonus(overrides=QUICK)
+@pytest.mark.tonus_expect("*")
 def test_a_node_that_stops_answering_is_a_named_fault_and_a_controlled_stop(
-    unplugged: tuple[Config, Result, Log],
+    tonus_held: HeldFactory,
 ) -> None:
-    config, result, log = unplugged
-    outcome = result.outcome
-    assert (outcome.state, outcome.fault) == (State.FAULT, Fault.DRIVE_LOST)
-    assert "can1/3" in outcome.reason
-    assert "stopped answering" in outcome.reason
-    named = [event for event in log.events() if event.name == "drive_lost"]
-    assert len(named) == 1
-    assert named[0].where.startswith("can1/3")
-    state, drives = log["/tonus/state"]["state"], log["/tonus/drives"]
-    assert State.SAFE_STOP in state
-    old = drives["age"][:, 2] > config.control.freshness.measurement_ticks
+    fault = tonus.faults.Unplug(channel="can1", node=3, at=2.6)
+    run = tonus_held.play(faults=[fault], duration=5.0)
+    assert run.state == "FAULT"
+    assert "can1/3" in run.reason
+    assert "stopped answering" in run.reason
+    run.expect("drive_lost", where="can1/3")
+    assert len([event for event in run.events if event.name == "drive_lost"]) == 1
+    states, drives = run.log["/tonus/state"]["state"], run.log["/tonus/drives"]
+    assert {State.ACTIVE, State.SAFE_STOP} <= set(states)
+    old = drives["age"][:, 2] > load("config/can.yaml")[0].control.freshness.measurement_ticks
     assert old.any()
     assert not drives["torque_command"][old, 2].any()
 
@@ -145,13 +135,18 @@ async def _milliseconds(count: int) -> None:
     await asyncio.sleep(count * 1e-3)
 
 
-def test_the_log_holds_every_frame_of_a_channel(unplugged: tuple[Config, Result, Log]) -> None:
+@pytest.mark.tonus(overrides=QUICK)
+def test_the_log_holds_every_frame_of_a_channel(tonus_held: HeldFactory) -> None:
     """Per tick: one SYNC, an RPDO per drive, a TPDO per drive and cell."""
-    _, result, log = unplugged
-    for channel, nodes in (("can0", (1, 2, 17, 18)), ("can3", (7, 8, 23, 24, 25))):
-        identifiers = _frames(log, channel)["id"]
-        syncs = int((identifiers == 0x080).sum())
-        assert abs(syncs - result.outcome.ticks) <= 2
-        for node in nodes:
-            answers = int((identifiers == 0x180 + node).sum())
-            assert abs(answers - syncs) <= 2
+    held = tonus_held()
+    held.advance(500)
+    log = held.end().log
+    channels = (
+        ("can0", (1, 2), (1, 2, 17, 18)),
+        ("can3", (7, 8), (7, 8, 23, 24, 25)),
+    )
+    for channel, drives, nodes in channels:
+        identifiers = log[f"/can/{channel}"]["id"]
+        wanted = [0x080, *(0x200 + node for node in drives), *(0x180 + node for node in nodes)]
+        for identifier in wanted:
+            assert abs(int((identifiers == identifier).sum()) - 500) <= 2

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import errno
-from pathlib import Path
 from typing import Any
 
 import pytest
-from hil.runs import configured, virtual
+from loop import QUICK
 
 from tonus.config.document import dotted
 from tonus.config.schema.place import DEFAULTS
-from tonus.runtime.states import Fault, State
+from tonus.runtime.states import State
 from tonus.sim.devices.tracker import Tracker
-from tonus.tools.log import Log
-from tonus.tools.run.composer import Result
+from tonus.tools.expect import Run
+from tonus.tools.testing.held import HeldFactory
+from tonus.tools.testing.player import Player
 
+pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.tonus_expect("*")]
 FIRST_S, APART_S = 2.6, 0.0687
 """after the drives were enabled: in ACTIVE; apart by no multiple of any period"""
 LOSSES = 24
@@ -37,28 +38,25 @@ def losses(channel: str, identifiers: tuple[int | None, ...]) -> list[dict[str, 
     ]
 
 
-def went_on(result: Result) -> None:
-    outcome = result.outcome
-    assert (outcome.state, outcome.fault) == (State.STANDBY, Fault.NONE), outcome.reason
-    assert outcome.reason == "scenario completed"
+def went_on(run: Run) -> None:
+    assert (run.state, run.reason, run.summary["faults"]) == ("STANDBY", "scenario completed", [])
 
 
-def states_at(log: Log, event: str) -> set[int]:
+def states_at(run: Run, event: str) -> set[int]:
     """In which states an event of this name was told."""
+    log = run.log
     ticks, states = log["/tonus/timing"]["tick"], log["/tonus/state"]["state"]
-    told = [each.tick for each in log.events() if each.name == event]
+    told = [each.tick for each in run.events if each.name == event]
     return {int(states[ticks.searchsorted(tick)]) for tick in told}
 
 
-def test_a_lost_heartbeat_of_the_master_stops_no_drive(tmp_path: Path) -> None:
+def test_a_lost_heartbeat_of_the_master_stops_no_drive(tonus_held: HeldFactory) -> None:
     """The one at 5.0 s stopped the robot where drives waited for exactly two periods."""
     faults = [
         {"kind": "loss", "channel": "can1", "identifier": 0x77F, "frames": 1, "at": FIRST_S + at}
         for at in (0.0, 0.137, 0.281, 0.403, 0.555, 0.698, 0.839)
     ]
-    config, scenario = configured(duration=1.4, script={"faults": faults})
-    result, _ = virtual(config, scenario, tmp_path, seed=3)
-    went_on(result)
+    went_on(tonus_held.play(faults=faults, duration=1.4))
 
 
 ROBOT: dict[str, Any] = {dotted(key): safe for key, (safe, _) in DEFAULTS.items()}
@@ -69,29 +67,29 @@ ROBOT: dict[str, Any] = {dotted(key): safe for key, (safe, _) in DEFAULTS.items(
     "values", [pytest.param({}, marks=pytest.mark.long), ROBOT], ids=["lab", "robot"]
 )
 def test_one_lost_frame_of_each_kind_on_can_stops_nothing(
-    tmp_path: Path, values: dict[str, Any]
+    tonus_held: HeldFactory, values: dict[str, Any]
 ) -> None:
-    script = {"faults": losses("can1", CAN1)}
-    config, scenario = configured(duration=DURATION_S, script=script, overrides=values)
-    result, log = virtual(config, scenario, tmp_path, seed=3)
-    went_on(result)
-    assert states_at(log, "missing_pdo") == {State.ACTIVE}
+    faults = losses("can1", CAN1)
+    run = tonus_held.play(faults=faults, duration=DURATION_S, overrides=values)
+    went_on(run)
+    assert states_at(run, "missing_pdo") == {State.ACTIVE}
 
 
-def test_one_lost_frame_on_a_segment_stops_nothing(tmp_path: Path) -> None:
+def test_one_lost_frame_on_a_segment_stops_nothing(tonus_held: HeldFactory) -> None:
     """With a robot's values, the shorter watchdog among them."""
     values = ROBOT | {"supervisor.policy": "off"}  # it acts on CAN only
-    script = {"faults": losses("tonus0", (None,))}
-    config, scenario = configured(
-        "config/ethercat.yaml", duration=DURATION_S, script=script, overrides=values
+    run = tonus_held.play(
+        config="config/ethercat.yaml",
+        faults=losses("tonus0", (None,)),
+        duration=DURATION_S,
+        overrides=values,
     )
-    result, log = virtual(config, scenario, tmp_path, seed=3)
-    went_on(result)
-    assert states_at(log, "frame_lost") == {State.ACTIVE}
+    went_on(run)
+    assert states_at(run, "frame_lost") == {State.ACTIVE}
 
 
 def test_a_lost_pose_of_the_tracker_stops_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tonus_run: Player, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every tenth datagram, from bring-up on: referencing does without them as well."""
     poll, seen = Tracker.poll, [0]
@@ -105,14 +103,14 @@ def test_a_lost_pose_of_the_tracker_stops_nothing(
         return kept
 
     monkeypatch.setattr(Tracker, "poll", lossy)
-    result, log = virtual(*configured("config/direct.yaml"), tmp_path, seed=3)
-    went_on(result)
+    run = tonus_run("hold", config="config/direct.yaml", duration=0.5)
+    went_on(run)
     assert seen[0] > 300
-    assert not [event for event in log.events() if event.name == "tracker_lost"]
+    run.never("tracker_lost")
 
 
 def test_a_tracker_whose_socket_fails_stops_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tonus_run: Player, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For 300 ms in ACTIVE; the estimate rests on the cables and then has poses again."""
     poll, polls = Tracker.poll, [0]
@@ -124,9 +122,9 @@ def test_a_tracker_whose_socket_fails_stops_nothing(
         return poll(tracker, now_ns)
 
     monkeypatch.setattr(Tracker, "poll", failing)
-    result, log = virtual(*configured("config/direct.yaml", duration=1.0), tmp_path, seed=3)
-    went_on(result)
-    assert states_at(log, "tracker_receive_failure") == {State.ACTIVE}
-    told = [event.name for event in log.events() if event.name.startswith("tracker_")]
+    run = tonus_run("hold", config="config/direct.yaml", duration=1.0)
+    went_on(run)
+    assert states_at(run, "tracker_receive_failure") == {State.ACTIVE}
+    told = [event.name for event in run.events if event.name.startswith("tracker_")]
     assert told.count("tracker_receive_failure") == 9  # the 1st, 2nd, 4th ... 256th
     assert {"tracker_lost", "tracker_back"} <= set(told)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loop import QUICK, ClosedLoop, Trace, configured, contact_of, rms
+from scipy.spatial.transform import Rotation
 
 from tonus.config.schema.scenario import Scenario
 from tonus.runtime.states import State
@@ -43,6 +44,25 @@ def test_a_sine_of_30_mm_is_followed_within_a_quarter_of_a_millimetre(axis: str)
     assert np.ptp(true[:, "xyz".index(axis)]) > 0.058, "it moved"
     assert rms(np.linalg.norm(true - wanted, axis=1)) <= 0.25e-3
     assert rms(part.cycle["tension"]["reference"] - part.truth["tension"]) <= 0.25
+    assert ended_well(trace)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["tilt", *(pytest.param(each, marks=pytest.mark.long) for each in ("circle", "table"))],
+)
+def test_a_path_in_space_is_followed_as_well_as_a_sine(name: str) -> None:
+    """A circle in a tilted plane, and two that tilt the platform by up to 4 degrees."""
+    trace = run(name, 4.0)
+    part = active(trace)
+    pose, true = part.cycle["pose"], part.truth
+    assert rms(np.linalg.norm(true["position"] - pose["desired_position"], axis=1)) <= 0.25e-3
+    wanted, turned = (
+        Rotation.from_quat(np.roll(each, -1, axis=1))  # w last
+        for each in (pose["desired_quaternion"], true["quaternion"])
+    )
+    assert (wanted.magnitude().max() > 0.03) == (name != "circle")
+    assert rms((turned * wanted.inv()).magnitude()) <= 1e-3
     assert ended_well(trace)
 
 

@@ -56,7 +56,8 @@ class HeldProcess:
         self._config, self._scenario, self._seed, self._at = config, scenario, seed, at
         self._connection = connection
         self._sinks = LateSinks(config.robot.cables)
-        self._script = Script(scenario.duration, 0.0, (), config.control.rates.period)
+        patience = config.operation.self_test.patience_s
+        self._script = Script(scenario.duration, patience, (), config.control.rates.period)
         self._console = Console(self._script)
         self._running: _Running | None = None
         """in a child"""
