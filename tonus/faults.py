@@ -26,6 +26,7 @@ from tonus.config.schema.faults import (
     WrongIdentity,
 )
 from tonus.config.schema.robot_faults import (
+    BrakeWeak,
     CableCut,
     CellFrozen,
     CellGain,
@@ -38,12 +39,14 @@ from tonus.config.schema.robot_faults import (
     MotorWeak,
     PhantomHit,
     Push,
+    SafeTorqueOff,
     ShiftedTracker,
     TrackerHidden,
 )
 
 __all__ = [
     "Babble",
+    "BrakeWeak",
     "CableBreak",
     "CableCut",
     "CellBreak",
@@ -72,6 +75,7 @@ __all__ = [
     "PowerLoss",
     "Push",
     "Replug",
+    "SafeTorqueOff",
     "ShiftedTracker",
     "StateDrop",
     "StateRefusal",

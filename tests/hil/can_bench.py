@@ -14,7 +14,7 @@ from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.timing.clock import VirtualTimeLoop
 from tonus.sim.lab.engine import Lab
 
-CONFIG, SCENARIO = load("config/can.yaml", scenario="hold")
+CONFIG, SCENARIO = load("config/can.yaml", scenario="hold", overrides={"supervisor.policy": "off"})
 PERIOD_S = CONFIG.control.rates.period
 
 

@@ -185,7 +185,7 @@ def test_the_examples_pass(installed: Installed, foreign: Path) -> None:
     text, code = pytest_in(foreign, "-n2", "--tonus-durations", *kept, "parallel", python=python)
     assert code == 0, text
     assert "12 passed" in text, text
-    assert len(figures(text)) == 3, text
+    assert len(figures(text)) == 5, text
     serial, code = pytest_in(foreign, *kept, "serial", LOST_FRAMES, python=python)
     assert code == 0, serial
     assert "2 passed" in serial, serial
@@ -204,7 +204,7 @@ def test_the_examples_as_they_stand_serially_and_in_parallel(
     assert code == 0, parallel
     serial, code = pytest_in(foreign, *kept, "serial", python=python)
     assert code == 0, serial
-    assert len(figures(serial)) == 51
+    assert len(figures(serial)) == 101
     assert figures(serial) == figures(parallel)
     assert len(set(logs(foreign / "serial").values())) > 50
     assert logs(foreign / "serial") == logs(foreign / "parallel")

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
@@ -154,15 +153,9 @@ def catalogue(log: Log) -> list[Scenario]:
     return list(_validated(log, text, _Catalogue, "catalogue").scenarios)
 
 
-@lru_cache(maxsize=16)
-def _parsed(text: str, model: type[BaseModel]) -> BaseModel:
-    """Most logs that a process looks into have the same configuration, and YAML is slow to read."""
-    return model.model_validate(yaml.safe_load(text))
-
-
 def _validated(log: Log, text: str, model: type[Model], what: str) -> Model:
     try:
-        return cast(Model, _parsed(text, model))
+        return model.model_validate(yaml.safe_load(text))
     except (ValidationError, yaml.YAMLError) as error:
         found = error.errors()[0] if isinstance(error, ValidationError) else None
         if found and found["loc"] == ("control", "controller"):
