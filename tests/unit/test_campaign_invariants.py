@@ -224,6 +224,15 @@ def test_a_fault_allows_more_contact_for_a_moment() -> None:
     assert names(replace(run, strikes=(late,))) == ["contact"]
 
 
+@pytest.mark.parametrize(("lasts", "broken"), [(0.0, True), (0.1, False), (0.4, False)])
+def test_a_push_may_speed_up_the_platform_as_long_as_it_lasts(lasts: float, broken: bool) -> None:
+    """And for as long as any other fault behind its end."""
+    run = faster(good())
+    at = run.strikes[0].at_ns
+    pushed = replace(run.strikes[0], pushes=((at, at + round(lasts * NS)),))
+    assert (names(replace(run, strikes=(pushed,))) == ["speed_rises"]) is broken
+
+
 def test_power_cut_on_purpose_may_drop_the_platform() -> None:
     run = dropped(good())
     run.cycle["state"]["operator"][active(run) - 1] = Operator.ESTOP
@@ -270,6 +279,18 @@ def placed(data: dict[str, object]) -> Strike:
     config = _played().config
     (found,) = strikes(config, [FAULT.validate_python({"at": 0.5} | data)], NS, frozenset())
     return found
+
+
+def test_a_strike_knows_when_it_pushes() -> None:
+    begin = NS + NS // 2
+    push = {"kind": "load", "force": (1.0, 0.0, 0.0), "rise": 0.25, "duration": 0.5}
+    assert placed(push).pushes == ((begin, begin + 3 * NS // 4),)
+    hit = {"kind": "phantom_hit", "distance": 0.05, "speed": 0.1}
+    there = (begin, begin + NS // 2)
+    assert placed(hit).pushes == (there,)
+    back = (begin + 2 * NS, begin + 5 * NS // 2)
+    assert placed(hit | {"duration": 2.0}).pushes == (there, back)
+    assert placed({"kind": "cable_cut", "axis": 1}).pushes == ()
 
 
 def test_a_strike_knows_its_devices() -> None:

@@ -137,7 +137,8 @@ def _motion(run: Observed, bounds: Bounds, limits: Limits | None) -> Iterator[Vi
 
 def _not_falling(run: Observed, bounds: Bounds, speed: Floats) -> Iterator[Violation]:
     """From a while after each fault on, no speed that was not reached before. One that did no harm
-    at first counts once more when it is found: the stop that follows moves the platform."""
+    at first counts once more when it is found: the stop that follows moves the platform. A push
+    does work as long as it lasts, and its end is a step of force as its beginning is."""
     times = run.truth_ns
     wrong = np.zeros(len(speed), bool)
     allowed = np.full(len(speed), np.inf)
@@ -147,7 +148,8 @@ def _not_falling(run: Observed, bounds: Bounds, speed: Floats) -> Iterator[Viola
         return
     worse = np.diff(run.cycle["state"]["stop_mode"].astype(np.int8), prepend=0) > 0
     found = run.cycle_ns[worse & (run.cycle_ns > faults[0])]
-    faults = sorted({*faults, *found.tolist()})
+    pushes = [push for strike in run.strikes for push in strike.pushes]
+    faults = sorted({*faults, *found.tolist(), *(time for push in pushes for time in push)})
     ends = np.append(np.searchsorted(times, faults[1:]), len(times))
     for at, end in zip(faults, ends, strict=False):
         first, last = np.searchsorted(times, [faults[0], at + delay])
@@ -155,6 +157,8 @@ def _not_falling(run: Observed, bounds: Bounds, speed: Floats) -> Iterator[Viola
             continue
         allowed[last:end] = max(bounds.quiet_speed, float(speed[first:last].max()))
         wrong[last:end] = ~(speed[last:end] <= allowed[last:end])
+    for at, end in pushes:
+        wrong[slice(*np.searchsorted(times, [at, end]))] = False
     bound = float(allowed[wrong.argmax()]) if wrong.any() else 0.0
     yield from _worst("speed_rises", times, wrong, speed, bound, "m/s, reached long after a fault")
 

@@ -33,6 +33,8 @@ class Strike:
     """the power of its axes is cut on purpose: STO, or no supply"""
     named: bool = False
     """an event has to name its place"""
+    pushes: tuple[tuple[int, int], ...] = ()
+    """first and last ns in which it does work on the platform from outside"""
 
     def is_named_by(self, where: str) -> bool:
         """Whether an event's place points at this fault."""
@@ -76,7 +78,22 @@ def _strike(config: Config, fault: Any, at_ns: int, named: frozenset[str]) -> St
         places,
         unpowers=wired or kind in ("sto", "power_loss"),
         named=kind in named,
+        pushes=tuple(
+            (at_ns + round(begin * NS), at_ns + round(end * NS)) for begin, end in _pushes(fault)
+        ),
     )
+
+
+def _pushes(fault: Any) -> list[tuple[float, float]]:
+    """s after its begin in which it pushes the platform: a load until it is gone, a phantom while
+    it moves, there and back."""
+    if fault.kind == "load":
+        return [(0.0, fault.duration + fault.rise)]
+    if fault.kind == "phantom_hit":
+        moves = fault.distance / fault.speed
+        back = fault.duration
+        return [(0.0, moves)] + ([] if back is None else [(back, back + moves)])
+    return []
 
 
 def devices(config: Config, channel: str, node: int | None) -> tuple[set[int], set[int]]:
