@@ -29,6 +29,16 @@ CABLE_GONE = frozenset(
 """Faults after which the cable they name is asked for nothing."""
 PASSIVE = frozenset({Fault.NOT_FINITE})
 """Faults after which nothing that is computed may be relied on."""
+_BY_CONTRADICTION = [
+    Fault.SLACK_CABLE,
+    Fault.LENGTH_JUMP,
+    Fault.TENSION_ERROR,
+    Fault.LENGTH_DRIFT,
+    Fault.CELL_FROZEN,
+    Fault.DRUM_TORQUE,
+    Fault.DRUM_STUCK,
+]
+"""What is concluded from several measurements that do not agree."""
 _CELL_UNKNOWN = frozenset(
     {Fault.CELL_LOST, Fault.CELL_BAD, Fault.IMPLAUSIBLE_CELL, Fault.CELL_FROZEN}
 )
@@ -72,6 +82,13 @@ class Faults:
     def has(self, fault: Fault) -> bool:
         """Anywhere."""
         return bool(self.found[fault].any())
+
+    @property
+    def contradicted(self) -> bool:
+        """A cable is excluded because measurements contradict each other: which of them is wrong,
+        and whether another cable's is too, is less certain than of a torn cable or a silent drive.
+        """
+        return bool(self.found[_BY_CONTRADICTION].any())
 
     def without(self, causes: frozenset[Fault]) -> NDArray[np.bool_]:
         """(n,) cables none of the ``causes`` was found at."""

@@ -23,6 +23,9 @@ from tonus.runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, Sta
 _FAULTS = (int(AxisState.FAULT), int(AxisState.FAULT_REACTION_ACTIVE))
 FEWEST = 5
 """cables with which a descent is planned; with fewer the pose is not known for long"""
+FEWEST_DOUBTED = 7
+"""the same once a cable was excluded by a contradiction, which may have named the wrong one: with
+six no length contradicts another one, and a wrong one adds energy (docs/stop.md)"""
 MOVING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 
 
@@ -159,7 +162,8 @@ class Sequence:
         faults = self.faults
         lost = int(faults.failed.sum())
         blind = any(faults.has(cause) for cause in PASSIVE) or faults.at(Fault.LENGTH_DRIFT, -1)
-        if not self.referenced or blind or lost > len(faults.failed) - FEWEST or self._hangs:
+        fewest = FEWEST_DOUBTED if faults.contradicted else FEWEST
+        if not self.referenced or blind or len(faults.failed) - lost < fewest or self._hangs:
             wanted = StopMode.PASSIVE
         elif lost or not self._sensing.present.all():
             wanted = StopMode.DESCENT

@@ -110,6 +110,20 @@ def test_with_too_few_cables_left_it_is_passive() -> None:
     assert mode(statue) is StopMode.PASSIVE
 
 
+def test_after_a_contradiction_it_is_passive_with_fewer_than_seven() -> None:
+    """An encoder that jumps, and then a cell that reports its own defect."""
+    statue = Statue().until(State.HOLD)
+
+    def slip(image: ProcessImage) -> None:
+        image.axes["angle"][2] += 0.25
+
+    go_on(statue, slip, 10)
+    assert statue.cycle.sequence.faults.contradicted
+    assert (mode(statue), given_up(statue)) == (StopMode.DESCENT, [2])
+    go_on(statue, defective(5))
+    assert (mode(statue), given_up(statue)) == (StopMode.PASSIVE, [2, 5])
+
+
 def test_before_the_cables_are_referenced_it_is_passive() -> None:
     statue = Statue().until(State.REFERENCING)
     while not statue.cycle.sequence.enabled:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from tonus.runtime.safety.sequence import FEWEST
+from tonus.runtime.safety.sequence import FEWEST, FEWEST_DOUBTED
 from tonus.runtime.states import (
     ARMED,
     MEANING,
@@ -32,7 +32,7 @@ before a command. *Armed* states, in which drives are enabled, have a thick bord
 """
 _ASSUMES = {
     StopMode.ON_PATH: "all cables, a known pose",
-    StopMode.DESCENT: f"at least {FEWEST} cables, a known pose",
+    StopMode.DESCENT: f"{FEWEST} cables, {FEWEST_DOUBTED} after a contradiction; a known pose",
     StopMode.PASSIVE: "each drum's own encoder; also before the cables are referenced",
 }
 
