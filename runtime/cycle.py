@@ -284,6 +284,7 @@ class ControlCycle:
         descent = self._descent
         if sequence.descending and self._loop is not descent.loop:
             self._estimator.loosen()
+            self._isolation.descend()
             descent.begin(sensing.tension)
             self._change_loop(descent.loop)
         lengths = self._referencing.lengths(sensing.angle, sensing.tension)
@@ -296,6 +297,7 @@ class ControlCycle:
         if sequence.descending:
             slack = watched & ~descent.taut
             self._isolation.reeled(self._kinematics.lengths, lengths, slack)
+            self._isolation.lengths(self._estimator.innovations, self._estimator.believed)
         self._isolation.step(
             self._estimator.innovations,
             self._allocation.reference,

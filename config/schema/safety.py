@@ -109,6 +109,10 @@ class Isolation(Section):
     """m that the platform's motion shortens a cable by while its drum does not turn at all"""
     innovation: Positive
     """m, mean innovation of a cable's length that counts as a contradiction"""
+    innovation_descent: Positive = 3.5e-3
+    """m, the same in a descent, of a cable that pulls"""
+    innovation_descent_s: Positive = 0.2
+    """s that it lasts"""
     prominence: Positive
     """times the second largest: the largest then tells which cable it is"""
     innovation_s: Positive

@@ -63,15 +63,15 @@ class Faults:
         self.found[:] = False
         self.failed[:] = False
 
-    def add(self, fault: Fault, where: int) -> bool:
-        """Returns whether it is new."""
+    def add(self, fault: Fault, where: int, *, exclude: bool = True) -> bool:
+        """Returns whether it is new. Without ``exclude`` the cable goes on pulling."""
         if fault is Fault.NONE or self.found[fault, where + 1]:
             return False
         self.found[fault, where + 1] = True
         self.count += 1
         if self.first is Fault.NONE:
             self.first, self.where = fault, where
-        if fault in CABLE_GONE and 0 <= where < len(self.failed):
+        if exclude and fault in CABLE_GONE and 0 <= where < len(self.failed):
             self.failed[where] = True
         return True
 
@@ -88,7 +88,7 @@ class Faults:
         """A cable is excluded because measurements contradict each other: which of them is wrong,
         and whether another cable's is too, is less certain than of a torn cable or a silent drive.
         """
-        return bool(self.found[_BY_CONTRADICTION].any())
+        return bool((self.found[_BY_CONTRADICTION, 1 : len(self.failed) + 1] & self.failed).any())
 
     def without(self, causes: frozenset[Fault]) -> NDArray[np.bool_]:
         """(n,) cables none of the ``causes`` was found at."""

@@ -15,6 +15,10 @@ Residuals of each cable; they are small for an intact cable:
 - *drift*: its innovation has a mean: an error grows slowly, and the fault is that of the cable
   whose mean stands out. If none does, the cables contradict each other, and no cable is named.
 
+In a descent the estimate is loose and innovations of 2 mm are usual. A cable whose mean innovation
+is beyond `innovation_descent` for long and stands out has a wrong length. That is reported only:
+its cell still measures its tension, and the estimate is loose enough not to follow one length.
+
 In a descent a slack cable's drum reels in towards the platform: if it has reeled in more than the
 distance to the platform, the cable is torn. A load cell whose reading repeats to the last bit while
 its reference moves is frozen.
@@ -114,6 +118,13 @@ def _turn(
 
 
 @njit(cache=True)
+def _average(innovation: Array, believed: NDArray[np.bool_], share: float, mean: Array) -> None:
+    for i in range(innovation.shape[0]):
+        if believed[i] and math.isfinite(innovation[i]):
+            mean[i] += share * (innovation[i] - mean[i])
+
+
+@njit(cache=True)
 def _repeat(
     raw: Array,
     age: NDArray[np.uint16],
@@ -159,6 +170,9 @@ class Isolation:
         self._astray = np.zeros(robot.cables, dtype=np.int64)
         self.drift = np.zeros(robot.cables)
         """m (n,), mean innovation of each length"""
+        self._stray = np.zeros(robot.cables)
+        self._stray_ticks = round(settings.innovation_descent_s / period)
+        self._strayed, self._straying = 0, -1
         self._last, self._then = np.full(robot.cables, np.nan), np.zeros(robot.cables)
         self._same = np.zeros(robot.cables, dtype=np.int64)
         self._loaded = np.zeros(robot.cables, dtype=bool)
@@ -166,7 +180,7 @@ class Isolation:
 
     def reset(self) -> None:
         self._jumped[:] = self._astray[:] = self._same[:] = self._misled[:] = 0
-        for each in (*self._observed, self._torques, self._travel, self.drift):
+        for each in (*self._observed, self._torques, self._travel, self.drift, self._stray):
             each[:] = 0.0
         self._overwound[:] = False
         self._past[1][:] = np.nan
@@ -215,6 +229,26 @@ class Isolation:
             self._past,
             self._travel,
         )
+
+    def descend(self) -> None:
+        """A descent begins: the estimate is loosened, and what was learnt before it is void."""
+        self._stray[:] = 0.0
+        self._strayed = 0
+
+    def lengths(self, innovation: Array, believed: NDArray[np.bool_]) -> None:
+        """From innovations (n,) m of a descent, and whose lengths corrected the estimate (n,)."""
+        _average(innovation, believed, self._limits[2], self._stray)
+        stray = np.abs(self._stray)
+        cable, limit = int(stray.argmax()), self._settings.innovation_descent
+        second = np.partition(stray, -2)[-2]
+        wrong = stray[cable] > max(limit, self._settings.prominence * second)
+        self._strayed = self._strayed + 1 if wrong and cable == self._straying else int(wrong)
+        self._straying = cable
+
+    @property
+    def misread(self) -> int:
+        """The cable whose length is wrong in a descent, or -1."""
+        return self._straying if self._strayed >= self._stray_ticks else -1
 
     def reeled(self, distance: Array, length: Array, slack: NDArray[np.bool_]) -> None:
         """From the distances (n,) m between a cable's anchors as the pose has them, and the lengths

@@ -382,6 +382,8 @@ class Sequence:
         """A cable that contradicts the others comes before a bound that is met: it may be why."""
         if not self.descending:
             self.faults.add(*self._isolation.found(self._sensing.tension))
+        elif (cable := self._isolation.misread) >= 0:
+            self.faults.add(Fault.LENGTH_DRIFT, cable, exclude=False)
         self.faults.add(self._envelope.fault, self._envelope.where)
 
     def _arrive(self, image: ProcessImage) -> Event | None:

@@ -10,7 +10,7 @@ from loop import QUICK
 
 from tonus.config import load
 from tonus.config.loader import load_bounds
-from tonus.runtime.states import State
+from tonus.runtime.states import State, StopMode
 from tonus.tools.expect import Run
 from tonus.tools.safety.budget import seconds
 from tonus.tools.testing.held import Held, HeldFactory
@@ -117,6 +117,24 @@ def test_a_slow_drift_is_reported_as_the_trackers_and_keeps_the_bounds(
     says."""
     run = struck(tonus_held(), kind, fields, 2500)
     run.expect("tracker_learnt")
+    keeps_bounds(run)
+
+
+@pytest.mark.parametrize(("first", "second"), [(4, 0), (1, 6)])
+def test_a_slip_in_a_descent_is_named_and_changes_nothing(
+    first: int, second: int, tonus_held: HeldFactory
+) -> None:
+    held = tonus_held()
+    held.fault("drive_input", channel=ALL[first][0], node=ALL[first][1], input="sto")
+    held.advance(500)
+    before = held.now
+    held.fault("drum_slip", axis=second, length=0.015, duration=0.02)
+    held.advance(1000)
+    run = held.end()
+    run.expect("length_drift", where=f"axis {second}", after=before, within=1.0)
+    modes = run.log["/tonus/state"]["stop_mode"]
+    assert StopMode(int(modes.max())) is StopMode.DESCENT
+    assert run.log["/tonus/state"]["failed"][-1].nonzero()[0].tolist() == [first]
     keeps_bounds(run)
 
 
