@@ -19,6 +19,7 @@ from mcap.reader import make_reader
 from tonus.config.schema.faults import CableCut, Unplug
 from tonus.runtime.states import Operator, State
 from tonus.tools.errors import ToolError
+from tonus.tools.expect import ExpectationError, Run
 from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay
 from tonus.tools.run.held import HeldRobot, HeldRun
@@ -266,6 +267,17 @@ def test_runs_share_a_robot_and_nothing_else(tonus_held: HeldFactory) -> None:
     assert first.truth["tension"][1] == 0.0 < second.truth["tension"][1]
     with pytest.raises(ToolError, match="choose one of arm, start, hold"):
         second.command("jump")
+
+
+def test_a_run_that_is_left_in_the_middle_is_judged_by_all_but_its_end(
+    tonus_held: HeldFactory,
+) -> None:
+    held = tonus_held()
+    held.advance(50)
+    run = held.end()
+    run.invariants()
+    with pytest.raises(ExpectationError, match="it ended in HOLD"):
+        Run(run.log).invariants()
 
 
 @pytest.mark.tonus(overrides=QUICK)

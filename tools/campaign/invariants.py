@@ -268,6 +268,8 @@ def _end(run: Observed, _: Bounds) -> Iterator[Violation]:
     if run.error:
         yield Violation("exception", at, 1.0, 0.0, run.error)
         return
+    if run.cut:
+        return
     last = State(int(run.state[-1])) if len(run.state) else State.OFF
     state = run.end.state if run.end is not None else last
     if state not in (State.STANDBY, State.FAULT):

@@ -56,6 +56,8 @@ class Observed:
     """None: nobody knows more than the records tell"""
     error: str = ""
     """an exception of the program, in words"""
+    cut: bool = False
+    """it was left in the middle: the state of its last record is no end"""
 
     @property
     def state(self) -> NDArray[np.uint8]:

@@ -43,15 +43,18 @@ class Run:
     `ExpectationError`; one that the log cannot answer, and one for an event that there is none of,
     `ToolError`.
 
-    ``reason`` is the daemon's own word for the end, where it is known; ``injected`` are the faults
-    that a test gave to the lab beside those of the scenario. Times are s since the log's first
+    ``reason`` is the daemon's own word for the end, where it is known; ``cut`` says that the run
+    was left in the middle; ``injected`` are the faults that a test gave to the lab beside those of
+    the scenario. Times are s since the log's first
     message, which is at 0 in virtual time.
     """
 
-    def __init__(self, log: Log, *, reason: str = "", injected: Sequence[Injected] = ()) -> None:
+    def __init__(
+        self, log: Log, *, reason: str = "", cut: bool = False, injected: Sequence[Injected] = ()
+    ) -> None:
         self.log = log
         self.timeline = Timeline(log.start_ns)
-        self._reason, self._injected = reason, injected
+        self._reason, self._cut, self._injected = reason, cut, injected
         self._expected: set[str] = set()
 
     @property
@@ -186,9 +189,9 @@ class Run:
 
     def invariants(self, *, replayed: bool = False) -> None:
         """What no run in the lab may do, whatever fault it had: the rules of the fault campaign
-        (docs/campaign.md), judged by the plant's truth. ``replayed``: `replays`, too. Raises
-        `ToolError` for a log without truth."""
-        found = within_bounds(replace(self._observed, strikes=self.faults))
+        (docs/campaign.md), judged by the plant's truth; of a run that was left in the middle all
+        but its end. ``replayed``: `replays`, too. Raises `ToolError` for a log without truth."""
+        found = within_bounds(replace(self._observed, strikes=self.faults, cut=self._cut))
         if found:
             times = [self.timeline.seconds(round(each.at_s * NS)) for each in found]
             told = [replace(each, at_s=time) for each, time in zip(found, times, strict=True)]

@@ -165,17 +165,17 @@ class Held:
     def finish(self) -> Run:
         """A controlled stop, to STANDBY or FAULT; gives the whole run."""
         __tracebackhide__ = True
-        return self._over(self._run.finish())
+        return self._over(self._run.finish(), cut=False)
 
     def end(self) -> Run:
         """Stop here, the robot left as it is; gives the run so far."""
         __tracebackhide__ = True
-        return self._over(self._run.end())
+        return self._over(self._run.end(), cut=True)
 
-    def _over(self, result: Result) -> Run:
+    def _over(self, result: Result, *, cut: bool) -> Run:
         if self._made is None:
             spent = clock.wall_seconds() - self._began
-            self._made = _ran(self._case, result, spent, self._injected)
+            self._made = _ran(self._case, result, spent, self._injected, cut=cut)
         return self._made
 
 
@@ -194,11 +194,16 @@ def _robot(config: Config, scenario: Scenario, seed: int, at: Holding) -> HeldRo
 
 
 def _ran(
-    case: Case, result: Result, total_s: float, injected: list[tuple[int, Fault]] | tuple[()]
+    case: Case,
+    result: Result,
+    total_s: float,
+    injected: list[tuple[int, Fault]] | tuple[()],
+    *,
+    cut: bool = False,
 ) -> Run:
     log = open_log(result.log)
     first_ns = int(log.times("/tonus/timing")[0])
     struck = [(first_ns + after_ns, fault) for after_ns, fault in injected]
     return case.ran(
-        Run(log, reason=result.outcome.reason, injected=struck), total_s, result.seconds
+        Run(log, reason=result.outcome.reason, cut=cut, injected=struck), total_s, result.seconds
     )
