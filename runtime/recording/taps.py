@@ -95,7 +95,7 @@ def _strangers(frames: NDArray[np.void]) -> int:
 def compile_frames() -> None:
     """What takes frames as they were received, before a tick needs it."""
     words, ring = np.zeros(8, np.int64), (0, 8, 8)
-    for read_only in (False, True):  # which a bus gives is its own business
+    for read_only in (False, True):  # a bus may give either
         frames = np.zeros(0, RAW_FRAME)
         frames.flags.writeable = not read_only
         _strangers(frames)

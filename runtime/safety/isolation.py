@@ -118,13 +118,6 @@ def _turn(
 
 
 @njit(cache=True)
-def _average(innovation: Array, believed: NDArray[np.bool_], share: float, mean: Array) -> None:
-    for i in range(innovation.shape[0]):
-        if believed[i] and math.isfinite(innovation[i]):
-            mean[i] += share * (innovation[i] - mean[i])
-
-
-@njit(cache=True)
 def _repeat(
     raw: Array,
     age: NDArray[np.uint16],
@@ -237,7 +230,8 @@ class Isolation:
 
     def lengths(self, innovation: Array, believed: NDArray[np.bool_]) -> None:
         """From innovations (n,) m of a descent, and whose lengths corrected the estimate (n,)."""
-        _average(innovation, believed, self._limits[2], self._stray)
+        told = believed & np.isfinite(innovation)
+        self._stray[told] += self._limits[2] * (innovation[told] - self._stray[told])
         stray = np.abs(self._stray)
         cable, limit = int(stray.argmax()), self._settings.innovation_descent
         second = np.partition(stray, -2)[-2]
