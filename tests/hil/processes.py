@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -26,17 +27,14 @@ _STEP_S = 0.02
 
 def configuration(folder: Path, port: int) -> Path:
     """The shipped CAN configuration with a quicker sequence and a tracker port of its own."""
-    control = yaml.safe_load((HERE / "control.yaml").read_text())
-    for key, value in QUICK.items():
-        control["sequence"][key.rsplit(".", 1)[1]] = value
     tracker = yaml.safe_load((HERE / "tracker.yaml").read_text()) | {"port": port}
-    (folder / "control.yaml").write_text(yaml.safe_dump(control))
     (folder / "tracker.yaml").write_text(yaml.safe_dump(tracker))
     lines = []
     for line in (HERE / "can.yaml").read_text().splitlines():
         name = line.rsplit("!include ", 1)[-1]
-        ours = "!include" in line and name not in ("control.yaml", "tracker.yaml")
+        ours = "!include" in line and name != "tracker.yaml"
         lines.append(line.replace(name, str(HERE / name)) if ours else line)
+    lines.append(f"set: {json.dumps(QUICK)}")
     path = folder / "can.yaml"
     path.write_text("\n".join(lines) + "\n")
     return path

@@ -29,6 +29,10 @@ pytestmark = [
 CONFIG, _ = load("config/can.yaml")
 PORT = 47825
 DRIVES = range(1, 9)
+SUPERVISED = {
+    "supervisor.policy": "use",
+    "control.sequence.tare_s": CONFIG.control.sequence.tare_s,
+}
 _LOST = 0x8130
 _STARTS = count()
 _ALLOWED_MS = 30.0
@@ -38,9 +42,9 @@ _ALLOWED_MS = 30.0
 @pytest.fixture
 def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
-    made = Running(
-        tmp_path, tmp_path / f"run-{next(_STARTS)}", PORT, "--scenario", "hold", "--duration", "30"
-    )
+    supervised = [f"--set={key}={value}" for key, value in SUPERVISED.items()]
+    out = tmp_path / f"run-{next(_STARTS)}"
+    made = Running(tmp_path, out, PORT, "--scenario", "hold", "--duration", "30", *supervised)
     reader = made.reader()
     dtype = cycle_dtype(CONFIG.robot.cables)
 
