@@ -45,8 +45,7 @@ class Run:
 
     ``reason`` is the daemon's own word for the end, where it is known; ``cut`` says that the run
     was left in the middle; ``injected`` are the faults that a test gave to the lab beside those of
-    the scenario. Times are s since the log's first
-    message, which is at 0 in virtual time.
+    the scenario. Times are s since the log's first message, which is at 0 in virtual time.
     """
 
     def __init__(
