@@ -5,12 +5,14 @@ measured beside it (`tests.stalls`). What fails without such a stall has failed,
 in real time that skips itself once it runs; what passed at a later try is listed with the
 traceback and the stalls of the earlier one. A test that failed each time on a host that stalled
 each time, at last for longer than any deadline of the daemon, is skipped with these stalls: such a
-host has no real time to test. The same runs are tested in virtual time, on every host.
+host has no real time to test. The same runs are tested in virtual time, on every host. A refused
+configuration is refused on every host: no stall excuses it.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Generator
 from functools import partial
 
@@ -33,6 +35,9 @@ LONG = {"test_short_forms.py", "test_tune.py", "test_tutorials.py", "test_wheel.
 """files at the end of the alphabet that take long: first, so that no worker has to wait for them"""
 OUT = HERE.parent / "out"
 BEGIN_NS = pytest.StashKey[int]()
+REFUSED = pytest.StashKey[bool]()
+REFUSAL = re.compile(r"\S\.ya?ml:\d+: ")
+"""as `tonus` names the place of a refused value"""
 MEANWHILE = "stalls of the host meanwhile"
 
 
@@ -64,6 +69,8 @@ def pytest_runtest_makereport(
             f"{item.nodeid} skipped itself once it ran: let it fail, and be tried again"
         )
     if report.failed and isinstance(report.longrepr, ExceptionRepr):
+        crash = report.longrepr.reprcrash
+        item.stash[REFUSED] = crash is not None and REFUSAL.search(crash.message) is not None
         found = stalls.watching().since(item.stash[BEGIN_NS])
         longest = sorted(found, key=lambda stall: stall.begin_ns - stall.end_ns)[:SHOWN]
         lines = [*map(str, longest), f"{len(found)} in all"]
@@ -91,4 +98,6 @@ def _written() -> set[str]:
 
 
 def host_stalled(item: pytest.Item) -> bool:
-    return bool(stalls.watching().since(item.stash[BEGIN_NS]))
+    return not item.stash.get(REFUSED, False) and bool(
+        stalls.watching().since(item.stash[BEGIN_NS])
+    )

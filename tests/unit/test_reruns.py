@@ -33,6 +33,18 @@ def test_it():
             file.write(f"{{now_ns()}} {{now_ns() + {during}}} 0\\n")
     assert next(numbers) in {good}
 """
+REFUSES = """
+from pathlib import Path
+import pytest
+from tests.stalls import now_ns
+
+@pytest.mark.realtime
+def test_it():
+    with Path({path!r}).open("a") as file:
+        file.write(f"{{now_ns()}} {{now_ns() + {during}}} 0\\n")
+    text = "compiling ...\\ntonus: config/control.yaml:114: control.sequence.bogus: is not a key here"
+    assert not text, text
+"""
 SKIPS = """
 import pytest
 
@@ -99,6 +111,11 @@ def test_only_what_fails_while_the_host_stalls_is_tried_again(
     if mark == "realtime" and good != {0}:
         measured = f"{during / 1e6:.1f} ms on processor 0" if during else "0 in all"
         result.stdout.fnmatch_lines(["*stalls of the host meanwhile*", measured])
+
+
+def test_no_stall_excuses_a_refused_configuration(pytester: pytest.Pytester, watch: Watch) -> None:
+    module = REFUSES.format(path=str(watch.path), during=LONG_NS)
+    assert played(pytester, module).parseoutcomes() == {"failed": 1}
 
 
 @pytest.mark.usefixtures("watch")
