@@ -85,6 +85,7 @@ class Node:
         self.sdo = SdoClient(
             lambda request: channel.send(SDO_REQUEST + node_id, request),
             master.sdo_timeout_ms * 1e-3,
+            master.sdo_attempts,
         )
 
     def command(self, code: Command) -> None:
@@ -98,6 +99,7 @@ class Node:
         Raises `DriverError` with the reason.
         """
         self.started = False
+        repeated = self.sdo.repeated
         await self._boot(reset)
         revision = await self._identify(self.role.device.identity)
         if self.role.drive:
@@ -109,7 +111,9 @@ class Node:
         await apply(self.sdo, self._heartbeat_settings())
         self.configured = True
         told = "" if revision is None else f"revision 0x{revision:08X}, "
-        progress(f"{self.where} {self.role.title}: {told}configured")
+        again = self.sdo.repeated - repeated
+        late = f", {again} SDO transfers repeated: no answer in time" if again else ""
+        progress(f"{self.where} {self.role.title}: {told}configured{late}")
 
     async def start(self) -> None:
         """Raises `NodeError` unless a heartbeat says OPERATIONAL in time."""

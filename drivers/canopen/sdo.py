@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
 
 from tonus.drivers.cia301 import abort_codes
 from tonus.drivers.errors import SdoAbortError, SdoError, SdoTimeoutError
 
+Result = TypeVar("Result")
 Send = Callable[[bytes], None]
 """Sends the eight bytes of a request to the node's server."""
 
@@ -26,11 +28,18 @@ class SdoClient:
 
     Frames that do not answer the request under way are ignored: they are late answers to one that
     was given up, or meant for another client of the same server.
+
+    A transfer without an answer is begun again, since a frame may be lost and a server be late: an
+    object that is read or written twice with one value is as after once.
     """
 
-    def __init__(self, send: Send, timeout_s: float) -> None:
+    def __init__(self, send: Send, timeout_s: float, attempts: int = 1) -> None:
+        """``attempts``: transfers without an answer in time, in a row, that are an error."""
         self._send = send
         self._timeout_s = timeout_s
+        self._attempts = attempts
+        self.repeated = 0
+        """transfers that were begun again"""
         self._turn = asyncio.Lock()
         self._reply: asyncio.Future[bytes] | None = None
         self._accepts: Callable[[bytes], bool] = lambda _: False
@@ -52,36 +61,50 @@ class SdoClient:
         """Upload. Raises `SdoAbortError`, `SdoTimeoutError` or, for a false length, `SdoError`."""
         async with self._turn:
             self._object = (index, subindex)
-            reply = await self._request(
-                _HEADER.pack(0x40, index, subindex),
-                lambda frame: frame[0] >> 5 == 2 and self._is_object(frame),
-                "reading",
-            )
-            command = reply[0]
-            if command & 0x02:  # expedited
-                unused = command >> 2 & 3 if command & 0x01 else 0
-                return reply[4 : 8 - unused]
-            size = int.from_bytes(reply[4:8], "little") if command & 0x01 else None
-            return await self._upload_segments(size)
+            return await self._persist(self._upload)
 
     async def write(self, index: int, subindex: int, data: bytes) -> None:
         """Download. Raises `SdoAbortError` or `SdoTimeoutError`."""
         async with self._turn:
             self._object = (index, subindex)
-            size = len(data)
-            expedited = 1 <= size <= 4
-            if expedited:
-                head = struct.pack("<BHB", 0x23 | (4 - size) << 2, index, subindex)
-                request = (head + data).ljust(8, b"\0")
-            else:
-                request = _HEADER_AND_WORD.pack(0x21, index, subindex, size)
-            await self._request(
-                request,
-                lambda frame: frame[0] >> 5 == 3 and self._is_object(frame),
-                "writing",
-            )
-            if not expedited:
-                await self._download_segments(data)
+            await self._persist(lambda: self._download(data))
+
+    async def _persist(self, transfer: Callable[[], Awaitable[Result]]) -> Result:
+        for _ in range(self._attempts - 1):
+            try:
+                return await transfer()
+            except SdoTimeoutError:
+                self.repeated += 1
+        return await transfer()
+
+    async def _upload(self) -> bytes:
+        reply = await self._request(
+            _HEADER.pack(0x40, *self._object),
+            lambda frame: frame[0] >> 5 == 2 and self._is_object(frame),
+            "reading",
+        )
+        command = reply[0]
+        if command & 0x02:  # expedited
+            unused = command >> 2 & 3 if command & 0x01 else 0
+            return reply[4 : 8 - unused]
+        size = int.from_bytes(reply[4:8], "little") if command & 0x01 else None
+        return await self._upload_segments(size)
+
+    async def _download(self, data: bytes) -> None:
+        size = len(data)
+        expedited = 1 <= size <= 4
+        if expedited:
+            head = struct.pack("<BHB", 0x23 | (4 - size) << 2, *self._object)
+            request = (head + data).ljust(8, b"\0")
+        else:
+            request = _HEADER_AND_WORD.pack(0x21, *self._object, size)
+        await self._request(
+            request,
+            lambda frame: frame[0] >> 5 == 3 and self._is_object(frame),
+            "writing",
+        )
+        if not expedited:
+            await self._download_segments(data)
 
     async def _upload_segments(self, size: int | None) -> bytes:
         received = bytearray()
@@ -138,8 +161,9 @@ class SdoClient:
                 frame: bytes = await reply
             done = True
         except TimeoutError as error:
+            times = f" to each of {self._attempts} requests" if self._attempts > 1 else ""
             raise SdoTimeoutError(
-                f"no answer within {self._timeout_s * 1e3:.0f} ms, {self._doing(doing)}"
+                f"no answer within {self._timeout_s * 1e3:.0f} ms{times}, {self._doing(doing)}"
             ) from error
         finally:
             self._reply = None

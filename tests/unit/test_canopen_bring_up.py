@@ -115,9 +115,35 @@ def test_a_silent_server_times_out_and_is_told_so() -> None:
     node = robot.nodes[1]
     answer = node.answer
     node.answer = lambda identifier, data: answer(identifier, data) if identifier == 0 else []
-    assert "can0/1 (drive of axis 0): no answer within 100 ms, reading 0x1018:1" in failure(robot)
+    reason = "no answer within 100 ms to each of 3 requests, reading 0x1018:1"
+    assert f"can0/1 (drive of axis 0): {reason}" in failure(robot)
     aborts = [data for _, data in robot.buses["can0"].sent if data[:1] == b"\x80" and len(data) > 2]
-    assert struct.pack("<BHBI", 0x80, 0x1018, 1, 0x05040000) in aborts
+    assert aborts.count(struct.pack("<BHBI", 0x80, 0x1018, 1, 0x05040000)) == 3
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_a_transfer_without_an_answer_is_begun_again(lost: int) -> None:
+    robot = Robot()
+    first, answer = robot.nodes[1], robot.nodes[1].answer
+    asked: dict[bytes, int] = {}
+
+    def forgetful(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
+        if identifier == 0x601 and data[0] != 0x80:
+            asked[data] = asked.get(data, 0) + 1
+            if asked[data] <= lost:
+                return []
+        return answer(identifier, data)
+
+    first.answer = forgetful
+
+    async def work() -> None:
+        await robot.start()
+
+    in_virtual_time(work())
+    assert number(first, 0x6060, 0) == 10
+    (line,) = [line for line in robot.progress if "repeated" in line]
+    assert line.startswith("can0/1 drive of axis 0")
+    assert f"{lost * len(asked)} SDO transfers repeated" in line
 
 
 def test_a_channel_that_cannot_be_opened_is_named() -> None:

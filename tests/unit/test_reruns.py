@@ -42,7 +42,7 @@ from tests.stalls import now_ns
 def test_it():
     with Path({path!r}).open("a") as file:
         file.write(f"{{now_ns()}} {{now_ns() + {during}}} 0\\n")
-    text = "compiling ...\\ntonus: config/control.yaml:114: control.sequence.bogus: is not a key here"
+    text = "compiling ...\\ntonus: config/control.yaml:114: control.bogus: is not a key"
     assert not text, text
 """
 SKIPS = """

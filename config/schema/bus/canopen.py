@@ -65,6 +65,8 @@ class Master(Section):
     heartbeat_periods: Count | None = None
     """a node is silent after so many of its own periods; null: as `tolerance` has it"""
     sdo_timeout_ms: Count
+    sdo_attempts: Count = 3
+    """an SDO transfer without an answer is begun so many times before it is an error"""
     boot_timeout_ms: Count
     boot_resets: Count
     """times a node is reset before it counts as missing"""
