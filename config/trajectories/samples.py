@@ -8,7 +8,6 @@ from binascii import Error
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from tonus.config.schema.trajectory import Samples
 
@@ -55,6 +54,8 @@ def splined(times: Array, pose: Array, approach: float) -> Samples:
             f"the first pose is {apart:.4g} (m or rad) away from home, and there is no way to it",
             "set approach to the seconds that the way may take, or begin at home",
         )
+    from scipy.interpolate import CubicSpline  # every command would wait for it, and few need it
+
     curve = CubicSpline(times, pose, bc_type="clamped")
     later = times - times[0] + approach
     rows = (later, curve(times), curve(times, 1), curve(times, 2))

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from tonus.config.schema.trajectory import Samples, Table
 from tonus.config.trajectories.samples import TrajectoryError, splined
@@ -70,6 +69,8 @@ def _rotation(table: Table, columns: dict[str, Array], rows: int) -> Array:
     short = np.flatnonzero(np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) > 0.01)
     if short.size:
         raise _wrong(table, f"row {short[0] + 1}: the quaternion has not length 1", "normalise it")
+    from scipy.spatial.transform import Rotation  # as the spline: few commands need it
+
     return np.asarray(Rotation.from_quat(quaternions).as_rotvec())
 
 

@@ -35,7 +35,7 @@ def _decode(statusword: int) -> AxisState:
     return AxisState.NOT_READY
 
 
-STATE_OF = bytes(_decode(word) for word in range(0x10000))
+STATE_OF = bytes(_decode(word) for word in range(0x80)) * 0x200  # the masks have seven bits
 """AxisState by statusword. A pattern that CiA 402 does not define reads as NOT_READY: such a drive
 is given no torque and is commanded nothing but disable voltage."""
 

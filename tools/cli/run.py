@@ -23,7 +23,6 @@ from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.log.several import segments
-from tonus.tools.report.overview import overview
 from tonus.tools.run.composer import Order, Result
 from tonus.tools.run.composer import run as carry_out
 from tonus.tools.run.latencies import buckets
@@ -144,6 +143,8 @@ def _play(order: Order, *, as_json: bool) -> tuple[bool, bool]:
         return good, False
     try:
         summary = _summary(order, result)
+        from tonus.tools.report.overview import overview  # matplotlib: not before the run
+
         picture = order.out / "overview.png"
         with drafted(picture) as beside:
             overview(open_log(result.log), order.config, beside)

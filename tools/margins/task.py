@@ -15,7 +15,6 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from tonus.config.schema.axis import DriveTrain
 from tonus.config.schema.control import TensionLoop
@@ -25,6 +24,7 @@ from tonus.runtime.control.controllers.linear import LinearLaw, NoLinearLawError
 from tonus.runtime.control.controllers.registry import is_foreign
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.control.tension import of_axis
+from tonus.tools.margins.hold import zero_order_hold
 from tonus.tools.margins.linearisation import LinearResponse, commands_tensions, linear_responses
 from tonus.tools.margins.tension_loop import (
     DELAY_TICKS,
@@ -95,9 +95,7 @@ class _Loop:
         flow[5, 4] -= outer.body / mass
         enter = np.zeros((_PLANT, 1))
         enter[2] = drive
-        self._step, effect, *_ = signal.cont2discrete(
-            (flow, enter, np.eye(_PLANT), np.zeros((_PLANT, 1))), self._period
-        )
+        self._step, effect = zero_order_hold(flow, enter, self._period)
         self._effect = effect[:, 0]
         self.size = _END + (response.order if response is not None else 0)
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from tonus.config.schema.axis import DriveTrain
 from tonus.config.schema.control import TensionLoop
 from tonus.config.schema.root import Config
 from tonus.runtime.control.tension import of_axis
+from tonus.tools.margins.hold import zero_order_hold
 
 Array = NDArray[np.float64]
 DELAY_TICKS = 2
@@ -220,8 +220,7 @@ def _plant(
             [stiffness * radius, cable.damping * radius, 0.0, 0.0],
         ]
     )
-    step, effects, *_ = signal.cont2discrete((system, torques, seen, np.zeros((3, 2))), period)
-    return step, effects, seen
+    return *zero_order_hold(system, torques, period), seen
 
 
 def _closed_loop(
