@@ -41,8 +41,6 @@ from tonus.runtime.states import ARMED, Operator, State
 Array = NDArray[np.float64]
 _MOST_SKIPPED = 100
 """missed ticks in a row that the estimate is carried over: each takes as long as in a tick"""
-_EVEN_TICKS = 3
-"""from a torque to the sample that shows it, and one more"""
 
 
 class ControlCycle:
@@ -108,11 +106,8 @@ class ControlCycle:
         self._pulling = np.zeros(robot.cables)
         self._torque = np.zeros(robot.cables)
         """N m, of the last tick"""
-        self._doubt_ns = control.isolation.sample_doubt * 1e9
         self._last_tick, self._skipped = -1, 0
-        self._even = np.zeros(robot.cables, dtype=np.int64)
-        """(n,) ticks in a row that came on time and with a fresh sample"""
-        self.unobserved = np.zeros(robot.cables, dtype=np.int64)
+        self.unobserved = self._isolation.drums.unobserved
         """(n,) ticks in a row in which a drum's motion could not be held against its torque"""
         self._drum_rate, self._none = np.zeros(robot.cables), np.zeros(robot.cables)
         self._desired_drums = (np.zeros(robot.cables), np.zeros(robot.cables))
@@ -153,26 +148,16 @@ class ControlCycle:
             self.tuning.ask(change, sequence.state)
         self.tuning.step()
         image.commands["command"] = sequence.axis_command
-        # After a missed tick, or a sample that is late or of uncertain time, torque and motion are
-        # not of one time.
-        self._even += 1
-        doubtful = image.axes["doubt_ns"] > self._doubt_ns
-        doubtful |= image.axes["age"] > 0
         self._skipped = tick - self._last_tick - 1
-        self._even[slice(None) if self._skipped else doubtful] = 0
         self._last_tick = tick
-        due = sensing.usable & ~sequence.faults.failed & sequence.enabled
-        even = self._even >= _EVEN_TICKS
-        self.unobserved += 1
-        self.unobserved[even | ~due] = 0
-        self._isolation.drums(
-            sensing.angle,
-            sensing.rate,
+        self._isolation.drums.step(
+            image,
+            sensing,
+            sequence.faults.failed,
             self._torque,
-            sensing.tension,
-            self._radius * self._drum_rate,
-            due & even,
-            sensing.interval,
+            self._drum_rate,
+            skipped=self._skipped != 0,
+            enabled=sequence.enabled,
         )
         if sequence.passive_share >= 0.0:
             self._give_way(image)

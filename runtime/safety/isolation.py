@@ -7,9 +7,9 @@ Residuals of each cable; they are small for an intact cable:
   length. The others' innovations stay within their noise, since a platform has mass.
 - *tension error*: its tension does not follow its reference: drum jammed, friction, motor weak or
   reversed, or a cell of wrong gain.
-- *torque*: its drum's motion does not match torque and tension; an observer of the drum's momentum
-  gives the unexplained torque (De Luca and Mattone, ICRA 2005). A drum that speeds up or stops in
-  one tick faster than any torque allows has jammed, or its encoder has slipped.
+- *torque*: its drum's motion does not match torque and tension (`drum_observer`). A drum that
+  speeds up or stops in one tick faster than any torque allows has jammed, or its encoder has
+  slipped.
 - *travel*: its drum does not turn although the platform's motion would turn it. Friction may cause
   that for some millimetres, so it only identifies the cable when lengths contradict each other.
 - *drift*: its innovation has a mean: an error grows slowly, and the fault is that of the cable
@@ -35,15 +35,12 @@ from numpy.typing import NDArray
 from tonus.config.schema.robot import Robot
 from tonus.config.schema.safety import Isolation as Settings
 from tonus.config.schema.safety import Stop
+from tonus.runtime.safety.drum_observer import DrumObserver
 from tonus.runtime.states import Fault
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 _BY_LENGTH = (Fault.LENGTH_JUMP, Fault.LENGTH_DRIFT)
-_CERTAIN = 1000
-"""ticks: more than any number that is waited for"""
-_UNDER_WAY = 2
-"""ticks from a torque to the sample that it has made"""
 
 
 @njit(cache=True)
@@ -73,51 +70,6 @@ def _count(
 
 
 @njit(cache=True)
-def _turn(
-    drums: tuple[Array, Array, Array],
-    tension: Array,
-    following: Array,
-    watched: NDArray[np.bool_],
-    interval: Array,
-    drives: tuple[Array, Array, Array],
-    limits: tuple[float, float, float],
-    observed: tuple[Array, Array, Array],
-    misled: Counts,
-    past: tuple[Array, Array, Array],
-    travel: Array,
-) -> None:
-    """``drums``: angles (rad), rates (rad/s) and the torques (N m) that made them; ``following``:
-    m/s that the cables shorten by the platform's motion; ``interval``: s that a rate is the mean
-    of; ``drives`` (n,): drum radius, its mass at the cable, and the largest acceleration (m/s2);
-    ``limits``: observer time, force (N) and share of the torque's that may be unexplained;
-    ``observed``: explained momentum, unexplained force, mean force of the torque; ``past``: last
-    angles, speeds, intervals.
-    """
-    radius, mass, fastest = drives
-    time, force, share = limits
-    explained, unexplained, mean = observed
-    last, before, since = past
-    for i in range(tension.shape[0]):
-        speed, pull = radius[i] * drums[1][i], drums[2][i] / radius[i]
-        if not (watched[i] and math.isfinite(speed + pull + tension[i] + following[i])):
-            explained[i], unexplained[i], mean[i] = mass[i] * speed, 0.0, abs(pull)
-            misled[i], travel[i], last[i], before[i] = 0, 0.0, drums[0][i], speed
-            since[i] = interval[i]
-            continue
-        period = interval[i]
-        explained[i] += period * (pull - tension[i] + unexplained[i])
-        unexplained[i] = (mass[i] * speed - explained[i]) / time
-        mean[i] += period / time * (abs(pull) - mean[i])
-        beyond = abs(unexplained[i]) > force + share * mean[i]
-        misled[i] = misled[i] + 1 if beyond else 0
-        if abs(speed - before[i]) > fastest[i] * 0.5 * (period + since[i]):
-            misled[i] = _CERTAIN
-        before[i], since[i] = speed, period
-        travel[i] = travel[i] + period * following[i] if drums[0][i] == last[i] else 0.0
-        last[i] = drums[0][i]
-
-
-@njit(cache=True)
 def _repeat(
     raw: Array,
     age: NDArray[np.uint16],
@@ -139,26 +91,38 @@ def _repeat(
             same[i] += 1
 
 
+@njit(cache=True)
+def _quiet(
+    jumped: Counts, astray: Counts, drift: Array, same: Counts, limits: tuple[int, float, int]
+) -> bool:
+    """Whether no residual of the lengths and cells can be a fault: `limits` of astray ticks, mean
+    innovation (m) and repeated readings."""
+    for i in range(jumped.shape[0]):
+        if jumped[i] > 0 or astray[i] >= limits[0] or not abs(drift[i]) <= limits[1]:
+            return False
+        if same[i] >= limits[2]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _none_reaches(counts: Counts, limit: int) -> bool:
+    return bool(counts.max() < limit)
+
+
 class Isolation:
     """One tick of residuals; `found` is the first fault they show, and where."""
 
     def __init__(self, robot: Robot, settings: Settings, stop: Stop, period: float) -> None:
         self._settings, self._taut = settings, stop.taut_tension
-        radius, mass = robot.drum_radius, robot.drum_mass
-        strongest = robot.torque_limit / radius
-        self._drives = (radius, mass, settings.acceleration * strongest / mass)
-        self._turning = (settings.torque_s, settings.torque_error, settings.torque_share)
-        self._observed = (np.zeros(robot.cables), np.zeros(robot.cables), np.zeros(robot.cables))
-        self._torques = np.zeros((_UNDER_WAY, robot.cables))
-        self._misled = np.zeros(robot.cables, dtype=np.int64)
-        self._past = (np.zeros(robot.cables), np.zeros(robot.cables), np.zeros(robot.cables))
-        self._travel = np.zeros(robot.cables)
+        self.drums = DrumObserver(robot, settings)
         self._limits = (
             settings.length_jump,
             settings.tension_error,
             1.0 - math.exp(-period / settings.innovation_s),
         )
         self._astray_ticks = round(settings.tension_error_s / period)
+        self._least = (self._astray_ticks, settings.innovation, settings.frozen_ticks)
         self._jumped = np.zeros(robot.cables, dtype=np.int64)
         self._astray = np.zeros(robot.cables, dtype=np.int64)
         self.drift = np.zeros(robot.cables)
@@ -172,11 +136,10 @@ class Isolation:
         self._overwound = np.zeros(robot.cables, dtype=bool)
 
     def reset(self) -> None:
-        self._jumped[:] = self._astray[:] = self._same[:] = self._misled[:] = 0
-        for each in (*self._observed, self._torques, self._travel, self.drift, self._stray):
-            each[:] = 0.0
+        self._jumped[:] = self._astray[:] = self._same[:] = 0
+        self.drift[:] = self._stray[:] = 0.0
         self._overwound[:] = False
-        self._past[1][:] = np.nan
+        self.drums.reset()
 
     def step(
         self, innovation: Array, reference: Array, filtered: Array, watched: NDArray[np.bool_]
@@ -191,36 +154,6 @@ class Isolation:
             self._jumped,
             self._astray,
             self.drift,
-        )
-
-    def drums(
-        self,
-        angle: Array,
-        rate: Array,
-        commanded: Array,
-        tension: Array,
-        following: Array,
-        watched: NDArray[np.bool_],
-        interval: Array,
-    ) -> None:
-        """From drum angles and rates (n,), the last tick's torques (n,) N m, tensions (n,), what
-        the platform's motion shortens each cable by, (n,) m/s, and the s that each rate is the mean
-        of (n,)."""
-        acted = self._torques[-1].copy()
-        self._torques[1:] = self._torques[:-1].copy()
-        self._torques[0] = commanded
-        _turn(
-            (angle, rate, acted),
-            tension,
-            following,
-            watched,
-            interval,
-            self._drives,
-            self._turning,
-            self._observed,
-            self._misled,
-            self._past,
-            self._travel,
         )
 
     def descend(self) -> None:
@@ -267,10 +200,12 @@ class Isolation:
     def found(self, tension: Array) -> tuple[Fault, int]:
         """The first fault there is, and its cable or cell; ``tension`` (n,) N, unfiltered, tells a
         cable that does not pull any more from one whose length is wrong."""
+        if _quiet(self._jumped, self._astray, self.drift, self._same, self._least):
+            return Fault.NONE, -1
         fault, place = self._contradiction(tension)
         if fault in _BY_LENGTH:
-            stuck = int(np.abs(self._travel).argmax())
-            if abs(self._travel[stuck]) > self._settings.travel:
+            stuck = int(np.abs(self.drums.travel).argmax())
+            if abs(self.drums.travel[stuck]) > self._settings.travel:
                 return Fault.DRUM_STUCK, stuck
         return fault, place
 
@@ -283,9 +218,10 @@ class Isolation:
             return Fault.CABLE_TORN, int(self._overwound.argmax())
         if descending and (self._same >= s.frozen_ticks).any():
             return Fault.CELL_FROZEN, int((self._same >= s.frozen_ticks).argmax())
-        if (self._misled >= (s.torque_descent_ticks if descending else s.torque_ticks)).any():
-            return Fault.DRUM_TORQUE, int(self._misled.argmax())
-        return Fault.NONE, -1
+        misled = self.drums.misled
+        if _none_reaches(misled, s.torque_descent_ticks if descending else s.torque_ticks):
+            return Fault.NONE, -1
+        return Fault.DRUM_TORQUE, int(misled.argmax())
 
     def _contradiction(self, tension: Array) -> tuple[Fault, int]:
         s = self._settings

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.observed import observe
 from tonus.config import load
 from tonus.config.schema.axis import DriveTrain
 from tonus.config.schema.robot import Robot
@@ -19,8 +20,8 @@ from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.control.referencing import Referencing
 from tonus.runtime.control.sensing import Sensing
 from tonus.runtime.control.tension import TensionLoop, drum_motion, of_axis
+from tonus.runtime.safety.drum_observer import DrumObserver
 from tonus.runtime.safety.guard import Guard
-from tonus.runtime.safety.isolation import Isolation
 from tonus.sim.plant import Plant
 
 Array = NDArray[np.float64]
@@ -86,15 +87,16 @@ def guard(robot: Robot, _: DriveTrain | None) -> Array:
     return np.array(rows)
 
 
-def isolation(robot: Robot, _: DriveTrain | None) -> Array:
-    made, rows = Isolation(robot, CONTROL.isolation, CONTROL.stop, PERIOD), []
+def observer(robot: Robot, _: DriveTrain | None) -> Array:
+    made, rows = DrumObserver(robot, CONTROL.isolation), []
     angle = np.zeros(CABLES)
     for tick in range(20):
         rate = 0.1 * drawn(tick) + (tick > 15) * 30.0
         angle = angle + PERIOD * rate
         torque, tension = 1.0 + 0.1 * drawn(tick + 100), 50.0 + drawn(tick + 200)
-        made.drums(angle, rate, torque, tension, drawn(tick + 300), EVERY, np.full(CABLES, PERIOD))
-        rows += [each.copy() for each in (*made._observed, made._misled, *made._past)]
+        interval = np.full(CABLES, PERIOD)
+        observe(made, angle, rate, torque, tension, drawn(tick + 300), EVERY, interval)
+        rows += [each.copy() for each in (*made._observed, made.misled, *made._past)]
     return np.array(rows)
 
 
@@ -153,7 +155,7 @@ def plant(robot: Robot, _: DriveTrain | None) -> Array:
 
 @pytest.mark.parametrize(
     "make",
-    [loop, motion, guard, isolation, sensing, referencing, exchange, plant],
+    [loop, motion, guard, observer, sensing, referencing, exchange, plant],
     ids=lambda make: make.__name__,
 )
 def test_each_axis_is_as_in_a_robot_of_such_axes_only(make: Made) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.observed import observe
 from tonus.config import load
 from tonus.runtime.safety.isolation import Isolation
 from tonus.runtime.states import Fault
@@ -55,7 +56,8 @@ class Watched:
             self.isolation.step(
                 given["innovation"], given["reference"], given["tension"], self.watched
             )
-            self.isolation.drums(
+            observe(
+                self.isolation.drums,
                 given["angle"],
                 given["rate"],
                 given["torque"],
@@ -181,7 +183,7 @@ def test_a_drum_that_stands_where_the_platform_would_turn_it_is_stuck(cables: Wa
     found: set[tuple[Fault, int]] = set()
     for n in range(100):
         moving = np.full(CABLES, min(n, 80) * 1e-3)
-        cables.given["following"], cables.given["rate"] = moving, moving / RADIUS
+        cables.given["following"], cables.given["rate"] = moving / RADIUS, moving / RADIUS
         cables.given["rate"][4] = 0.0
         cables.given["angle"] = cables.given["angle"] + cables.given["rate"] * PERIOD
         if n == 90:
