@@ -171,12 +171,13 @@ class Served:
         _end(self.process, 60)
 
 
-def recorded(folder: Path) -> Path:
-    """The log of a short run in virtual time."""
-    out = folder / "recorded"
+def recorded(folder: Path, name: str = "recorded", **overrides: float) -> Path:
+    """The log of a short run in virtual time, with keys of its sequence of states changed."""
+    out = folder / name
     arguments = ["config/direct.yaml", "--virtual", "--scenario", "sine_z"]
     arguments += ["--duration", "3", "--out", str(out)]
-    arguments += [f"--set={key}={value}" for key, value in QUICK.items()]
+    sequence = {f"control.sequence.{key}": value for key, value in overrides.items()}
+    arguments += [f"--set={key}={value}" for key, value in (QUICK | sequence).items()]
     environment = {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
     subprocess.run(
         [*TONUS, "run", *arguments], cwd=ROOT, env=environment, check=True, capture_output=True
