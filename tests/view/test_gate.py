@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import http.client
 import json
-import socket
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 
 import msgspec.msgpack
 import pytest
 import viser
-from viewer_bench import GOLDEN, TOKEN, Viewer, opened
+import websockets.asyncio.server
+from viewer_bench import GOLDEN, TOKEN, Viewer, ended, opened
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import ClientConnection
 
+from tonus.tools.errors import ToolError
+from tonus.tools.view.gate import Gate
 from tonus.tools.view.settings import settings
 
 
@@ -30,15 +30,6 @@ def _answer(viewer: Viewer, path: str, **headers: str) -> http.client.HTTPRespon
     connection = http.client.HTTPConnection("127.0.0.1", viewer.port, timeout=20)
     connection.request("GET", path, headers=headers)
     return connection.getresponse()
-
-
-def _ended(connection: ClientConnection) -> int:
-    """Wait for the end of a connection, and give its code; 1006 for an end without one."""
-    try:
-        while True:
-            connection.recv(20)
-    except ConnectionClosed as ended:
-        return ended.rcvd.code if ended.rcvd else 1006
 
 
 def _is_well(viewer: Viewer) -> None:
@@ -107,7 +98,7 @@ def test_a_log_cannot_be_commanded(viewer: Viewer) -> None:
 def test_what_is_no_message_ends_the_connection(viewer: Viewer, text: str) -> None:
     with viewer.connect() as connection:
         connection.send(text)
-        assert _ended(connection)
+        assert ended(connection)
     _is_well(viewer)
 
 
@@ -134,7 +125,7 @@ def test_a_message_too_large_ends_the_connection(viewer: Viewer) -> None:
     with viewer.connect() as connection:
         with suppress(ConnectionClosed):
             connection.send("x" * (settings().message_bytes + 1))
-        assert _ended(connection) == 1009
+        assert ended(connection) == 1009
 
 
 def test_a_flood_of_messages_ends_the_connection(viewer: Viewer) -> None:
@@ -143,7 +134,7 @@ def test_a_flood_of_messages_ends_the_connection(viewer: Viewer) -> None:
             for _ in range(20 * settings().message_burst):
                 connection.send('{"do": "alive"}')
         # What it had sent and nobody read may end the connection before the code arrives.
-        assert _ended(connection) in (1006, 1008)
+        assert ended(connection) in (1006, 1008)
     _is_well(viewer)
 
 
@@ -155,44 +146,20 @@ def test_a_scene_takes_nothing_but_its_camera(viewer: Viewer) -> None:
         connection.send(msgspec.msgpack.encode({"type": "GuiCloseModalMessage", "uuid": "x"}))
         assert connection.recv(20)
         connection.send(b"\xc1 no message at all")
-        assert _ended(connection)
+        assert ended(connection)
     _is_well(viewer)
 
 
-def test_much_sent_to_the_port_is_not_kept(viewer: Viewer) -> None:
-    block = b"x" * (1 << 20)
-    address = "127.0.0.1", viewer.port
-    before = _memory(viewer)
-    with socket.create_connection(address, 20) as connection, suppress(OSError):
-        for _ in range(1024):
-            connection.sendall(block)
-    with socket.create_connection(address, 20) as connection, suppress(OSError):
-        connection.sendall(b"GET / HTTP/1.1\r\n")
-        for number in range(256):
-            connection.sendall(b"Header%d: " % number + block + b"\r\n")
-    assert _memory(viewer) - before < 50e6
-    _is_well(viewer)
+def test_a_server_that_cannot_be_guarded_is_not_served() -> None:
+    """As of a viser that opens its server by another call."""
+    gate = Gate("127.0.0.1", 0, None)
+    with pytest.raises(ToolError, match="cannot be guarded"), gate.before():
+        pass
 
 
-def test_a_thousand_connections_leave_it_alive(viewer: Viewer) -> None:
-    idle = []
-    for _ in range(1000):
-        connection = socket.socket()
-        connection.settimeout(5)
-        with suppress(OSError):
-            connection.connect(("127.0.0.1", viewer.port))
-        idle.append(connection)
-    for connection in idle:
-        connection.close()
-    for _ in range(40):
-        with suppress(OSError, InvalidStatus, EOFError, TimeoutError):
-            _is_well(viewer)
-            break
-    else:
-        raise AssertionError("it serves no page any more")
-
-
-def _memory(viewer: Viewer) -> float:
-    """Bytes in use."""
-    text = Path(f"/proc/{viewer.process.pid}/statm").read_text()
-    return float(text.split()[1]) * 4096
+def test_websockets_has_its_own_call_again_even_after_a_failure() -> None:
+    own = websockets.asyncio.server.serve
+    with suppress(ZeroDivisionError), Gate("127.0.0.1", 0, None).before():
+        assert websockets.asyncio.server.serve is not own
+        _ = 1 / 0
+    assert websockets.asyncio.server.serve is own

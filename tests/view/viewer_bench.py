@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from tests.loop import QUICK
@@ -79,11 +80,38 @@ class Viewer:
             origin=self.origin if origin == "" else origin,  # type: ignore[arg-type]
             additional_headers=headers,
             max_size=None,
+            # One that has not read what was sent does not see the end that it asks for.
+            close_timeout=0.5,
             **more,
         )
 
+    def memory(self) -> float:
+        """Bytes in use; the peak is counted from here on."""
+        process = Path(f"/proc/{self.process.pid}")
+        (process / "clear_refs").write_text("5")
+        return _bytes(process, "VmRSS")
+
+    def peak(self) -> float:
+        """Bytes, the most in use since `memory` was asked."""
+        return _bytes(Path(f"/proc/{self.process.pid}"), "VmHWM")
+
     def close(self) -> None:
         _end(self.process, 20)
+
+
+def _bytes(process: Path, name: str) -> float:
+    lines = (process / "status").read_text().splitlines()
+    (line,) = (line for line in lines if line.startswith(f"{name}:"))
+    return 1024 * float(line.split()[1])
+
+
+def ended(connection: ClientConnection) -> int:
+    """Wait for the end of a connection, and give its code; 1006 for an end without one."""
+    try:
+        while True:
+            connection.recv(PATIENCE_S)
+    except ConnectionClosed as closed:
+        return closed.rcvd.code if closed.rcvd else 1006
 
 
 class Page:

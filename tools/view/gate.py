@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from unittest.mock import patch
 from urllib.parse import parse_qs, urlsplit
 
 import msgspec.msgpack
@@ -104,11 +103,16 @@ class Gate:
     def before(self) -> Iterator[None]:
         """A viser server that is made in this block stands behind this gate, or not at all.
 
-        viser offers no way to look at a request, so the call that opens its server is replaced
-        for as long as that server is made. Raises `ToolError` if it opened one by another call.
+        viser has no option for its server's connections and requests; it calls the `serve` of
+        websockets by that name. So the name leads to this gate for as long as the server is made,
+        and back to websockets afterwards. Raises `ToolError` if viser opened its server by another
+        call.
         """
-        with patch.object(websockets_server, "serve", self._serve):
+        websockets_server.serve = self._serve  # type: ignore[assignment,misc]
+        try:
             yield
+        finally:
+            websockets_server.serve = _SERVE  # type: ignore[misc]
         if not self._guarded:
             raise ToolError("this version of viser cannot be guarded; install viser 1.x")
 
@@ -125,8 +129,7 @@ class Gate:
             "create_connection": self._connection,
             "server_header": None,
         }
-        websocket_serve = _SERVE
-        return websocket_serve(
+        return _SERVE(
             lambda connection: self._admit(connection, handler), sock=self._listener, **options
         )
 
