@@ -7,12 +7,15 @@ some pictures a second, and stands still for seconds while it compiles what it d
 from __future__ import annotations
 
 import shutil
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from viewer_bench import Served, Viewer, recorded
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from viewer_bench import GOLDEN, Served, Viewer, recorded
 
 from tonus.runtime.timing import clock
 from tonus.tools.view.recorded import Recorded
@@ -23,6 +26,11 @@ CHROMIUM = next(
 TOKEN = "a-token-for-browsers"  # noqa: S105
 PATIENCE_MS = 120_000.0
 
+NAME = "<b onload=alert(1)>name"
+MARKUP = (
+    "</td><img src=x onerror=alert(1)><svg onload=alert(2)>"
+    "<script>window.marked = 1; alert(3)</script>"
+)
 OPTIONS = [
     "--no-sandbox",
     "--use-gl=angle",
@@ -121,6 +129,62 @@ def test_two_logs_are_played_sought_and_compared(browser: Any, tmp_path: Path) -
     finally:
         shown.close()
         viewer.close()
+
+
+def test_markup_of_a_log_is_shown_as_text(browser: Any, tmp_path: Path) -> None:
+    """In the name of its file, in the name, the place and the text of its events, and in a signal
+    that a page is asked to show."""
+    marked = tmp_path / f"{NAME}.mcap"
+    with_events(GOLDEN, marked, (NAME, NAME, MARKUP))
+    viewer = Viewer(tmp_path, str(marked))
+    shown = Shown(browser, viewer.address)
+    try:
+        shown.until("document.querySelectorAll('#marks i').length > 1")
+        assert NAME in shown.text("title")
+        events = shown.text("events")
+        assert MARKUP in events
+        assert events.count(NAME) >= 2
+        shown.evaluate(f"choose([{NAME!r}])")
+        assert NAME in shown.text("chosen")
+        made = "document.querySelectorAll('img, svg, b, [onerror], [onload], script:not([src])')"
+        assert shown.evaluate(f"{made}.length") == 0
+        assert shown.evaluate("window.marked") is None
+        assert shown.evaluate("document.title").endswith(f"{NAME}.mcap")
+    finally:
+        shown.close()
+        viewer.close()
+
+
+def with_events(source: Path, target: Path, words: tuple[str, str, str]) -> None:
+    """A log as another one, but each event has this name, place and text."""
+    with source.open("rb") as file, target.open("wb") as out:
+        reader, writer = make_reader(file), Writer(out)
+        writer.start(profile="ros2", library="another")
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            if schema.id not in schemas:
+                described = schema.name, schema.encoding, schema.data
+                schemas[schema.id] = writer.register_schema(*described)
+            if channel.id not in channels:
+                described = channel.topic, channel.message_encoding, schemas[schema.id]
+                channels[channel.id] = writer.register_channel(*described)
+            data = message.data
+            if channel.topic == "/tonus/events":
+                # Header, tick and level; then each text with its length, on a multiple of four.
+                data = data[:13]
+                for word in words:
+                    text = word.encode() + bytes(1)
+                    data += bytes(-len(data) % 4) + struct.pack("<I", len(text)) + text
+            number = channels[channel.id]
+            writer.add_message(number, message.log_time, data, message.publish_time)
+        for each in reader.iter_attachments():
+            kept = each.create_time, each.log_time, each.name, each.media_type, each.data
+            writer.add_attachment(*kept)
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        writer.finish()
 
 
 def test_a_session_in_virtual_time(browser: Any, tmp_path: Path) -> None:
