@@ -187,6 +187,29 @@ def with_events(source: Path, target: Path, words: tuple[str, str, str]) -> None
         writer.finish()
 
 
+def test_a_slave_of_a_segment_is_pulled_with_a_click(browser: Any, tmp_path: Path) -> None:
+    daemon = Served(tmp_path, "config/ethercat.yaml", "--virtual")
+    viewer = Viewer(tmp_path, "--operate", token=TOKEN)
+    shown = Shown(browser, viewer.address)
+    try:
+        shown.state("STANDBY")
+        shown.evaluate("document.getElementById('lab').open = true")
+        shown.until("document.querySelectorAll('#nodes button').length == 10")
+        shown.click("[data-node='tonus0/3']")
+        shown.until("document.querySelector(\"[data-node='tonus0/3']\").textContent == 'Plug in'")
+        rows = "[...document.getElementById('nodes').rows].map((row) => row.cells[2].textContent)"
+        states = shown.evaluate(rows)
+        assert states[2] == "unplugged"
+        assert set(states[3:]) == {"cut off"}
+        assert "cut off" not in states[:2]
+        shown.click("[data-node='tonus0/3']")
+        shown.until("document.querySelector(\"[data-node='tonus0/3']\").textContent == 'Unplug'")
+    finally:
+        shown.close()
+        viewer.close()
+        daemon.close()
+
+
 def test_a_session_in_virtual_time(browser: Any, tmp_path: Path) -> None:
     _session(browser, tmp_path, "--virtual")
 

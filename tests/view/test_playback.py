@@ -66,17 +66,17 @@ def test_speed_and_pause(playback: Playback) -> None:
     assert playback.time_s == pytest.approx(1.0)
 
 
-def test_two_logs_are_aligned_at_their_start(file: Path) -> None:
-    playback = Playback([Recorded(file), Recorded(file)])
-    playback.logs[1].start_ns += 400_000_000  # as if it had begun later
-    shifted = Playback(playback.logs)
-    shifted.seek(playback.logs[0].started_s() + 0.1)
-    first, second = shifted.advance(0.0)
-    assert State(int(first.newest["state"]["state"][0])) is State.ACTIVE
-    assert first.newest["state"]["scenario_time"] == pytest.approx(
-        second.newest["state"]["scenario_time"], abs=0.03
-    )
-    shifted.close()
+def test_two_logs_are_aligned_at_their_start(file: Path, tmp_path: Path) -> None:
+    """Of which the second was longer on its way to START."""
+    playback = Playback([Recorded(file), Recorded(recorded(tmp_path, pretension_s=1.2))])
+    started = [log.started_s() for log in playback.logs]
+    assert started[1] - started[0] > 0.5
+    playback.seek(started[1] + 0.1)
+    first, second = playback.advance(0.0)
+    for moment in (first, second):
+        assert State(int(moment.newest["state"]["state"][0])) is State.ACTIVE
+        assert moment.newest["state"]["elapsed"] == pytest.approx(0.1, abs=0.03)
+    playback.close()
 
 
 def test_a_damaged_log_is_shown_as_far_as_it_goes(tmp_path: Path, file: Path) -> None:

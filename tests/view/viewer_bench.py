@@ -199,13 +199,21 @@ class Served:
         _end(self.process, 60)
 
 
-def recorded(folder: Path, name: str = "recorded", **overrides: float) -> Path:
-    """The log of a short run in virtual time, with keys of its sequence of states changed."""
+def recorded(
+    folder: Path,
+    name: str = "recorded",
+    *,
+    config: str = "config/direct.yaml",
+    scenario: str = "sine_z",
+    seconds: float = 3.0,
+    **sequence: float,
+) -> Path:
+    """The log of a short run in virtual time; ``sequence``: changed keys of control.sequence."""
     out = folder / name
-    arguments = ["config/direct.yaml", "--virtual", "--scenario", "sine_z"]
-    arguments += ["--duration", "3", "--out", str(out)]
-    sequence = {f"control.sequence.{key}": value for key, value in overrides.items()}
-    arguments += [f"--set={key}={value}" for key, value in (QUICK | sequence).items()]
+    arguments = [config, "--virtual", "--scenario", scenario]
+    arguments += ["--duration", str(seconds), "--out", str(out)]
+    changed = {f"control.sequence.{key}": value for key, value in sequence.items()}
+    arguments += [f"--set={key}={value}" for key, value in (QUICK | changed).items()]
     environment = {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
     subprocess.run(
         [*TONUS, "run", *arguments], cwd=ROOT, env=environment, check=True, capture_output=True

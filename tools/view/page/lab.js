@@ -1,6 +1,20 @@
 "use strict";
 // The lab: nodes to unplug, a force on the platform, and every kind of fault that it knows.
 
+// A row for each node: of a CAN channel, or a slave of an EtherCAT segment by its place from 1.
+function ofChannel(node) {
+  return { channel: node.channel, node: node.node, device: node.device, plugged: node.plugged,
+    state: node.plugged ? `${node.nmt} ${node.state || ""}` : "unplugged" };
+}
+
+function ofSegment(slave, faults) {
+  const node = slave.slave + 1;
+  const pulled = faults.some(({ fault }) => fault.kind === "unplug" && fault.channel === slave.channel && fault.node === node);
+  const cut = slave.powered ? "cut off" : "no supply";
+  return { channel: slave.channel, node, device: slave.device, plugged: !pulled,
+    state: pulled ? "unplugged" : slave.reachable ? `${slave.state_name} ${slave.drive_state || ""}` : cut };
+}
+
 class LabPanel {
   constructor(ask) {
     this.ask = ask; // (request, then) sends one request to the lab
@@ -51,7 +65,7 @@ class LabPanel {
       const active = reply.faults.map((each) => Object.entries(each).filter(([, v]) => v !== null)
         .map(([k, v]) => `${k} ${typeof v === "object" ? JSON.stringify(v) : v}`).join(", "));
       this.byId("active").textContent = active.join("; ") || "none";
-      this.nodes(reply.nodes);
+      this.nodes([...reply.nodes.map(ofChannel), ...reply.slaves.map((slave) => ofSegment(slave, reply.faults))]);
     });
   }
 
@@ -73,7 +87,7 @@ class LabPanel {
       const row = body.rows[index];
       row.cells[0].textContent = `${node.channel} node ${node.node}`;
       row.cells[1].textContent = node.device || "";
-      row.cells[2].textContent = node.plugged ? `${node.nmt} ${node.state || ""}` : "unplugged";
+      row.cells[2].textContent = node.state;
       const button = row.cells[3].firstChild;
       button.textContent = node.plugged ? "Unplug" : "Plug in";
       button.onclick = () => this.inject({
