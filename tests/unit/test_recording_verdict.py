@@ -75,7 +75,7 @@ def test_a_summary_that_cannot_be_written_costs_the_exit_code(
     def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("tonus.tools.cli.run.overview", refuse)
+    monkeypatch.setattr("tonus.tools.report.overview.overview", refuse)
     result = play(tmp_path / "out")
     assert result.exit_code == 1, result.output
     assert open_log(tmp_path / "out/run.mcap").damage is None
