@@ -7,9 +7,12 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from viewer_bench import ROOT, Served, Viewer, opened
 from websockets.exceptions import InvalidStatus
+
+from tonus.tools.view.live import Live, newest_run
 
 TOKEN = "a-token-for-operation"  # noqa: S105
 
@@ -55,6 +58,37 @@ def test_who_only_looks_commands_nothing(daemon: Served, folder: Path) -> None:
     finally:
         made.close()
     assert "arm" not in daemon.text.read_text()
+
+
+def test_the_path_ahead_of_a_live_run_is_where_it_goes(
+    daemon: Served, viewer: Viewer, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a scenario that was chosen on the way, too."""
+    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(folder / "runtime"))
+    live = Live(newest_run())
+    with opened(viewer) as page:
+        page.state("STANDBY")
+        live.advance()
+        assert not len(live.ahead(1.0))
+        page.arm()
+        assert page.command("scenario", name="sine_z")["ok"]
+        assert page.command("start")["ok"]
+        page.until(lambda now: abs(now["runs"][0]["position"][2]) > 5.0)
+        began = live.advance().newest["state"]["scenario_time"][0]
+        ahead = live.ahead(1.0)
+        page.until(lambda now: now["runs"][0]["elapsed"] > began + 1.5)
+        rows = live.advance().samples.rows
+        assert page.command("stop")["ok"]
+        page.state("STANDBY")
+        assert page.command("scenario", name="hold")["ok"]
+    live.close()
+    elapsed = rows["state"]["scenario_time"] - began
+    followed = (elapsed > 0.0) & (elapsed < 0.9)
+    rows, elapsed = rows[followed], elapsed[followed]
+    told = [np.interp(elapsed, np.arange(len(ahead)) * 0.02, ahead[:, axis]) for axis in range(3)]
+    assert len(rows) > 10
+    assert np.ptp(ahead[:, 2]) > 0.005
+    assert np.abs(np.transpose(told) - rows["pose"]["desired_position"]).max() < 1e-4
 
 
 @pytest.mark.parametrize("lost", ["closed", "silent", "killed"])

@@ -262,6 +262,7 @@ class _Stage:
             Description(
                 files["config.yaml"].decode(),
                 files["scenario.yaml"].decode(),
+                files.get("catalogue.yaml", b"").decode(),
                 order.config.name,
                 order.virtual,
                 order.serve,

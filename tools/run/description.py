@@ -22,6 +22,8 @@ class Description:
     """YAML, as in the log"""
     scenario: str
     """YAML, likewise"""
+    others: str
+    """YAML, scenarios that may be chosen instead, likewise; empty where there are none"""
     name: str
     virtual: bool
     served: bool

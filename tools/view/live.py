@@ -10,18 +10,21 @@ from pydantic import ValidationError
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
+from tonus.runtime.control.reference import trajectory
 from tonus.runtime.recording.payloads import EVENT
 from tonus.runtime.recording.ring import RingError, RingReader
 from tonus.runtime.signals import cycle_dtype
+from tonus.runtime.states import State
 from tonus.sim.lab.truth import truth_dtype
 from tonus.tools.errors import ToolError
 from tonus.tools.run.description import read_description, running
-from tonus.tools.view.moment import Happening, Moment, Rows, Samples
+from tonus.tools.view.moment import Array, Happening, Moment, Rows, Samples
 from tonus.tools.view.settings import settings
 
 _MOST = 4000
 """records taken at a time; what lies further back is left out of the plots"""
 _EVENTS = 256
+_PLAYING = frozenset({State.PRETENSION, State.HOLD, State.ACTIVE})
 
 
 def newest_run() -> Path:
@@ -44,11 +47,14 @@ class Live:
         try:
             self.config = Config.model_validate(yaml.safe_load(told.config))
             self.scenario: Scenario | None = Scenario.model_validate(yaml.safe_load(told.scenario))
+            others = yaml.safe_load(told.others)["scenarios"] if told.others else []
+            scenarios = [self.scenario, *map(Scenario.model_validate, others)]
         except (yaml.YAMLError, ValidationError) as error:
             raise ToolError(
                 f"{rings}: its configuration is of another version of Tonus; use that one"
             ) from error
         self.name = told.name
+        self._trajectories = [trajectory(each.reference) for each in scenarios]
         cables = self.config.robot.cables
         self._period = self.config.control.rates.period
         self._dtype, self._truth_dtype = cycle_dtype(cables), truth_dtype(cables)
@@ -82,6 +88,18 @@ class Live:
         newest = self._newest
         time_s = float(newest["timing"]["tick"][0]) * self._period if len(newest) else 0.0
         return Moment(time_s, samples, newest, self._true, self._happenings())
+
+    def ahead(self, seconds: float) -> Array:
+        """Where the reference will go (n, 3), m, in so much scenario time, if it plays on as it is
+        written; (0, 3) in a state that does not play it."""
+        states = self._newest["state"]
+        if not len(states) or int(states["state"][0]) not in _PLAYING:
+            return np.empty((0, 3))
+        played = self._trajectories[int(states["scenario"][0])]
+        ahead = np.arange(0.0, seconds, 1.0 / settings().sample_hz)
+        times = float(states["scenario_time"][0]) + ahead
+        offsets = np.array([played(t)[0] for t in times])
+        return np.asarray(self.config.robot.home + offsets)
 
     def _samples(self) -> Samples:
         parts = []

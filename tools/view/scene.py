@@ -24,6 +24,8 @@ _STEP, _TURN_STEP, _TENSION_STEP, _FORCE_STEP = 1e-4, 0.01, 0.5, 0.3
 """m, rad, N and N: less is not seen"""
 _LEAST_FORCE = 0.5
 """N, below which no arrow is drawn"""
+_NEVER = np.empty(())
+"""what has not been drawn yet: of no shape that anything has"""
 _APART = 0.002
 """m between truth and estimate, from which on both are drawn"""
 _PHANTOM = 0.35
@@ -157,8 +159,9 @@ class RobotScene:
     def _moved(self, what: str, values: Array, step: float) -> bool:
         """Whether these have changed visibly since they were last drawn: a browser draws anew for
         whatever is sent."""
-        before = self._drawn.get(what)
-        if before is not None and float(np.abs(values - before).max()) < step:
+        before = self._drawn.get(what, _NEVER)
+        same = before.shape == values.shape
+        if same and float(np.abs(values - before).max(initial=0.0)) < step:
             return False
         self._drawn[what] = np.array(values)
         return True
@@ -206,7 +209,8 @@ class RobotScene:
 
     def show_ahead(self, points: Array) -> None:
         """The reference's path to come (n, 3)."""
-        _draw(self._paths["ahead"], points)
+        if self._moved("ahead", points, _STEP):
+            _draw(self._paths["ahead"], points)
 
 
 _AXES: dict[str, Any] = {"axes_length": 0.12, "axes_radius": 0.004}

@@ -204,9 +204,11 @@ class Viewer:
         self._hub.tell(clients, self._now())
 
     def _show_ahead(self) -> None:
-        """A log tells where the reference goes; of a live run only what was is known."""
-        if self._playback is None:
+        """A log tells where the reference goes; of a live run its scenario does."""
+        if self._live is not None:
+            self._scenes[0].show_ahead(self._live.ahead(settings().path_s))
             return
+        assert self._playback is not None
         for number, scene in enumerate(self._scenes):
             ahead = self._playback.ahead(number, settings().path_s)
             scene.show_ahead(ahead.rows["pose"]["desired_position"])
