@@ -180,7 +180,13 @@ def test_a_thousand_connections_leave_the_operator_in_command(
             idle.append(connection)
             if number % 250 == 249:
                 assert witness.command("status")["state"] == "HOLD"
-                assert sum(map(_is_open, idle)) <= settings().connections
+                # What is too many is closed as soon as the server comes to it.
+                for _ in range(200):
+                    kept = sum(map(_is_open, idle))
+                    if kept <= settings().connections:
+                        break
+                    clock.pause(0.05)
+                assert kept <= settings().connections
     finally:
         for connection in idle:
             connection.close()

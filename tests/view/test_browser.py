@@ -70,7 +70,8 @@ class Shown:
 
     def until(self, condition: str) -> None:
         # The page's policy forbids the eval that Playwright's own wait needs.
-        for _ in range(int(PATIENCE_MS / 100)):
+        latest = clock.wall_seconds() + 1e-3 * PATIENCE_MS
+        while clock.wall_seconds() < latest:
             if self.page.evaluate(f"Boolean({condition})"):
                 return
             clock.pause(0.1)
@@ -81,8 +82,11 @@ class Shown:
 
     def press(self, verb: str) -> None:
         self.until(f"!document.querySelector('[data-verb={verb}]').disabled")
+        self.evaluate("document.getElementById('reply').textContent = ''")
         # By the element itself: a mouse would wait for a picture that is drawn slowly.
-        self.page.eval_on_selector(f"[data-verb={verb}]", "each => each.click()")
+        self.click(f"[data-verb={verb}]")
+        self.until("document.getElementById('reply').textContent")
+        assert "refused" not in self.text("reply"), self.text("reply")
 
     def seek(self, time_s: float) -> None:
         """Until the page shows this moment."""

@@ -25,8 +25,8 @@ TOKEN = "a-token-for-tests-only"  # noqa: S105
 PATIENCE_S = 60.0
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
+def free_port(kind: int = socket.SOCK_STREAM) -> int:
+    with socket.socket(type=kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
@@ -185,7 +185,9 @@ class Served:
         # Its lab has no load, which would push a platform that lies in its cradle.
         command = [*TONUS, "run", config, "--serve", "--scenario", "hold"]
         command += ["--out", str(folder / "out"), *arguments]
-        command += [f"--set={key}={value}" for key, value in QUICK.items()]
+        # A lab of another test may still be running, and its tracker would be heard here too.
+        changed = {**QUICK, "tracker.port": free_port(socket.SOCK_DGRAM)}
+        command += [f"--set={key}={value}" for key, value in changed.items()]
         self.process = subprocess.Popen(
             command, cwd=ROOT, env=environment, stdout=self.text.open("w"), stderr=subprocess.STDOUT
         )
