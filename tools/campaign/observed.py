@@ -16,8 +16,8 @@ from tonus.runtime.signals import TABLE
 from tonus.runtime.states import Fault, State
 from tonus.tools.campaign.strikes import Strike, strikes
 from tonus.tools.errors import ToolError
+from tonus.tools.log.attached import configuration, played
 from tonus.tools.log.log import Event, Log
-from tonus.tools.log.replay import configuration, played
 from tonus.tools.run.provenance import SCRIPT_START
 from tonus.tools.run.summary import TRUTH
 

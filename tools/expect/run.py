@@ -25,8 +25,9 @@ from tonus.tools.expect.found import Found
 from tonus.tools.expect.names import advice, full, need_known
 from tonus.tools.expect.signal import Signal
 from tonus.tools.expect.timeline import Timeline
+from tonus.tools.log.attached import configuration
 from tonus.tools.log.log import Event, Log
-from tonus.tools.log.replay import configuration, replay
+from tonus.tools.log.replay import replay
 from tonus.tools.run.summary import TRUTH, Summary, summarise
 from tonus.tools.run.truth import TOPIC
 

@@ -26,7 +26,7 @@ from tonus.tools.log.chunks import (
 from tonus.tools.log.decode import Collector, Column, column
 from tonus.tools.log.memory import memory_for_logs
 
-EVENTS = "/tonus/events"
+EVENTS, TUNING = "/tonus/events", "/tonus/tuning"
 _CONFIG_NAMES = ("config.yaml", "config.json")
 _NS = 1_000_000_000
 

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, ValidationError
 
 from tonus.config.schema.root import Config
-from tonus.config.schema.scenario import Scenario
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.control.tuning import NO_CHANGE, GainChange
 from tonus.runtime.cycle import ControlCycle
@@ -26,11 +23,11 @@ from tonus.runtime.recording.messages import KEYFRAME_TOPIC
 from tonus.runtime.signals import TABLE, cycle_dtype
 from tonus.runtime.states import Fault, Operator
 from tonus.tools.errors import ToolError
+from tonus.tools.log.attached import catalogue, configuration, played
 from tonus.tools.log.decode import Column
-from tonus.tools.log.log import Log
+from tonus.tools.log.log import TUNING, Log
 
 TIMING = "/tonus/timing"
-TUNING = "/tonus/tuning"
 _TICK = "tick"
 _IMAGE = {
     "/tonus/drives": (
@@ -51,13 +48,8 @@ _WHAT_IF = (
     ("/tonus/wrench", "commanded"),
 )
 
-Model = TypeVar("Model", bound=BaseModel)
 Progress = Callable[[int], None]
 """Receives the tick that has been reached."""
-
-
-class _Catalogue(BaseModel):
-    scenarios: tuple[Scenario, ...]
 
 
 @dataclass(frozen=True)
@@ -125,55 +117,6 @@ class Change:
         if not apart[worst].max() <= self.largest:
             self.largest, self.at_tick = float(apart[worst].max()), int(ticks[worst])
         self._count += new
-
-
-def configuration(log: Log) -> Config:
-    """What the log was recorded with. Raises ToolError."""
-    text = log.config_text
-    if text is None:
-        raise ToolError(f"{log.path}: holds no configuration, so it cannot be replayed")
-    return _validated(log, text, Config, "configuration")
-
-
-def played(log: Log) -> Scenario:
-    """The scenario of the log. Raises ToolError."""
-    data = log.attachments.get("scenario.yaml")
-    if data is None:
-        raise ToolError(f"{log.path}: holds no scenario, so it cannot be replayed")
-    return _validated(log, data.decode(errors="replace"), Scenario, "scenario")
-
-
-def catalogue(log: Log) -> list[Scenario]:
-    """What else an operator could choose, in the order of the numbers it is known by. Raises
-    ToolError."""
-    data = log.attachments.get("catalogue.yaml")
-    if data is None:
-        return []
-    text = data.decode(errors="replace")
-    return list(_validated(log, text, _Catalogue, "catalogue").scenarios)
-
-
-def _validated(log: Log, text: str, model: type[Model], what: str) -> Model:
-    try:
-        return model.model_validate(yaml.safe_load(text))
-    except (ValidationError, yaml.YAMLError) as error:
-        found = error.errors()[0] if isinstance(error, ValidationError) else None
-        if found and found["loc"] == ("control", "controller"):
-            raise ToolError(
-                f"{log.path}: its controller {found['input']!r} is not installed here; install the "
-                "distribution that registers it (environment.txt in the log has its version)"
-            ) from error
-        if found and found["loc"] == ("fieldbus",):
-            raise ToolError(
-                f"{log.path}: fieldbus: {found['msg'].removeprefix('Value error, ')}; install the "
-                "distribution that has this kind (environment.txt in the log has its version)"
-            ) from error
-        place = ".".join(map(str, found["loc"])) if found else "it"
-        said = f"{place}: {found['msg']}" if found else "it is not YAML"
-        raise ToolError(
-            f"{log.path}: its {what} does not fit this version ({said}); "
-            "replay it with the version that recorded it"
-        ) from error
 
 
 def _in_step(log: Log, recorded: Config, other: Config) -> Config:

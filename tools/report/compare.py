@@ -20,7 +20,7 @@ from tonus.config.schema.scenario import Path, Press, Scenario, Sine
 from tonus.runtime.states import State
 from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
-from tonus.tools.log.replay import configuration, played
+from tonus.tools.log.attached import configuration, played
 from tonus.tools.paper.case import Case, Kind, Run
 from tonus.tools.paper.compare import compared
 from tonus.tools.paper.metrics import NEEDED_CYCLE, NEEDED_TRUTH, measure

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from tonus.tools.log import Log
-from tonus.tools.log.replay import configuration, played
+from tonus.tools.log.attached import configuration, played
 
 _SHOWN = 12
 _ABSENT = "none"

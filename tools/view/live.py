@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
@@ -10,16 +11,19 @@ from pydantic import ValidationError
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
-from tonus.runtime.control.reference import trajectory
 from tonus.runtime.recording.payloads import EVENT
 from tonus.runtime.recording.ring import RingError, RingReader
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
 from tonus.sim.lab.truth import truth_dtype
 from tonus.tools.errors import ToolError
+from tonus.tools.log.attached import from_yaml
 from tonus.tools.run.description import read_description, running
 from tonus.tools.view.moment import Array, Happening, Moment, Rows, Samples
 from tonus.tools.view.settings import settings
+
+if TYPE_CHECKING:
+    from tonus.runtime.control.reference import Trajectory
 
 _MOST = 4000
 """records taken at a time; what lies further back is left out of the plots"""
@@ -45,16 +49,16 @@ class Live:
         self.rings = rings
         self.description = told = read_description(rings)
         try:
-            self.config = Config.model_validate(yaml.safe_load(told.config))
-            self.scenario: Scenario | None = Scenario.model_validate(yaml.safe_load(told.scenario))
-            others = yaml.safe_load(told.others)["scenarios"] if told.others else []
-            scenarios = [self.scenario, *map(Scenario.model_validate, others)]
+            self.config = Config.model_validate(from_yaml(told.config))
+            self.scenario: Scenario | None = Scenario.model_validate(from_yaml(told.scenario))
+            others = from_yaml(told.others)["scenarios"] if told.others else []
+            self._scenarios = [self.scenario, *map(Scenario.model_validate, others)]
         except (yaml.YAMLError, ValidationError) as error:
             raise ToolError(
                 f"{rings}: its configuration is of another version of Tonus; use that one"
             ) from error
         self.name = told.name
-        self._trajectories = [trajectory(each.reference) for each in scenarios]
+        self._trajectories: list[Trajectory] = []
         cables = self.config.robot.cables
         self._period = self.config.control.rates.period
         self._dtype, self._truth_dtype = cycle_dtype(cables), truth_dtype(cables)
@@ -95,6 +99,11 @@ class Live:
         states = self._newest["state"]
         if not len(states) or int(states["state"][0]) not in _PLAYING:
             return np.empty((0, 3))
+        if not self._trajectories:
+            # Not before it is needed: the compiler takes a quarter of a second to import.
+            from tonus.runtime.control.reference import trajectory
+
+            self._trajectories = [trajectory(each.reference) for each in self._scenarios]
         played = self._trajectories[int(states["scenario"][0])]
         ahead = np.arange(0.0, seconds, 1.0 / settings().sample_hz)
         times = float(states["scenario_time"][0]) + ahead

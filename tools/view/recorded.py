@@ -17,8 +17,8 @@ from tonus.runtime.states import State
 from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
-from tonus.tools.log.log import EVENTS
-from tonus.tools.log.replay import TUNING
+from tonus.tools.log.attached import from_yaml
+from tonus.tools.log.log import EVENTS, TUNING
 from tonus.tools.view.moment import Happening, Samples, joined
 from tonus.tools.view.settings import settings
 
@@ -142,7 +142,7 @@ def _configuration(log: Log) -> Config:
     if text is None:
         raise ToolError(f"{log.path}: holds no configuration, so it cannot be shown")
     try:
-        return Config.model_validate(yaml.safe_load(text))
+        return Config.model_validate(from_yaml(text))
     except (yaml.YAMLError, ValidationError) as error:
         raise ToolError(
             f"{log.path}: its configuration is not one that this version reads; "
@@ -154,6 +154,6 @@ def _scenario(log: Log) -> Scenario | None:
     """None where it cannot be read: the picture then lacks the phantom."""
     data = log.attachments.get("scenario.yaml")
     try:
-        return None if data is None else Scenario.model_validate(yaml.safe_load(data))
+        return None if data is None else Scenario.model_validate(from_yaml(data))
     except (yaml.YAMLError, ValidationError):
         return None

@@ -13,7 +13,7 @@ from tonus.tools.cli.damage import tell_damage
 from tonus.tools.draft import write_whole
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
-from tonus.tools.log.replay import played
+from tonus.tools.log.attached import played
 from tonus.tools.paper.table import Spread, Table
 from tonus.tools.report.compare import Judged, load_of
 from tonus.tools.report.compare import compare as put_side_by_side
