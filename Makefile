@@ -8,7 +8,7 @@ MINUTES ?= 20
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test test-long bench bench-realtime bench-studies least-stop load paper campaign torn sto isolation
+.PHONY: setup run test test-long bench bench-realtime bench-studies bench-view least-stop load paper campaign torn sto isolation
 .PHONY: fuzz robust replay kill soak mutation
 .PHONY: lint check-types docs lock clean
 
@@ -100,6 +100,12 @@ bench-studies: setup
 # The table goes into docs/mutation.md.
 mutation: setup
 	$(BIN)/python -m tests.mutation --write $(shell date +%F)
+
+# What viewers cost the ticks, how soon they show a picture, and whether they keep their pace: a
+# quarter of an hour on an idle host. Figures in docs/view.md.
+bench-view: setup
+	$(BIN)/python -m tests.bench.viewers
+	$(BIN)/python -m tests.bench.view_pace
 
 # Prints its seed: make fuzz FUZZ_SEED=... does the same again.
 fuzz: setup

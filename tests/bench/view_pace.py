@@ -1,0 +1,167 @@
+"""How soon the viewer shows a picture, and whether it keeps its pace.
+
+    python -m tests.bench.view_pace [--minutes M] [--config FILE] [--set KEY=VALUE]
+
+A run of so many minutes in real time, with one viewer and one page that reads all it is sent. Then
+the log of that run is opened. A page without a browser: what a browser takes to draw is not in the
+figures. Worth something on an idle host only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from websockets.sync.client import ClientConnection, connect
+
+from tonus.runtime.timing import clock
+from tonus.tools.view.live import Live
+from tonus.tools.view.settings import settings
+
+_TONUS = [sys.executable, "-m", "tonus.tools.cli"]
+_PORT = 18095
+_PATIENCE_S = 60.0
+_LONGER_S = 60.0
+"""by which the run lasts longer than it is watched; it is ended before"""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a page has seen."""
+
+    first_s: float
+    """from the start of the viewer's process to the first picture"""
+    arrivals: np.ndarray
+    """s, when each picture came"""
+    times: np.ndarray
+    """s of the robot's time in each"""
+
+    @property
+    def rate(self) -> float:
+        """Pictures a second."""
+        return (len(self.arrivals) - 1) / float(np.ptp(self.arrivals))
+
+    def lag(self) -> np.ndarray:
+        """s that each picture is later than the promptest one."""
+        late = self.arrivals - self.times
+        return np.asarray(late - late.min())
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--config", default="config/can.yaml")
+    parser.add_argument("--set", action="append", default=[])
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        seconds = 60.0 * given.minutes
+        with _run(folder, given.config, seconds, given.set) as run:
+            live = _watch(folder, ["--run", str(run)], seconds)
+        _tell("live", live)
+        print(f"  wanted: {settings().rate_hz:.0f} a second")
+        log = folder / "out" / "run.mcap"
+        opened = _watch(folder, [str(log)], 1.0)
+        print(
+            f"log of {given.minutes:g} min, {log.stat().st_size / 1e6:.0f} MB: "
+            f"first picture after {opened.first_s:.2f} s"
+        )
+
+
+def _tell(what: str, shown: Shown) -> None:
+    lag = 1e3 * shown.lag()
+    gaps = 1e3 * np.diff(shown.arrivals)
+    third = max(len(lag) // 3, 1)
+    print(
+        f"{what}: first picture after {shown.first_s:.2f} s; {len(lag)} pictures in "
+        f"{np.ptp(shown.arrivals):.1f} s, {shown.rate:.2f} a second\n"
+        f"  between two: median {np.median(gaps):.1f}, p99 {np.percentile(gaps, 99):.1f}, "
+        f"most {gaps.max():.1f} ms\n"
+        f"  behind the promptest: median of the first third {np.median(lag[:third]):.1f}, of the "
+        f"last {np.median(lag[-third:]):.1f}, p99 {np.percentile(lag, 99):.1f} ms",
+        flush=True,
+    )
+
+
+@contextmanager
+def _run(folder: Path, config: str, seconds: float, changes: list[str]) -> Iterator[int]:
+    """A daemon in real time, from its first record on, to its end; gives its process number."""
+    out = folder / "out"
+    command = [*_TONUS, "run", config, "--out", str(out)]
+    command += ["--duration", str(seconds + _LONGER_S), *(f"--set={each}" for each in changes)]
+    environment = _environment(folder)
+    with (folder / "run.txt").open("w") as text:
+        run = subprocess.Popen(command, stdout=text, stderr=subprocess.STDOUT, env=environment)
+        try:
+            rings = folder / "runtime" / f"run-{run.pid}"
+            _until((rings / "run.json").exists, run, folder)
+            live = Live(rings)
+            _until(lambda: bool(len(live.advance().newest)), run, folder)
+            live.close()
+            yield run.pid
+        finally:
+            run.terminate()
+            run.wait()
+
+
+def _until(condition: Callable[[], bool], run: subprocess.Popen[bytes], folder: Path) -> None:
+    for _ in range(int(_PATIENCE_S / 0.05)):
+        if condition():
+            return
+        if run.poll() is not None:
+            break
+        clock.pause(0.05)
+    sys.exit(f"the run does not tick: {(folder / 'run.txt').read_text()}")
+
+
+def _watch(folder: Path, arguments: list[str], seconds: float) -> Shown:
+    """With a viewer and a page, from the viewer's start on."""
+    began = clock.wall_seconds()
+    viewer = subprocess.Popen(
+        [*_TONUS, "view", *arguments, "--port", str(_PORT)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env=_environment(folder),
+        text=True,
+    )
+    assert viewer.stdout is not None
+    try:
+        line = viewer.stdout.readline()
+        if "open http" not in line:
+            sys.exit(line)
+        origin = f"http://127.0.0.1:{_PORT}"
+        address = f"ws://127.0.0.1:{_PORT}/channel"
+        with connect(address, origin=origin, max_size=None) as page:  # type: ignore[arg-type]
+            return _read(page, began, seconds)
+    finally:
+        viewer.terminate()
+        viewer.wait()
+
+
+def _read(page: ClientConnection, began: float, seconds: float) -> Shown:
+    arrivals: list[float] = []
+    times: list[float] = []
+    while not arrivals or arrivals[-1] - arrivals[0] < seconds:
+        message = json.loads(page.recv(_PATIENCE_S))
+        if message["kind"] == "now" and message["runs"][0]["state"]:
+            arrivals.append(clock.wall_seconds())
+            times.append(message["t"])
+    return Shown(arrivals[0] - began, np.array(arrivals), np.array(times))
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    return {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
+
+
+if __name__ == "__main__":
+    main()
