@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -17,9 +18,13 @@ def environment(directory: Path) -> dict[str, str]:
 
 
 def start(directory: Path) -> subprocess.Popen[str]:
-    """A lab whose sockets are open in ``directory``."""
+    """A lab whose sockets are open in ``directory``, and whose tracker nobody else hears."""
+    with socket.socket(type=socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = (*COMMAND, "--set", f"tracker.port={port}")
     process = subprocess.Popen(
-        COMMAND, env=environment(directory), stdout=subprocess.PIPE, text=True
+        command, env=environment(directory), stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     line = process.stdout.readline()

@@ -17,6 +17,7 @@ from tonus.runtime.timing import clock
 from tonus.tools import output
 from tonus.tools.errors import ToolError
 from tonus.tools.run.lab_process import work
+from tonus.tools.settings import overrides_of
 
 
 @click.command()
@@ -28,10 +29,22 @@ from tonus.tools.run.lab_process import work
     metavar="LIST",
     help="Emulate only these, as in can0/1,can0/17,can2; the others are elsewhere on the bus.",
 )
-def lab(config: Path, scenario: str | None, seed: int | None, nodes: str | None) -> None:
-    """Start the lab of CONFIG: drives, load cells and tracker, with the plant behind them."""
+@click.option(
+    "--set", "settings_", multiple=True, metavar="KEY=VALUE", help="One value of the configuration."
+)
+def lab(
+    config: Path,
+    scenario: str | None,
+    seed: int | None,
+    nodes: str | None,
+    settings_: tuple[str, ...],
+) -> None:
+    """Start the lab of CONFIG: drives, load cells and tracker, with the plant behind them.
+
+    A daemon that joins it needs the same values with --set.
+    """
     output.make_optional()
-    settings, played = load(config, scenario)
+    settings, played = load(config, scenario, overrides_of(settings_))
     if settings.lab is None:
         raise ToolError(f"{config}: has no lab: section; add one, see config/can.yaml")
     chosen = None if nodes is None else _chosen(settings, config, nodes)
