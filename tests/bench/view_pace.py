@@ -153,6 +153,8 @@ def _read(page: ClientConnection, began: float, seconds: float) -> Shown:
     times: list[float] = []
     while not arrivals or arrivals[-1] - arrivals[0] < seconds:
         message = json.loads(page.recv(_PATIENCE_S))
+        if message["kind"] == "ended":
+            sys.exit(f"the run has ended; see {message['log']}")
         if message["kind"] == "now" and message["runs"][0]["state"]:
             arrivals.append(clock.wall_seconds())
             times.append(message["t"])
