@@ -8,7 +8,7 @@ MINUTES ?= 20
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test test-long bench bench-realtime bench-studies bench-view least-stop load paper campaign torn sto isolation
+.PHONY: setup run test test-wide test-long bench bench-realtime bench-studies bench-view least-stop load paper campaign torn sto isolation
 .PHONY: fuzz robust replay kill soak mutation
 .PHONY: lint check-types docs lock clean
 
@@ -42,10 +42,16 @@ check-types: setup
 PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 
 test: lint check-types
-	$(BIN)/python -m pytest $(PARALLEL) -m "not realtime and not long"
-	$(BIN)/python -m pytest -m "realtime and not long"
+	$(BIN)/python -m pytest $(PARALLEL) -m "not realtime and not wide and not long"
+	$(BIN)/python -m pytest -m "realtime and not wide and not long"
 
-# What `make test` has no time for: whole runs once more on other buses, axes and controllers.
+# What `make test` has no time for and every change has to pass as well: the same behaviour on other
+# buses, robots, poses and seeds; some ten minutes.
+test-wide: setup
+	$(BIN)/python -m pytest $(PARALLEL) -m "wide and not realtime and not long"
+	$(BIN)/python -m pytest -m "wide and realtime and not long"
+
+# What neither has time for: whole runs once more on other buses, axes and controllers.
 test-long: setup
 	$(BIN)/python -m pytest $(PARALLEL) -m "long and not realtime"
 	$(BIN)/python -m pytest -m "long and realtime"

@@ -17,6 +17,8 @@ from tonus.tools.log import Log
 from tonus.tools.log.replay import replay
 from tonus.tools.run.composer import Result
 
+pytestmark = pytest.mark.wide
+
 DIRECT = {"fieldbus": load("config/direct.yaml")[0].fieldbus.model_dump(mode="json")}
 CABLES = {"six": 6, "seven": 7, "twelve": 12}
 FORCES = {"six": (0.0, 0.0, -30.0), "seven": (60.0, 0.0, 0.0), "twelve": (60.0, 0.0, 0.0)}

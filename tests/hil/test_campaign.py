@@ -58,6 +58,7 @@ def rows(todo: list[Episode], **options: Any) -> dict[int, dict[str, Any]]:
     return {row["index"]: row for row in played(grouped(STUDY, todo), STUDY, 2, **options)}
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     "bus", ["direct", *(pytest.param(bus, marks=pytest.mark.long) for bus in ("can", "ethercat"))]
 )
@@ -84,6 +85,7 @@ def dying(run: Observed) -> None:
         raise ZeroDivisionError
 
 
+@pytest.mark.wide
 def test_a_child_that_dies_is_a_row() -> None:
     stops = (3.0, 3.1, 3.2, 3.3)
     found = rows(

@@ -5,10 +5,14 @@ from __future__ import annotations
 import os
 from typing import Any
 
+import pytest
+
 from tests.hil.not_yet_kept import NOT_YET_KEPT
 from tonus.config.loader import load_study
 from tonus.tools.campaign.campaign import played
 from tonus.tools.campaign.draw import episodes
+
+pytestmark = pytest.mark.wide
 
 STUDY = load_study("faults")
 EPISODES = int(os.environ.get("TONUS_EPISODES", "8"))

@@ -12,6 +12,8 @@ from tonus.tools.campaign import regression
 from tonus.tools.campaign.invariants import within_bounds
 from tonus.tools.campaign.play import play
 
+pytestmark = pytest.mark.wide
+
 STUDY = load_study("faults")
 KEPT = sorted(Path(__file__).with_name("regressions").glob(f"*{regression.SUFFIX}"))
 

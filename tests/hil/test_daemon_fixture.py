@@ -27,6 +27,7 @@ def test_a_lost_drive(tonus_daemon):
 """
 
 
+@pytest.mark.wide
 @pytest.mark.realtime
 def test_a_fault_in_the_lab_of_a_daemon(tmp_path: Path) -> None:
     (tmp_path / "test_it.py").write_text(TEST)

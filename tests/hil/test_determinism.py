@@ -14,6 +14,8 @@ import pytest
 import yaml
 from hil.runs import configured, virtual
 
+pytestmark = pytest.mark.wide
+
 SECONDS = "0.2"
 
 

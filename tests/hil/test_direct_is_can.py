@@ -13,6 +13,8 @@ from tonus.runtime.signals import TABLE
 from tonus.sim.can.wire.timing import frame_bits
 from tonus.tools.log import Log
 
+pytestmark = pytest.mark.wide
+
 SYNC = 0x080
 START_NS = 2_000_000_000
 """Both runs tick from here, whatever their bring-up takes."""

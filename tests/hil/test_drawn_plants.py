@@ -11,6 +11,8 @@ from tonus.config.schema.root import Config
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.states import Fault, State
 
+pytestmark = pytest.mark.wide
+
 SECONDS = 4.0
 SHORT, PLANTS = 1, 198
 

@@ -17,6 +17,8 @@ from tonus.runtime.safety.faults import Faults
 from tonus.tools.campaign.observed import Observed
 from tonus.tools.campaign.play import Playing
 
+pytestmark = pytest.mark.wide
+
 AXIS = 5
 WILD = 32767
 """per mille of the rated torque, all that 0x6071 holds"""

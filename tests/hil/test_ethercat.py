@@ -52,6 +52,7 @@ def _alike(one: Log, other: Log) -> None:
     assert ours["tension"] == pytest.approx(theirs["tension"], rel=0.01)
 
 
+@pytest.mark.wide
 def test_the_same_seed_is_the_same_run_byte_for_byte(
     ethercat: tuple[Path, Log], tmp_path: Path
 ) -> None:

@@ -85,6 +85,7 @@ def _run(path: Path, folder: Path, runtime: Path) -> str:
     return done.stdout + done.stderr
 
 
+@pytest.mark.wide
 def test_the_main_job_is_done_over_pysoem(tmp_path: Path) -> None:
     """One run for all: one that is tried again needs another run."""
     said = _run(_configuration(tmp_path), tmp_path / "out", tmp_path / "runtime")

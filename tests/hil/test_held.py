@@ -54,6 +54,7 @@ def messages(path: Path, from_ns: int) -> dict[str, list[tuple[int, bytes]]]:
     return found
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("path", BUSES)
 def test_a_run_from_a_held_robot_is_the_rest_of_one_from_off(path: str, tmp_path: Path) -> None:
     """Bit for bit, frames, truth and events included, with a fault that only the second was told
@@ -280,6 +281,7 @@ def test_a_run_that_is_left_in_the_middle_is_judged_by_all_but_its_end(
         Run(run.log).invariants()
 
 
+@pytest.mark.wide
 @pytest.mark.tonus(overrides=QUICK)
 @pytest.mark.tonus_expect("*")
 def test_a_scenario_played_from_hold_is_judged_as_one_from_off(tonus_held: HeldFactory) -> None:

@@ -17,6 +17,8 @@ from runs import configured, virtual
 from tonus.runtime.states import State
 from tonus.tools.cli.main import main
 
+pytestmark = pytest.mark.wide
+
 GIVEN: dict[str, Any] = {
     "lab.plant.stiffness_scale": 1.12,
     "lab.plant.mass_scale": 1.15,

@@ -80,6 +80,7 @@ def test_a_killed_recorder_loses_no_cycle(folder: Path) -> None:
     assert killed, "the host ended every run in a fault before its recorder could be killed"
 
 
+@pytest.mark.wide
 def test_a_killed_keeper_of_the_recorder_ends_nothing(folder: Path) -> None:
     """The recorder is then nobody's, and goes on to the end all the same."""
     killed = lose(folder, "keeper", "tonus.tools.run.recorder_keeper", moments(4)[0])
@@ -107,6 +108,7 @@ def in_fault(log: Path) -> bool:
     return any(event.name == "state" and event.text.endswith("FAULT") for event in events)
 
 
+@pytest.mark.wide
 def test_a_killed_lab_is_a_fault(folder: Path) -> None:
     killed = 0
     for number, moment in enumerate(moments(3)):

@@ -23,6 +23,8 @@ from tonus.tools.report.compare import _as_played, kind_of, load_of
 from tonus.tools.report.compare import compare as put_side_by_side
 from tonus.tools.report.differences import differences
 
+pytestmark = pytest.mark.wide
+
 RUNS = (("bio", 1), ("bio", 2), ("pid", 1))
 FADE, PERIOD = 0.5, 0.5
 """s, of the sine that is played"""

@@ -16,7 +16,7 @@ from tonus.tools.expect import Run
 from tonus.tools.testing.held import HeldFactory
 from tonus.tools.testing.player import Player
 
-pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.tonus_expect("*")]
+pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.tonus_expect("*"), pytest.mark.wide]
 FIRST_S, APART_S = 2.6, 0.0687
 """after the drives were enabled: in ACTIVE; apart by no multiple of any period"""
 LOSSES = 24

@@ -16,6 +16,8 @@ from tonus.drivers.process_image import AxisCommand, AxisState
 from tonus.runtime.states import State
 from tonus.tools.log.replay import replay
 
+pytestmark = pytest.mark.wide
+
 EDS = Path(__file__).resolve().parents[1] / "eds"
 MIXED = load("config/mixed_drives.yaml")[0]
 ENCODER = "incremental encoder 1; a fault reset clears it"

@@ -133,6 +133,7 @@ def test_without_the_envelope_contact_exceeds_35_n() -> None:
     assert contact_of(run("contact", 7.5, envelope=False)).max() > 35.0
 
 
+@pytest.mark.wide
 def test_contact_that_would_exceed_35_n_stays_within_the_limit() -> None:
     with_it = run("contact", 7.5)
     assert 10.0 < contact_of(with_it).max() <= LIMIT

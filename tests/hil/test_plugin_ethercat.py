@@ -13,6 +13,7 @@ from tonus.tools.testing.player import Player
 pytestmark = [
     pytest.mark.tonus(config="config/ethercat.yaml", overrides=QUICK),
     pytest.mark.tonus_needs("ethercat"),
+    pytest.mark.wide,
 ]
 
 

@@ -71,6 +71,7 @@ def run_and_kill(out: Path, runtime: Path) -> tuple[int, str]:
     return len(killed), "".join(said)
 
 
+@pytest.mark.wide
 def test_nothing_is_missing(tmp_path: Path) -> None:
     out = tmp_path / "out"
     killed, said = run_and_kill(out, tmp_path / "run")

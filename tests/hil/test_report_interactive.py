@@ -19,6 +19,8 @@ from tonus.tools.report.sheet import FINE
 from tonus.tools.report.story import Story
 from tonus.tools.report.thin import POINTS
 
+pytestmark = pytest.mark.wide
+
 MARKUP = "</script><img src=x onerror=alert(1)>"
 
 

@@ -24,7 +24,7 @@ REVERSED = "control.isolation.torque_s + 2 ticks"
 WEAK = "control.isolation.tension_error_s + 1 tick"
 ALL = [(f"can{axis // 2}", axis + 1) for axis in range(CONFIG.robot.cables)]
 """channel and node of every drive"""
-pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.tonus_expect("*")]
+pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.tonus_expect("*"), pytest.mark.wide]
 
 
 def struck(held: Held, kind: str, fields: dict[str, Any], ms: int) -> Run:

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from runs import configured, virtual
 
+pytestmark = pytest.mark.wide
+
 _PULLS_ON = {
     "load": {
         "direction": [1.0, 0.0, 0.0],

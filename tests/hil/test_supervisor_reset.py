@@ -9,6 +9,8 @@ from tests.supervised import BRIEF
 from tonus.drivers.process_image import AxisState
 from tonus.tools.testing.held import HeldFactory
 
+pytestmark = pytest.mark.wide
+
 SUPERVISOR = 0x77E
 """identifier of its heartbeat"""
 

@@ -10,6 +10,8 @@ import pytest
 from tests.torn import CABLES, Place, Torn
 from tonus.config.loader import load_bounds
 
+pytestmark = pytest.mark.wide
+
 HOME: Place = (0.0, 0.0, 0.0)
 TENSION = 1.2 * 200.0
 """N: `tension` of config/bounds.yaml, of T_max"""

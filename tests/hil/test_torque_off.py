@@ -26,7 +26,7 @@ BRAKED = QUICK | {"robot.brake": BRAKE.model_dump()}
 CONFIG = {bus: f"config/{bus}.yaml" for bus in ("can", "ethercat")}
 TORQUE_OFF = "0x8A88"
 OFF_S = 0.2
-pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.tonus_expect("*")]
+pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.tonus_expect("*"), pytest.mark.wide]
 
 
 def axes(axis: int | None) -> list[int]:

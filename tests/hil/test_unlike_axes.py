@@ -22,6 +22,8 @@ from tonus.tools.campaign.invariants import within_bounds
 from tonus.tools.identify import identify
 from tonus.tools.log import Log
 
+pytestmark = pytest.mark.wide
+
 CABLES = 8
 
 BUSES = ("config/direct.yaml", "config/can.yaml", "config/ethercat.yaml")

@@ -30,6 +30,8 @@ from tonus.tools.campaign.observed import Observed
 from tonus.tools.campaign.play import Playing
 from tonus.tools.run.supervision import Overheard
 
+pytestmark = pytest.mark.wide
+
 WITHIN_MS = 25.0
 AXIS = 2
 Change = Callable[[pytest.MonkeyPatch], None]

@@ -28,6 +28,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
     return log
 
 
+@pytest.mark.wide
 def test_mcap_reads_it_with_every_checksum(log: Log) -> None:
     with log.path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)

@@ -81,6 +81,7 @@ async def exchange(bus: Exchange) -> None:
     await bus.until(lambda: bus.all_in(AxisState.OPERATION_ENABLED))
 
 
+@pytest.mark.wide
 def test_process_data_are_exchanged_with_seventeen_independent_nodes() -> None:
     config = robot_on("exchange")
 

@@ -27,6 +27,8 @@ from tonus.drivers.events import EventLog
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.timing.clock import RealTimeLoop
 
+pytestmark = pytest.mark.wide
+
 
 def served() -> ObjectDictionary:
     objects: dict[tuple[int, int], tuple[object, int, str]] = {

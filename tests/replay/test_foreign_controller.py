@@ -36,6 +36,7 @@ class Foreign(Pd):
         return self.resting_stiffness - 0.01 * memory.calls - float(memory.latest[0])
 
 
+@pytest.mark.wide
 def test_a_foreign_controller_is_replayed_from_a_keyframe(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -30,6 +30,7 @@ def content(path: Path) -> Iterator[tuple[str, bytes]]:
             yield f"message of {channel.topic}", message.data
 
 
+@pytest.mark.wide
 def test_a_log_names_no_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
     config, scenario = configured("config/direct.yaml", overrides={"recording.keyframe_s": 0.5})

@@ -13,6 +13,8 @@ from click.testing import CliRunner
 from tests.bench import sto
 from tests.torque_off import Case, Fallen, Motion
 
+pytestmark = pytest.mark.wide
+
 WITHOUT = Fallen("centre", "rest", None, False, None, 0.0, 0.1, 0.1, 0.6, 0.05, 50.0, 1.5,
                  "FAULT", "DRIVE_FAULT", at_rest=True)  # fmt: skip
 

@@ -24,6 +24,8 @@ from tonus.tools.log import open as open_log
 from tonus.tools.margins.linearisation import linear_responses
 from tonus.tools.margins.task import _Loop, least_margins, margins
 
+pytestmark = pytest.mark.wide
+
 MODULE = '''
 import numpy as np
 import tonus

@@ -125,6 +125,7 @@ def test_a_folder_that_cannot_be_written_to_is_one_line(tmp_path: Path) -> None:
         doctor.examine(CONFIG, tmp_path / "file" / "out", 0.1)
 
 
+@pytest.mark.wide
 def test_a_log_gets_the_last_report_of_this_boot_or_a_quick_one(tmp_path: Path) -> None:
     quick = doctor.latest(CONFIG, tmp_path)
     assert quick["seconds"] == doctor.QUICK_S

@@ -20,6 +20,8 @@ from loop import QUICK
 
 from tonus.tools.log import open as open_log
 
+pytestmark = pytest.mark.wide
+
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("config", "drivers", "runtime", "sim", "tools", "tonus")
 

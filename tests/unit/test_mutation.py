@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import yaml
 
 from tests.mutation.mutants import mutants
+
+pytestmark = pytest.mark.wide
 
 ROOT = Path(__file__).parents[2]
 HERE = ROOT / "tests/mutation"

@@ -95,6 +95,7 @@ def tonus(*arguments: str, stdout: int | None, **options) -> subprocess.Complete
     )
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     ("where", "as_json", "code"),
     [

@@ -141,6 +141,7 @@ def test_it_is_run_logged_and_replayed_by_its_name(
     assert "fieldbus: there is no packets; install the distribution that has this kind" in line
 
 
+@pytest.mark.wide
 def test_two_runs_of_one_seed_are_equal(mine: Mine, tmp_path: Path) -> None:
     bytes_of = []
     config, scenario = load(mine.path, "hold", QUICK)

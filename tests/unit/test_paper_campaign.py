@@ -77,6 +77,7 @@ def test_it_goes_on_where_it_was_interrupted_and_gives_the_same(tmp_path: Path) 
     assert json.loads(whole.read_text())["row"] == kept["row"]
 
 
+@pytest.mark.wide
 def test_neither_an_exception_nor_a_dead_worker_ends_it(tmp_path: Path) -> None:
     good, deadly, broken = jobs("bio", "pd", "pid")
     deadly = replace(deadly, config=Deadly(deadly.config))  # type: ignore[arg-type]

@@ -341,6 +341,7 @@ def numbers(value: Any) -> list[float]:
     return [value] if isinstance(value, float) else []
 
 
+@pytest.mark.wide
 def test_publish_writes_everything_and_the_page_stands_alone(tmp_path: Path) -> None:
     said: list[Any] = []
     whole = publish(campaign(), tmp_path, said.append)

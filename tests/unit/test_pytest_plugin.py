@@ -194,6 +194,7 @@ def test_a_failure_says_what_when_where_and_how_to_repeat_it(session: Session) -
         assert str(path) in text
 
 
+@pytest.mark.wide
 def test_the_command_gives_the_same_bytes(session: Session) -> None:
     text = session.failure("test_a_figure_out_of_bounds")
     (command,) = re.findall(r"again: python -m pytest (.*)", text)

@@ -217,6 +217,7 @@ def closed(name: str, scenario: Scenario | str) -> ClosedLoop:
     return loop
 
 
+@pytest.mark.wide
 def test_direct_force_control_needs_not_know_how_stiff_the_body_is() -> None:
     """The scenario takes the phantom for a quarter stiffer than it is: a position controller is 3 N
     off, a force controller is not."""

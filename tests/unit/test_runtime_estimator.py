@@ -285,6 +285,7 @@ class Drawn(Flight):
         )
 
 
+@pytest.mark.wide
 def test_the_covariance_is_that_of_the_errors() -> None:
     """The squared error in its own covariance averages to the number of states, and a little more
     here: the estimate is a tick further on, and the lengths of an exposure count twice."""

@@ -96,6 +96,7 @@ def test_a_file_that_is_no_result_is_refused(tmp_path: Path, text: str) -> None:
         not_tuned(load(CONFIG)[0], ["bio"], file)
 
 
+@pytest.mark.wide
 def test_controllers_that_are_not_tuned_alike_are_never_said_to_be(tmp_path: Path) -> None:
     results = campaign()
     untuned = campaign()
@@ -114,6 +115,7 @@ def test_controllers_that_are_not_tuned_alike_are_never_said_to_be(tmp_path: Pat
     assert "the tuned PID" not in page
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     ("mass", "tuned"), [pytest.param(None, True, marks=pytest.mark.long), (3.21, False)]
 )

@@ -63,6 +63,7 @@ def line(result: Result) -> str:
     return text
 
 
+@pytest.mark.wide
 def test_two_scenarios_on_two_processors(tmp_path: Path) -> None:
     good, bad = scenario(tmp_path, "good", GOOD), scenario(tmp_path, "bad", BAD)
     report = tmp_path / "report.xml"

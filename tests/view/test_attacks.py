@@ -23,6 +23,8 @@ from tonus.runtime.timing import clock
 from tonus.tools.log import open as open_log
 from tonus.tools.view.settings import settings
 
+pytestmark = pytest.mark.wide
+
 TOKEN = "a-token-for-attacks"  # noqa: S105
 GIGABYTE = 1 << 30
 BLOCK = b"x" * (1 << 20)

@@ -11,7 +11,7 @@ import pytest
 from tests.bench import view_pace, viewers
 from tests.loop import QUICK
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.wide]
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -42,9 +42,12 @@ OPTIONS = [
     "--disable-accelerated-2d-canvas",
 ]
 
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="no chromium on this host: apt-get install chromium"
-)
+pytestmark = [
+    pytest.mark.wide,
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="no chromium on this host: apt-get install chromium"
+    ),
+]
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
 

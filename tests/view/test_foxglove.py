@@ -15,6 +15,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from tonus.runtime.signals import topics
 
+pytestmark = pytest.mark.wide
+
 TOKEN = "a-token-for-foxglove"  # noqa: S105
 _MESSAGE, _REPLY = 1, 3
 _HEADER = bytes((0, 1, 0, 0))

@@ -17,6 +17,8 @@ from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.tools.log import open as open_log
 
+pytestmark = pytest.mark.wide
+
 TOKEN = "a-token-for-robots"  # noqa: S105
 ROBOTS = [("ethercat", 8), ("six", 6), ("twelve", 12)]
 
