@@ -270,6 +270,7 @@ def test_runs_share_a_robot_and_nothing_else(tonus_held: HeldFactory) -> None:
         second.command("jump")
 
 
+@pytest.mark.wide
 def test_a_run_that_is_left_in_the_middle_is_judged_by_all_but_its_end(
     tonus_held: HeldFactory,
 ) -> None:

@@ -47,6 +47,7 @@ def test_a_sine_of_30_mm_is_followed_within_a_quarter_of_a_millimetre(axis: str)
     assert ended_well(trace)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     "name",
     ["tilt", *(pytest.param(each, marks=pytest.mark.long) for each in ("circle", "table"))],

@@ -129,6 +129,7 @@ def test_a_run_in_pieces_comes_to_what_the_whole_one_comes_to(
     assert story.bands == whole.bands
 
 
+@pytest.mark.wide
 def test_a_run_in_several_files_is_reported_whole(tmp_path: Path) -> None:
     several = {"recording.rotate_s": 1.0, "recording.chunk_ms": 200}
     config, scenario = configured("config/direct.yaml", overrides=several)

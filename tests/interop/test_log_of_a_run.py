@@ -43,6 +43,7 @@ def test_mcap_reads_it_with_every_checksum(log: Log) -> None:
         assert {"config.yaml", "scenario.yaml"} <= attached
 
 
+@pytest.mark.wide
 def test_rosbags_decodes_every_topic_to_the_same(log: Log) -> None:
     """Also those of no fixed size, which our library leaves as they are encoded."""
     store = get_typestore(Stores.ROS2_HUMBLE)

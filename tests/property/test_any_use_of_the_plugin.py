@@ -133,6 +133,7 @@ def played(machine: type[Uses], examples: int, steps: int) -> None:
     run_state_machine_as_test(machine, settings=chosen)
 
 
+@pytest.mark.wide
 def test_any_use_of_the_plugin() -> None:
     played(Uses, 2, 8)
 

@@ -164,6 +164,7 @@ def session(project: Path) -> Session:
     )
 
 
+@pytest.mark.wide
 def test_what_should_pass_passes_and_nothing_else(session: Session) -> None:
     bad = {
         *("test_a_figure_out_of_bounds", "test_a_warning_that_nobody_expected"),

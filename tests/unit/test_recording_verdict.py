@@ -127,6 +127,7 @@ def test_a_next_file_that_cannot_be_begun_stops_the_recording_and_no_more(
     assert open_log(tmp_path / "run.mcap").damage is None
 
 
+@pytest.mark.wide
 def test_a_state_too_large_to_be_kept_is_an_event(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

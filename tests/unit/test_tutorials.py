@@ -29,6 +29,7 @@ from tests.foreign import pytest_in
 
 ROOT = Path(__file__).resolve().parents[2]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+LONGEST = "your_hil_test"
 SHORT = ["--duration", "0.1", *(f"--set={key}={value}" for key, value in QUICK.items())]
 SHORT_DESIGN = ["--evaluations", "160"]
 WITHOUT_FRAMES = {"config/can.yaml": "config/direct.yaml", "mine/robot.yaml": "mine/direct.yaml"}
@@ -133,7 +134,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         sys.modules.pop(file.stem, None)
 
 
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.wide if page.stem == LONGEST else ())
+        for page in TUTORIALS
+    ],
+    ids=lambda page: page.stem,
+)
 @pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_tutorial_does_what_it_says(page: Path, folder: Path, *, whole: bool) -> None:
     todo = steps(page)

@@ -83,6 +83,7 @@ def test_two_scenarios_on_two_processors(tmp_path: Path) -> None:
     assert len((failure.text or "").splitlines()) == len(BAD)
 
 
+@pytest.mark.wide
 def test_the_shipped_acceptance_test_passes(tmp_path: Path) -> None:
     result = carried_out(tmp_path, "acceptance")
     assert result.exit_code == 0, result.output

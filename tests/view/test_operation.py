@@ -14,6 +14,8 @@ from websockets.exceptions import InvalidStatus
 
 from tonus.tools.view.live import Live, newest_run
 
+pytestmark = pytest.mark.wide
+
 TOKEN = "a-token-for-operation"  # noqa: S105
 
 
@@ -36,7 +38,6 @@ def viewer(daemon: Served, folder: Path) -> Iterator[Viewer]:
     made.close()
 
 
-@pytest.mark.wide
 def test_operate_needs_a_token_and_makes_one(daemon: Served, folder: Path) -> None:
     made = Viewer(folder, "--operate")
     try:
@@ -92,7 +93,6 @@ def test_the_path_ahead_of_a_live_run_is_where_it_goes(
     assert np.abs(np.transpose(told) - rows["pose"]["desired_position"]).max() < 1e-4
 
 
-@pytest.mark.wide
 @pytest.mark.parametrize("lost", ["closed", "silent", "killed"])
 def test_a_lost_page_holds_the_robot(
     daemon: Served, folder: Path, viewer: Viewer, lost: str
@@ -164,7 +164,6 @@ def test_a_session_from_arming_to_a_pulled_node_and_back(tmp_path: Path) -> None
     daemon.close()
 
 
-@pytest.mark.wide
 def test_a_gain_is_tuned_from_the_page(daemon: Served, viewer: Viewer) -> None:
     key = "control.stiffness.velocity_gain"
     with opened(viewer) as page:

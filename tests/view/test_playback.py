@@ -66,6 +66,7 @@ def test_speed_and_pause(playback: Playback) -> None:
     assert playback.time_s == pytest.approx(1.0)
 
 
+@pytest.mark.wide
 def test_two_logs_are_aligned_at_their_start(file: Path, tmp_path: Path) -> None:
     """Of which the second was longer on its way to START."""
     playback = Playback([Recorded(file), Recorded(recorded(tmp_path, pretension_s=1.2))])
