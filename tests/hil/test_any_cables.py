@@ -36,7 +36,7 @@ def run(
 
 
 def shortly(name: str) -> list[Any]:
-    """The robots, of which `make test` has time for this one."""
+    """The robots, of which `make test-wide` has time for this one."""
     return [each if each == name else pytest.param(each, marks=pytest.mark.long) for each in CABLES]
 
 

@@ -119,6 +119,7 @@ def test_without_a_fault_no_bound_is_broken(controller: str, name: str) -> None:
     assert within_bounds(seen) == []
 
 
+@pytest.mark.wide
 def test_the_command_goes_on_where_it_was_left(tmp_path: Path) -> None:
     line = ("campaign", "faults", "--bus", "direct", "--out", str(tmp_path), "--minimise", "0")
     campaign = partial(command, *line)

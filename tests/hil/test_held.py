@@ -25,6 +25,8 @@ from tonus.tools.log.replay import replay
 from tonus.tools.run.held import HeldRobot, HeldRun
 from tonus.tools.testing.held import HeldFactory
 
+pytestmark = pytest.mark.wide
+
 BUSES = (
     "config/can.yaml",
     pytest.param("config/ethercat.yaml", marks=pytest.mark.long),
@@ -54,7 +56,6 @@ def messages(path: Path, from_ns: int) -> dict[str, list[tuple[int, bytes]]]:
     return found
 
 
-@pytest.mark.wide
 @pytest.mark.parametrize("path", BUSES)
 def test_a_run_from_a_held_robot_is_the_rest_of_one_from_off(path: str, tmp_path: Path) -> None:
     """Bit for bit, frames, truth and events included, with a fault that only the second was told
@@ -270,7 +271,6 @@ def test_runs_share_a_robot_and_nothing_else(tonus_held: HeldFactory) -> None:
         second.command("jump")
 
 
-@pytest.mark.wide
 def test_a_run_that_is_left_in_the_middle_is_judged_by_all_but_its_end(
     tonus_held: HeldFactory,
 ) -> None:
@@ -282,7 +282,6 @@ def test_a_run_that_is_left_in_the_middle_is_judged_by_all_but_its_end(
         Run(run.log).invariants()
 
 
-@pytest.mark.wide
 @pytest.mark.tonus(overrides=QUICK)
 @pytest.mark.tonus_expect("*")
 def test_a_scenario_played_from_hold_is_judged_as_one_from_off(tonus_held: HeldFactory) -> None:

@@ -8,6 +8,8 @@ from tests.isolated import BROKEN, play
 from tests.torn import Torn
 from tonus.config.loader import load_bounds
 
+pytestmark = pytest.mark.wide
+
 CHOSEN = (
     ("cable_cut", ""),
     ("drum_slip", "20 mm"),

@@ -26,6 +26,8 @@ from tonus.tools.study.remote import played
 from tonus.tools.study.store import write_table
 from tonus.tools.study.trials import Trial, trials
 
+pytestmark = pytest.mark.wide
+
 SMALL: dict[str, Any] = {
     "name": "small",
     "configs": ["config/direct.yaml"],
@@ -78,7 +80,6 @@ def test_a_row_is_repeated_by_its_command(whole: Path, tmp_path: Path) -> None:
     assert _digest(open_log(tmp_path / "run.mcap")) == row["digest"]
 
 
-@pytest.mark.wide
 def test_shares_together_are_the_same_bytes(file: Path, whole: Path, tmp_path: Path) -> None:
     shares = [tmp_path / "1", tmp_path / "2"]
     for number, folder in enumerate(shares, start=1):
@@ -103,7 +104,6 @@ def test_the_same_command_plays_nothing_twice(
     assert (whole / "trials.parquet").read_bytes() == before
 
 
-@pytest.mark.wide
 def test_an_interrupted_study_goes_on_where_it_was_left(
     file: Path, whole: Path, tmp_path: Path
 ) -> None:
@@ -121,7 +121,6 @@ def test_an_interrupted_study_goes_on_where_it_was_left(
     assert written.read_bytes() == (whole / "trials.parquet").read_bytes()
 
 
-@pytest.mark.wide
 def test_what_goes_wrong_in_a_run_is_its_row(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,7 +157,6 @@ def test_what_goes_wrong_in_a_run_is_its_row(
     assert kept == {"000003"}
 
 
-@pytest.mark.wide
 def test_by_dask_it_is_the_same_table_though_a_worker_dies(
     file: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -201,7 +199,6 @@ def test_what_a_lost_scheduler_had_is_played_by_the_next_call(
     assert table.read_bytes() == (whole / "trials.parquet").read_bytes()
 
 
-@pytest.mark.wide
 def test_a_run_without_end_is_given_up_by_a_worker_too(file: Path) -> None:
     study = load_parameter_study(file).model_copy(update={"longest": 1, "duration": 1000.0})
     trial, *_ = trials(study)
@@ -209,7 +206,6 @@ def test_a_run_without_end_is_given_up_by_a_worker_too(file: Path) -> None:
     assert (row["verdict"], row["reason"]) == ("error", "hung: no end in 1 s of processor time")
 
 
-@pytest.mark.wide
 def test_a_worker_that_reads_another_configuration_is_refused(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,8 +1,8 @@
 """Whatever faults, commands and times a test gives to the plugin's runs: no run does what
 `Run.invariants` does not accept.
 
-A short form in `make test`; `make test-long` has the shipped robots and more examples, and replays
-every run.
+A short form in `make test-wide`; `make test-long` has the shipped robots and more examples, and
+replays every run.
 """
 
 from __future__ import annotations

@@ -61,6 +61,7 @@ def beginning(sine: Log, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return altered(sine.path, out, lambda _topic, _rows, sequence: sequence < FIRST)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(("scenario", "controller"), EVERY)
 def test_every_output_comes_out_again(tmp_path: Path, scenario: str, controller: str) -> None:
     log = recorded(tmp_path, scenario, controller)

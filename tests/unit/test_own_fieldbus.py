@@ -114,6 +114,7 @@ def run_line(mine: Mine, out: Path) -> str:
 # -- the whole way --------------------------------------------------------------------------------
 
 
+@pytest.mark.wide
 def test_it_is_run_logged_and_replayed_by_its_name(
     mine: Mine,
     tmp_path: Path,

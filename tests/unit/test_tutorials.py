@@ -1,10 +1,11 @@
 """Every tutorial is played: its files are written, its edits made, its commands run.
 
-`make test` plays a short form: a run is shortened and brought up quickly, without frames where the
-page has a bus, and left out where no later command reads its log; of tests those that pass are left
-out. `make test-long` plays what stands there. Each command must print what the page shows, but for
-the numbers. A block that begins a line with `$` holds commands and what they print; `...` stands
-for lines that are left out. A title names the file that a block is, or edits.
+`make test` plays one in a short form, `make test-wide` the others: a run is shortened and brought
+up quickly, without frames where the page has a bus, and left out where no later command reads its
+log; of tests those that pass are left out. `make test-long` plays what stands there. Each command
+must print what the page shows, but for the numbers. A block that begins a line with `$` holds
+commands and what they print; `...` stands for lines that are left out. A title names the file that
+a block is, or edits.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from tests.foreign import pytest_in
 
 ROOT = Path(__file__).resolve().parents[2]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
-LONGEST = "your_hil_test"
+SHORTEST = "first_run"
 SHORT = ["--duration", "0.1", *(f"--set={key}={value}" for key, value in QUICK.items())]
 SHORT_DESIGN = ["--evaluations", "160"]
 WITHOUT_FRAMES = {"config/can.yaml": "config/direct.yaml", "mine/robot.yaml": "mine/direct.yaml"}
@@ -137,7 +138,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, marks=pytest.mark.wide if page.stem == LONGEST else ())
+        pytest.param(page, marks=() if page.stem == SHORTEST else pytest.mark.wide)
         for page in TUTORIALS
     ],
     ids=lambda page: page.stem,

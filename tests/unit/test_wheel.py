@@ -1,7 +1,7 @@
 """The wheel works beside a project that has modules of the same names as its rooms; and in one that
 has the examples of docs/hil_examples.md for its tests.
 
-Of these `make test` plays two seeds instead of 50, serially and on two processes with the same
+Of these `make test-wide` plays two seeds instead of 50, serially and on two processes with the same
 logs; `make test-long` what stands there. The one in real time is a test of its own.
 """
 

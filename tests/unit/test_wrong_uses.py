@@ -13,6 +13,8 @@ from tests.foreign import pytest_in
 from tonus.config.loader import HERE
 from tonus.runtime.signals import SCHEMA_VERSION
 
+pytestmark = pytest.mark.wide
+
 GOLDEN = Path(__file__).parents[1] / "replay" / "golden" / f"v{SCHEMA_VERSION}.mcap"
 
 
