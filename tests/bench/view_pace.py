@@ -69,6 +69,9 @@ def main() -> None:
         with _run(folder, given.config, seconds, given.set) as run:
             live = _watch(folder, ["--run", str(run)], seconds)
         _tell("live", live)
+        if np.ptp(live.arrivals) < seconds:
+            last = (folder / "run.txt").read_text().replace("\r", "\n").splitlines()[-20:]
+            print("  the run has ended before its time:", *last, sep="\n    ")
         print(f"  wanted: {settings().rate_hz:.0f} a second")
         log = folder / "out" / "run.mcap"
         opened = _watch(folder, [str(log)], 1.0)
@@ -154,10 +157,12 @@ def _read(page: ClientConnection, began: float, seconds: float) -> Shown:
     while not arrivals or arrivals[-1] - arrivals[0] < seconds:
         message = json.loads(page.recv(_PATIENCE_S))
         if message["kind"] == "ended":
-            sys.exit(f"the run has ended; see {message['log']}")
+            break
         if message["kind"] == "now" and message["runs"][0]["state"]:
             arrivals.append(clock.wall_seconds())
             times.append(message["t"])
+    if not arrivals:
+        sys.exit("the run has ended before the first picture of it")
     return Shown(arrivals[0] - began, np.array(arrivals), np.array(times))
 
 

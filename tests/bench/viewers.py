@@ -101,7 +101,10 @@ class _Page:
 
     def __init__(self, port: int, *, flood: bool) -> None:
         arguments = [sys.executable, "-m", "tests.bench.viewers_page", str(port)]
-        self._process = subprocess.Popen([*arguments, "flood"] if flood else arguments)
+        # A library that is thrown out in mid-message prints a traceback of its own.
+        self._process = subprocess.Popen(
+            [*arguments, "flood"] if flood else arguments, stderr=subprocess.DEVNULL
+        )
 
     def close(self) -> None:
         self._process.kill()
