@@ -41,12 +41,13 @@ check-types: setup
 # long tests would come last, and one worker wait for the other.
 PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 
-test: lint check-types
+test: setup
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync lint check-types
 	$(BIN)/python -m pytest $(PARALLEL) -m "not realtime and not wide and not long"
 	$(BIN)/python -m pytest -m "realtime and not wide and not long"
 
 # What `make test` has no time for and every change has to pass as well: the same behaviour on other
-# buses, robots, poses and seeds; some ten minutes.
+# buses, robots, poses and seeds; a quarter of an hour.
 test-wide: setup
 	$(BIN)/python -m pytest $(PARALLEL) -m "wide and not realtime and not long"
 	$(BIN)/python -m pytest -m "wide and realtime and not long"

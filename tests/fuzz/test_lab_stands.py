@@ -11,6 +11,8 @@ from tests.fuzz.shots import Shot, Storm, Targets
 from tonus.sim.can.canopen.node import Node
 from tonus.sim.can.wire.frame import Frame
 
+pytestmark = pytest.mark.wide
+
 
 @pytest.fixture(scope="module")
 def known() -> Targets:

@@ -5,8 +5,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.fuzz.logs import readers
 from tests.fuzz.storm_of_logs import storm
+
+pytestmark = pytest.mark.wide
 
 LONG = ("report", "identify", "compare")
 """judged only a few times here"""

@@ -113,6 +113,7 @@ def test_its_replay_makes_every_output_again(finished: tuple[str, Path, Path]) -
     assert again.ticks == len(log["/tonus/state"])
 
 
+@pytest.mark.wide
 def test_a_silent_node_ends_the_run_with_its_name(
     tmp_path: Path, environment: dict[str, str]
 ) -> None:

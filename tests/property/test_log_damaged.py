@@ -27,6 +27,8 @@ from tonus.tools.log.export import export
 from tonus.tools.log.recover import recover
 from tonus.tools.log.replay import replay
 
+pytestmark = pytest.mark.wide
+
 QUIET = settings(
     max_examples=25,
     derandomize=True,

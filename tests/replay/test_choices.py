@@ -22,6 +22,8 @@ from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay
 from tonus.tools.run.composer import Order, run
 
+pytestmark = pytest.mark.wide
+
 NAMES = ("sine_x", "sine_z")
 
 

@@ -103,6 +103,7 @@ def test_the_configured_period_is_judged(
     assert doctor.report(config, list(findings.values()), 0.1)["period_us"] == period_us
 
 
+@pytest.mark.wide
 def test_a_report_for_another_period_is_not_taken_up(tmp_path: Path) -> None:
     found = doctor.latest(CONFIG, tmp_path)
     doctor.keep({**found, "seconds": 5.0, "period_us": 2000})

@@ -19,6 +19,8 @@ from tests.bench.least_stop.problem import Problem, Solution
 from tonus.config.schema.lab import Lab
 from tonus.config.schema.robot import Robot
 
+pytestmark = pytest.mark.wide
+
 TORN = 0
 MODEL = Model(Constants.of(ROBOT, LAB))
 PROBLEM = Problem(MODEL)

@@ -12,6 +12,8 @@ from tonus.config.schema.lab import Load, LoadPoint
 from tonus.runtime.signals import Consistency
 from tonus.runtime.states import State
 
+pytestmark = pytest.mark.wide
+
 WRONG: dict[str, Any] = {
     "lab.plant.stiffness_scale": 0.87,
     "lab.plant.mass_scale": 1.2,

@@ -22,6 +22,8 @@ from tonus.tools.margins.tension_loop import tension_errors
 from tonus.tools.start_configuration import write_configuration
 from tonus.tools.tune.tension import design
 
+pytestmark = pytest.mark.wide
+
 CONFIG, _ = load("config/can.yaml")
 TICKS = 60
 FEW = ("--evaluations", "160")

@@ -22,6 +22,8 @@ from tests.foreign import pytest_in
 from tests.wheel import ROOT, Installed, build
 from tonus.runtime.signals import SCHEMA_VERSION
 
+pytestmark = pytest.mark.wide
+
 PAGE = ROOT / "docs" / "hil_examples.md"
 GOLDEN = ROOT / "tests" / "replay" / "golden" / f"v{SCHEMA_VERSION}.mcap"
 REAL_TIME = "test_latency.py"
@@ -178,7 +180,6 @@ def test_the_page_has_eight_examples() -> None:
     assert len(files()) == 8
 
 
-@pytest.mark.wide
 def test_the_examples_pass(installed: Installed, foreign: Path) -> None:
     lost, python = foreign / LOST_FRAMES, str(installed.python)
     lost.write_text(lost.read_text().replace(*SHORT))
@@ -211,7 +212,6 @@ def test_the_examples_as_they_stand_serially_and_in_parallel(
     assert logs(foreign / "serial") == logs(foreign / "parallel")
 
 
-@pytest.mark.wide
 def test_the_tests_of_a_new_project_pass(installed: Installed, tmp_path: Path) -> None:
     new = tmp_path / "arm"
     told = installed.do(str(installed.python.with_name("tonus")), "new", str(new), folder=tmp_path)
@@ -223,7 +223,6 @@ def test_the_tests_of_a_new_project_pass(installed: Installed, tmp_path: Path) -
     assert "2 passed" in text, text
 
 
-@pytest.mark.wide
 @pytest.mark.realtime
 def test_the_example_in_real_time(installed: Installed, tmp_path: Path) -> None:
     (tmp_path / REAL_TIME).write_text(files()[REAL_TIME])

@@ -18,6 +18,8 @@ from tonus.tools.view.recorded import Recorded
 from tonus.tools.view.signals import names_of, plots_of, series_of
 from tonus.tools.view.words import happening
 
+pytestmark = pytest.mark.wide
+
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -66,7 +68,6 @@ def test_speed_and_pause(playback: Playback) -> None:
     assert playback.time_s == pytest.approx(1.0)
 
 
-@pytest.mark.wide
 def test_two_logs_are_aligned_at_their_start(file: Path, tmp_path: Path) -> None:
     """Of which the second was longer on its way to START."""
     playback = Playback([Recorded(file), Recorded(recorded(tmp_path, pretension_s=1.2))])
