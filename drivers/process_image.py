@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from enum import IntEnum
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -93,6 +94,10 @@ class ProcessImage:
         self.cells = self._inputs[cells:tracker].view(CELL_INPUT)
         self.tracker = self._inputs[tracker:].view(TRACKER_INPUT).reshape(())
         self.commands = np.zeros(cables, AXIS_OUTPUT)
+        self.axis = SimpleNamespace(**{name: self.axes[name] for name in AXIS_INPUT.names or ()})
+        self.cell = SimpleNamespace(**{name: self.cells[name] for name in CELL_INPUT.names or ()})
+        self.torque, self.command = self.commands["torque"], self.commands["command"]
+        """views of single columns, ready made: to make one takes as long as to use it"""
         self.bus_ns = 0
         """from the last exchange to its last answer, where the bus knows; no input of control"""
         self.obstacles: dict[str, str] = {}

@@ -147,7 +147,7 @@ class ControlCycle:
         if change.number:
             self.tuning.ask(change, sequence.state)
         self.tuning.step()
-        image.commands["command"] = sequence.axis_command
+        image.command[:] = sequence.axis_command
         self._skipped = tick - self._last_tick - 1
         self._last_tick = tick
         self._isolation.drums.step(
@@ -162,7 +162,8 @@ class ControlCycle:
         if sequence.passive_share >= 0.0:
             self._give_way(image)
             return
-        if sequence.regulating:
+        regulating = sequence.regulating
+        if regulating:
             estimate = self._estimate(image)
             self._regulate(estimate)
             rate = self._drum_rates(estimate)
@@ -173,35 +174,35 @@ class ControlCycle:
         else:
             self._allocation.reference[:] = 0.0
             rate = None
+        torque = image.torque
         if rate is None:
-            image.commands["torque"] = 0.0
+            torque[:] = 0.0
         else:
-            image.commands["torque"] = self._loop(
+            usable = sensing.usable & sequence.carrying
+            torque[:] = self._loop(
                 self._allocation.reference,
                 sensing.tension,
                 rate,
                 sensing.rate,
-                sensing.usable & sequence.carrying,
+                usable,
                 self._kinematics.lengths,
-                self._desired_drums if sequence.regulating else None,
+                self._desired_drums if regulating else None,
             )
             if sequence.descending:
-                usable = sensing.usable & sequence.carrying
-                torque = image.commands["torque"]
                 self._descent.bound(torque, sensing.rate, self._drum_rate, usable)
-        self._torque[:] = image.commands["torque"]
+        self._torque[:] = torque
 
     def fall_back(self, image: ProcessImage, tick: int) -> None:
         """In place of `act`, from the tick in which that raised on: each drive as in the last tick,
         and the passive stop's torques, by the drums' rates alone."""
         self._sensing.step(image, tick)
-        trusted = image.axes["age"] <= self._control.freshness.measurement_ticks
-        image.commands["torque"] = self._descent.guard.passive(self._sensing.rate, trusted)
+        trusted = image.axis.age <= self._control.freshness.measurement_ticks
+        image.torque[:] = self._descent.guard.passive(self._sensing.rate, trusted)
 
     def _give_way(self, image: ProcessImage) -> None:
         """A tick of a passive stop."""
         sequence, stop = self.sequence, self._control.stop
-        fresh = image.axes["age"] <= self._control.freshness.measurement_ticks
+        fresh = image.axis.age <= self._control.freshness.measurement_ticks
         trusted = sequence.faults.drums_trusted & fresh
         share = sequence.passive_share
         if share < 0.0 or sequence.axis_command is not AxisCommand.ENABLE:
@@ -209,7 +210,7 @@ class ControlCycle:
         shares = np.where(sequence.faults.torn, 0.0, share)
         self._allocation.reference[:] = shares * stop.passive_tension * trusted
         torque = self._descent.guard.passive(self._sensing.rate, trusted, shares)
-        image.commands["torque"] = self._torque[:] = torque
+        image.torque[:] = self._torque[:] = torque
 
     def write(
         self,
@@ -273,26 +274,29 @@ class ControlCycle:
             descent.begin(sensing.tension)
             self._change_loop(descent.loop)
         lengths = self._referencing.lengths(sensing.angle, sensing.tension)
-        believed = sensing.usable & ~sequence.faults.failed
-        self._pulling = descent.pulling(sensing.tension, sequence.faults)
+        faults = sequence.faults
+        believed = sensing.usable & ~faults.failed if faults.count else sensing.usable
+        self._pulling = descent.pulling(sensing.tension, faults)
+        estimator = self._estimator
         for _ in range(min(self._skipped, _MOST_SKIPPED)):
-            self._estimator.step(lengths, self._pulling, self._nobody)
-        estimate = self._estimator.step(lengths, self._pulling, believed)
+            estimator.step(lengths, self._pulling, self._nobody)
+        estimate = estimator.step(lengths, self._pulling, believed)
         watched = sensing.usable & sequence.carrying
         if sequence.descending:
             slack = watched & ~descent.taut
             self._isolation.reeled(self._kinematics.lengths, lengths, slack)
-            self._isolation.lengths(self._estimator.innovations, self._estimator.believed)
+            self._isolation.lengths(estimator.innovations, estimator.believed)
+        cell = image.cell
         self._isolation.step(
-            self._estimator.innovations,
+            estimator.innovations,
             self._allocation.reference,
-            sensing.filter.value[:-1],
+            sensing.filtered,
             watched,
+            cell.force,
+            cell.age,
+            sensing.tension,
         )
-        self._isolation.cells(
-            image.cells["force"], image.cells["age"], sensing.tension, self._allocation.reference
-        )
-        self._accepted = bool(tracker["fresh"]) and self._estimator.track(
+        self._accepted = bool(tracker["fresh"]) and estimator.track(
             tracker["position"], tracker["quaternion"], float(tracker["delay"])
         )
         return estimate
@@ -301,9 +305,10 @@ class ControlCycle:
         """Law, cap, limiter, wrench, distribution."""
         sensing, sequence, envelope = self._sensing, self.sequence, self._envelope
         bearing = sensing.usable if sequence.state in (State.HOLD, State.ACTIVE) else self._nobody
+        contact = sensing.contact
         envelope(
-            sensing.filter.value[:-1],
-            sensing.contact,
+            sensing.filtered,
+            contact,
             estimate.position,
             estimate.velocity,
             bearing,
@@ -316,7 +321,7 @@ class ControlCycle:
             estimate.velocity,
             estimate.angular_velocity,
             estimate.external[:3],
-            sensing.contact,
+            contact,
             self._allocation.shortfall,
             self._referencing.wound,
             self._radius * sensing.rate,

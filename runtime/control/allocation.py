@@ -16,8 +16,7 @@ from tonus.runtime.control.controllers.base import share
 from tonus.runtime.control.distribution import (
     TensionDistribution,
     delivered,
-    opposition,
-    tension_bounds,
+    prepare,
 )
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.safety.descent import Descent
@@ -56,10 +55,21 @@ class Allocation:
         self._gradient = np.zeros(cables)
         self._bearing = np.zeros((6, cables))
         self._low, self._high = np.zeros(cables), np.zeros(cables)
+        self._force = self.wrench[:3]
         self._contraction = 0.0
         """share by which all tensions are raised, on its way to what the stiffness asks for"""
         period = control.rates.period
         self._step = control.distribution.tension_rate * period
+        self._kept = (
+            settings.least_force,
+            self._step,
+            self.agonism,
+            self._gradient,
+            self._low,
+            self._high,
+            self.centre,
+            self._bearing,
+        )
         activation = settings.co_contraction_hz
         self._activate = 1.0 if activation is None else share(activation, period)
 
@@ -74,25 +84,17 @@ class Allocation:
         matrix = self._kinematics.matrix
         contraction = settings.co_contraction * (stiffness / base - 1.0)
         self._contraction += self._activate * (contraction - self._contraction)
-        opposition(
+        prepare(
             matrix,
             self._kinematics.lengths,
-            self.wrench[:3],
-            settings.least_force,
-            self.agonism,
-            self._gradient,
-        )
-        tension_bounds(
-            matrix,
+            self._force,
             self.reference,
             present,
-            (levels.low, levels.high, level, self._step),
+            levels.low,
+            levels.high,
+            level,
             self._contraction,
-            self.agonism,
-            self._low,
-            self._high,
-            self.centre,
-            self._bearing,
+            *self._kept,
         )
         wanted = self._controller.tensions(motion, stiffness, self.centre)
         if wanted is not None:

@@ -469,40 +469,74 @@ def carry_forward(
 
 @njit(cache=True)
 def estimate_tick(
-    state: tuple[Array, Array, Array, Array, Array],
-    body: tuple[float, Array, float, Array],
+    position: Array,
+    quaternion: Array,
+    rest: Array,
+    covariance: Array,
+    mean: Array,
+    mass: float,
+    inertia: Array,
+    gravity: float,
+    axial_stiffness: Array,
     period: float,
-    noise: tuple[Array, float, float],
-    anchors: tuple[Array, Array],
-    measured: tuple[Array, Array, NDArray[np.bool_]],
-    limits: tuple[float, float],
+    frame: Array,
+    platform: Array,
     lengths: Array,
     matrix: Array,
     innovations: Array,
     believed: NDArray[np.bool_],
-    cables: tuple[Array, Array, Array, Array],
+    by_cables: tuple[Array, Array, Array, Array],
+    published: tuple[Array, Array, Array, Array, Array],
+    past: tuple[Array, Array, Array, Array, NDArray[np.bool_]],
+    noise: Array,
+    length_variance: float,
+    share: float,
+    slack: float,
+    gate: float,
+    measured: Array,
+    tensions: Array,
+    usable: NDArray[np.bool_],
+    count: int,
     iterations: int,
-    estimate: tuple[Array, Array, Array, Array],
 ) -> tuple[float, float]:
     """All that an estimator's tick computes: the filter, the pose from the lengths alone
-    (``cables``: its position, quaternion, lengths and matrix), and the estimate one period on.
-    Returns what `filter_tick` and `forward` do."""
+    (``by_cables``: its position, quaternion, lengths and matrix), the estimate one period on and
+    the external wrench (``published``), and the row of this tick, number ``count``, in what is kept
+    of the ``past``: lengths, tensions, positions, quaternions, believed. The others as in
+    `filter_tick`. Returns what that and `forward` do."""
+    state, body = (position, quaternion, rest, covariance, mean), (mass, inertia, gravity)
+    anchors = (frame, platform)
     squared = filter_tick(
         state,
-        body,
+        (*body, axial_stiffness),
         period,
-        noise,
+        (noise, length_variance, share),
         anchors,
-        measured,
-        limits,
+        (measured, tensions, usable),
+        (slack, gate),
         lengths,
         matrix,
         innovations,
         believed,
     )
     residual = forward(
-        measured[0], believed, anchors, cables[0], cables[1], cables[2], cables[3], iterations
+        measured,
+        believed,
+        anchors,
+        by_cables[0],
+        by_cables[1],
+        by_cables[2],
+        by_cables[3],
+        iterations,
     )
-    wrench = matrix @ measured[1]
-    carry_forward(state, body, period, wrench, anchors, lengths, matrix, estimate)
+    row = count % past[0].shape[0]
+    past[0][row], past[1][row] = measured, tensions
+    past[2][row], past[3][row] = position, quaternion
+    past[4][row] = believed
+    wrench = matrix @ tensions
+    estimate = (published[0], published[1], published[2], published[3])
+    carry_forward(
+        state, (*body, axial_stiffness), period, wrench, anchors, lengths, matrix, estimate
+    )
+    published[4][:] = rest[EXTERNAL - TWIST : OFFSETS - TWIST]
     return squared, residual

@@ -184,6 +184,61 @@ def _deliver(
     return True, math.sqrt(total)
 
 
+@njit(cache=True)
+def prepare(
+    matrix: Array,
+    lengths: Array,
+    force: Array,
+    before: Array,
+    present: NDArray[np.bool_],
+    lowest: float,
+    highest: float,
+    middle: float,
+    contraction: float,
+    least: float,
+    reach: float,
+    agonism: Array,
+    gradient: Array,
+    low: Array,
+    high: Array,
+    centre: Array,
+    bearing: Array,
+) -> None:
+    """`opposition`, then `tension_bounds`."""
+    opposition(matrix, lengths, force, least, agonism, gradient)
+    levels = (lowest, highest, middle, reach)
+    tension_bounds(
+        matrix, before, present, levels, contraction, agonism, low, high, centre, bearing
+    )
+
+
+@njit(cache=True)
+def _solve(
+    matrix: Array,
+    wrench: Array,
+    low: Array,
+    high: Array,
+    centre: Array,
+    gradient: Array,
+    weight: float,
+    preference: float,
+    scale: Array,
+    quadratic: Array,
+    scaled: Array,
+    target: Array,
+    tensions: Array,
+) -> tuple[bool, bool, float]:
+    """`_free_minimiser` and, where that is the answer, `_deliver`: whether it is, and what that
+    returns."""
+    bounds, weights, found = (low, high, centre), (weight, preference), (scaled, target)
+    if not _free_minimiser(
+        matrix, wrench, bounds, gradient, weights, scale, quadratic, found, tensions
+    ):
+        return False, False, 0.0
+    finite, deficit = _deliver(scaled, target, low, high, tensions)
+    return True, finite, deficit
+
+
 class TensionDistribution:
     """Gives tensions (n,) in N that lie in their bounds, always."""
 
@@ -197,6 +252,7 @@ class TensionDistribution:
         self._scaled = (np.zeros((6, cables)), np.zeros(6))
         # Clarabel stores the upper triangle column by column.
         self._quadratic = np.zeros(cables * (cables + 1) // 2)
+        self._kept = (*self._weights, self._scale, self._quadratic, *self._scaled)
         self._none = np.zeros(cables)
         self._room = np.zeros(2 * cables)
         self._programme = self._build(settings, cables)
@@ -237,21 +293,21 @@ class TensionDistribution:
         says so.
         """
         tensions = np.empty(len(centre))
-        scaled, target = self._scaled
         self.solver, self.iterations = Solver.INTERIOR, 0
-        if not _free_minimiser(
+        inside, finite, self.deficit = _solve(
             matrix,
             wrench,
-            (low, high, centre),
+            low,
+            high,
+            centre,
             self._none if gradient is None else gradient,
-            self._weights,
-            self._scale,
-            self._quadratic,
-            self._scaled,
+            *self._kept,
             tensions,
-        ):
+        )
+        if not inside:
+            scaled, target = self._scaled
             tensions = self._bounded(tensions, scaled, target, centre, low, high)
-        finite, self.deficit = _deliver(scaled, target, low, high, tensions)
+            finite, self.deficit = _deliver(scaled, target, low, high, tensions)
         if not finite:
             self.solver, tensions = Solver.FALLBACK, np.clip(centre, low, high)
         return tensions

@@ -187,6 +187,25 @@ class PoseEstimator:
             self.estimate.velocity,
             self.estimate.angular_velocity,
         )
+        self._kept = (
+            *self._state,
+            *self._body,
+            period,
+            *self._anchors,
+            kinematics.lengths,
+            kinematics.matrix,
+            self.innovations,
+            self.believed,
+            self._by_cables,
+            (*self._published, self.estimate.external),
+            (
+                self._past_lengths,
+                self._past_tensions,
+                self._past_positions,
+                self._past_quaternions,
+                self._past_usable,
+            ),
+        )
 
     @property
     def bias(self) -> Array:
@@ -275,23 +294,17 @@ class PoseEstimator:
     def step(self, lengths: Array, tensions: Array, usable: NDArray[np.bool_]) -> Estimate:
         """One tick with measured cable lengths (n,), nominal elongation included, and tensions
         (n,). A cable that is not ``usable``, slack or far off says nothing about the pose."""
-        kinematics, cables, settings = self._kinematics, self._cables, self._settings
+        settings = self._settings
         self._tensions[:] = tensions
         squared, self.residual = estimate_tick(
-            self._state,
-            self._body,
-            self._period,
-            self._noise,
-            self._anchors,
-            (lengths, tensions, usable),
-            self._limits,
-            kinematics.lengths,
-            kinematics.matrix,
-            self.innovations,
-            self.believed,
-            self._by_cables,
+            *self._kept,
+            *self._noise,
+            *self._limits,
+            lengths,
+            tensions,
+            usable,
+            self._count,
             _FIT_ITERATIONS,
-            self._published,
         )
         share = self._period / settings.consistency_time
         self.inconsistency += share * (squared - self.inconsistency)
@@ -299,15 +312,8 @@ class PoseEstimator:
         limit = settings.consistency_limit * (0.5 if self._odd else 1.0)
         self._odd = not self.inconsistency <= limit
         if self._count % _CONDITION_TICKS == 0:
-            self.condition = cables.condition
-        slot = self._count % len(self._past_lengths)
-        self._past_lengths[slot] = lengths
-        self._past_tensions[slot] = tensions
-        self._past_positions[slot] = self._position
-        self._past_quaternions[slot] = self._quaternion
-        self._past_usable[slot] = self.believed
+            self.condition = self._cables.condition
         self._count += 1
-        self.estimate.external[:] = self._rest[EXTERNAL - TWIST : OFFSETS - TWIST]
         return self.estimate
 
     def track(self, position: Array, quaternion: Array, delay: float) -> bool:

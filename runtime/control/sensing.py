@@ -12,10 +12,15 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.control import Control
 from tonus.config.schema.robot import Robot
-from tonus.drivers.process_image import NEVER, ProcessImage
+from tonus.drivers.process_image import NEVER, AxisState, ProcessImage
 from tonus.runtime.control.filters import ButterworthBank
 
 Array = NDArray[np.float64]
+SILENT, FAULTED, NOT_ENABLED, DEFECT = 1, 2, 4, 8
+"""The bits of an alarm: a device too long without an answer; a drive in a fault state, or with a
+fresh statusword and not in Operation Enabled; a cell that reports a defect."""
+FAULT_STATES = (int(AxisState.FAULT), int(AxisState.FAULT_REACTION_ACTIVE))
+ENABLED_STATE = int(AxisState.OPERATION_ENABLED)
 _MISSING = -1
 _CLOSEST = 0.25
 """of a period: samples that are closer tell no rate"""
@@ -109,30 +114,73 @@ def _trust(
 
 
 @njit(cache=True)
-def _sense(
-    reported: tuple[Array, Array],
-    ages: tuple[NDArray[np.uint16], NDArray[np.uint16]],
-    sampled_ns: NDArray[np.int64],
-    tick: int,
-    limits: tuple[float, Array, float, int, int],
-    drums: tuple[Array, tuple[NDArray[np.int64], NDArray[np.int64]], Array, Array],
-    cells: tuple[Array, Array],
-    last_ages: tuple[NDArray[np.uint16], NDArray[np.uint16]],
-    implausible: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+def _alarm(
     silences: tuple[NDArray[np.int64], NDArray[np.int64]],
+    age: NDArray[np.uint16],
+    state: NDArray[np.uint8],
+    status: NDArray[np.uint8],
+    limits: tuple[int, int],
+) -> int:
+    """Which questions about devices may have an answer in this tick: a sum of the bits above."""
+    fresh, stale = limits
+    found = 0
+    for i in range(state.shape[0]):
+        if silences[0][i] > stale:
+            found |= SILENT
+        if state[i] == FAULT_STATES[0] or state[i] == FAULT_STATES[1]:
+            found |= FAULTED
+        if age[i] <= fresh and state[i] != ENABLED_STATE:
+            found |= NOT_ENABLED
+    for i in range(status.shape[0]):
+        if silences[1][i] > stale:
+            found |= SILENT
+        if status[i]:
+            found |= DEFECT
+    return found
+
+
+@njit(cache=True)
+def _sense(
+    angle: Array,
+    age: NDArray[np.uint16],
+    sampled_ns: NDArray[np.int64],
+    state: NDArray[np.uint8],
+    reported: Array,
+    cell_age: NDArray[np.uint16],
+    status: NDArray[np.uint8],
+    tick: int,
+    period: float,
+    fastest: Array,
+    largest: float,
+    fresh: int,
+    stale: int,
+    last_angle: Array,
+    ticks: NDArray[np.int64],
+    times_ns: NDArray[np.int64],
+    rate: Array,
+    interval: Array,
+    tare: Array,
+    force: Array,
+    last_age: NDArray[np.uint16],
+    last_cell_age: NDArray[np.uint16],
+    implausible: NDArray[np.bool_],
+    implausible_cells: NDArray[np.bool_],
+    silent: NDArray[np.int64],
+    silent_cells: NDArray[np.int64],
     usable: NDArray[np.bool_],
     present: NDArray[np.bool_],
-) -> None:
-    """All of a tick. Pairs are of axes and cells; ``limits``: period, largest rates (n,), largest
-    force, fresh ticks, stale ticks; ``drums``: last angles, when sampled, rates, intervals;
-    ``cells``: tare, force."""
-    period, fastest, largest, fresh, stale = limits
-    limit = (period, fastest)
-    _drum_rates(reported[0], ages[0], sampled_ns, tick, limit, *drums, implausible[0])
-    _tared(reported[1], cells[0], largest, cells[1], implausible[1])
-    _count_silence(ages[0], last_ages[0], fresh, implausible[0], silences[0])
-    _count_silence(ages[1], last_ages[1], fresh, implausible[1], silences[1])
-    _trust(ages, silences, implausible, (fresh, stale), usable, present)
+) -> int:
+    """All of a tick; returns its alarm. First the image's columns, then limits (s, rad/s (n,), N,
+    ticks, ticks), then what `Sensing` keeps. Single arrays, since a tuple of them takes twice as
+    long to hand over."""
+    limit, drums = (period, fastest), (ticks, times_ns)
+    _drum_rates(angle, age, sampled_ns, tick, limit, last_angle, drums, rate, interval, implausible)
+    _tared(reported, tare, largest, force, implausible_cells)
+    _count_silence(age, last_age, fresh, implausible, silent)
+    _count_silence(cell_age, last_cell_age, fresh, implausible_cells, silent_cells)
+    ages, silences = (age, cell_age), (silent, silent_cells)
+    _trust(ages, silences, (implausible, implausible_cells), (fresh, stale), usable, present)
+    return _alarm(silences, age, state, status, (fresh, stale))
 
 
 @njit(cache=True)
@@ -152,13 +200,6 @@ class Sensing:
         self._period = rates.period
         self._fresh_ticks = freshness.measurement_ticks
         self._stale_ticks = freshness.stale_stop_ticks
-        self._limits = (
-            rates.period,
-            control.filters.plausible_speed * robot.motor_speed / robot.gear_ratio,
-            control.filters.plausible_force,
-            freshness.measurement_ticks,
-            freshness.stale_stop_ticks,
-        )
         self.filter = ButterworthBank(cells, control.filters.force_cutoff_hz, 1.0 / rates.period)
         self.tare = np.zeros(cells)
         self.force = np.zeros(cells)
@@ -178,14 +219,34 @@ class Sensing:
         self._silent_axes = np.zeros(cables, dtype=np.int64)
         self._silent_cells = np.zeros(cells, dtype=np.int64)
         self._last_ages = (np.zeros(cables, dtype=np.uint16), np.zeros(cells, dtype=np.uint16))
-        self._drums = (self.angle, self._sampled, self.rate, self.interval)
+        self._kept = (
+            rates.period,
+            control.filters.plausible_speed * robot.motor_speed / robot.gear_ratio,
+            control.filters.plausible_force,
+            freshness.measurement_ticks,
+            freshness.stale_stop_ticks,
+            self.angle,
+            *self._sampled,
+            self.rate,
+            self.interval,
+            self.tare,
+            self.force,
+            *self._last_ages,
+            self.implausible_axes,
+            self.implausible_cells,
+            self._silent_axes,
+            self._silent_cells,
+            self.usable,
+            self.present,
+        )
+        self.tension = self.force[:-1]
+        """N, (n,), unfiltered"""
+        self.filtered = self.filter.value[:-1]
+        """N, (n,), low-passed"""
+        self.alarm = 0
+        """of this tick's devices"""
         self._sum = np.zeros(cells)
         self._samples = 0
-
-    @property
-    def tension(self) -> Array:
-        """N, (n,), unfiltered."""
-        return self.force[:-1]
 
     @property
     def contact(self) -> float:
@@ -193,20 +254,17 @@ class Sensing:
         return float(self.filter.value[-1])
 
     def step(self, image: ProcessImage, tick: int) -> None:
-        axes, cells = image.axes, image.cells
-        _sense(
-            (axes["angle"], cells["force"]),
-            (axes["age"], cells["age"]),
-            axes["sampled_ns"],
+        axis, cell = image.axis, image.cell
+        self.alarm = _sense(
+            axis.angle,
+            axis.age,
+            axis.sampled_ns,
+            axis.state,
+            cell.force,
+            cell.age,
+            cell.status,
             tick,
-            self._limits,
-            self._drums,
-            (self.tare, self.force),
-            self._last_ages,
-            (self.implausible_axes, self.implausible_cells),
-            (self._silent_axes, self._silent_cells),
-            self.usable,
-            self.present,
+            *self._kept,
         )
         self.filter.step(self.force)
 
@@ -235,8 +293,8 @@ class Sensing:
         """Zero the cells, by offsets (n + 1,) N that were ``stated`` or else by their mean reading;
         returns the number of readings there were."""
         samples = self._samples
-        self.tare = self._sum / max(samples, 1) if stated is None else np.array(stated)
-        self._sum = np.zeros_like(self._sum)
+        self.tare[:] = self._sum / max(samples, 1) if stated is None else stated
+        self._sum[:] = 0.0
         self._samples = 0
         self.force[:] = 0.0
         self.filter.reset(self.force)

@@ -127,6 +127,53 @@ def _torques(
             torque[i] = min(max(wanted, -limit[i]), limit[i])
 
 
+@njit(cache=True)
+def _tick(
+    reference: Array,
+    measured: Array,
+    rate_reference: Array,
+    rate: Array,
+    usable: NDArray[np.bool_],
+    lengths: Array,
+    desired_rate: Array,
+    desired_acceleration: Array,
+    radius: Array,
+    inertia: Array,
+    viscous: Array,
+    efficiency: Array,
+    friction: tuple[float, float, float],
+    damping: Array,
+    limit: Array,
+    gains: tuple[float, float, float, float],
+    turn: Array,
+    slopes: tuple[float, float],
+    last: Array,
+    slope: Array,
+    expected: Array,
+    integral: Array,
+    torque: Array,
+) -> None:
+    """`_expected`, then `_torques`."""
+    drums, bounded = (radius, inertia, viscous, efficiency), (radius, damping, limit)
+    _expected(reference, desired_rate, desired_acceleration, drums, friction, expected)
+    leading, past = (turn, slopes[0], slopes[1]), (last, slope)
+    _torques(
+        reference,
+        measured,
+        rate_reference,
+        rate,
+        expected,
+        usable,
+        bounded,
+        gains,
+        leading,
+        lengths,
+        past,
+        integral,
+        torque,
+    )
+
+
 def of_axis(settings: Settings, train: DriveTrain, robot: Robot) -> Settings:
     """The settings of one axis: they are stated for the robot's default drum, and the damping goes
     with the drum's inertia. A drum of another radius with the same mass at the cable then makes the
@@ -142,32 +189,37 @@ class TensionLoop:
         radius = robot.drum_radius
         each = [of_axis(settings, train, robot) for train in robot.drive_trains]
         damping = np.array([own.rate_damping for own in each])
-        self._drums = (radius, damping, robot.torque_limit)
-        self._gains = (
-            settings.feed_forward,
-            settings.proportional,
-            settings.integral * period,
-            settings.integral_limit,
-        )
-        self._lead = (
-            settings.lead / (robot.axial_stiffness * radius * period),
-            1.0 - math.exp(-2.0 * math.pi * settings.lead_cutoff_hz * period),
-            settings.lead_rate * period,
-        )
         self._past = (np.full(robot.cables, np.nan), np.zeros(robot.cables))
-        friction = settings.friction
-        self._model = (
+        self._still = (np.zeros(robot.cables), np.zeros(robot.cables))
+        self._torque = np.zeros(robot.cables)
+        self.integral = np.zeros(robot.cables)
+        """N"""
+        friction, expected = settings.friction, np.zeros(robot.cables)
+        self._goes_on = settings.integral > 0.0
+        self._kept = (
             radius,
             robot.drum_inertia,
             robot.viscous_friction,
             robot.gearbox_efficiency,
+            (friction.coulomb, friction.load, friction.slip),
+            damping,
+            robot.torque_limit,
+            (
+                settings.feed_forward,
+                settings.proportional,
+                settings.integral * period,
+                settings.integral_limit,
+            ),
+            settings.lead / (robot.axial_stiffness * radius * period),
+            (
+                1.0 - math.exp(-2.0 * math.pi * settings.lead_cutoff_hz * period),
+                settings.lead_rate * period,
+            ),
+            *self._past,
+            expected,
+            self.integral,
+            self._torque,
         )
-        self._friction = (friction.coulomb, friction.load, friction.slip)
-        self._still = (np.zeros(robot.cables), np.zeros(robot.cables))
-        self._expected = np.zeros(robot.cables)
-        self._torque = np.zeros(robot.cables)
-        self.integral = np.zeros(robot.cables)
-        """N"""
 
     def reset(self) -> None:
         self.integral[:] = 0.0
@@ -177,7 +229,7 @@ class TensionLoop:
     def take_over(self, before: TensionLoop) -> None:
         """Go on where another loop has been, if there is an integral to go on with."""
         self.reset()
-        if self._gains[2] > 0.0:
+        if self._goes_on:
             self.integral[:] = before.integral
 
     def __call__(
@@ -193,26 +245,16 @@ class TensionLoop:
         """Torque (n,) in N m at the drum, zero where ``usable`` (n,) is false. Tensions in N, rates
         in rad/s, reeling in positive, cable ``lengths`` in m; ``desired``: rate and acceleration of
         the desired motion, None for none."""
-        _expected(
-            reference,
-            *(desired or self._still),
-            self._model,
-            self._friction,
-            self._expected,
-        )
-        _torques(
+        desired_rate, desired_acceleration = desired or self._still
+        _tick(
             reference,
             measured,
             rate_reference,
             rate,
-            self._expected,
             usable,
-            self._drums,
-            self._gains,
-            self._lead,
             lengths,
-            self._past,
-            self.integral,
-            self._torque,
+            desired_rate,
+            desired_acceleration,
+            *self._kept,
         )
         return self._torque

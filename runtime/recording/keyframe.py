@@ -2,7 +2,8 @@
 
 The walk goes over attributes, tuples and lists of our own objects, and notes what differs from a
 cycle just made: configuration is not state and stays out. Objects and arrays that are one and the
-same stay so. The form is a line of JSON and the arrays' bytes; nothing in it is executed.
+same stay so, and so does a view of an array that the walk has met before it. The form is a line of
+JSON and the arrays' bytes; nothing in it is executed.
 
 A tick has no time for that walk. It only copies what may change (`_Still`), in a seventh of the
 time, and the ticks after it find the paths and write them down, a few each.
@@ -16,7 +17,7 @@ from collections.abc import Iterator
 from enum import Enum
 from itertools import islice
 from types import CodeType, FunctionType, ModuleType, SimpleNamespace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import clarabel
 import numpy as np
@@ -206,6 +207,11 @@ def _walk(
     known = seen.setdefault(key, path)
     if known != path:
         yield path, Entry("same", known)
+    elif isinstance(value, np.ndarray) and id(value.base) in seen:
+        shape, strides = list(value.shape), list(value.strides)
+        owner, whole = seen[id(value.base)], cast(np.ndarray[Any, Any], value.base)
+        offset = value.ctypes.data - whole.ctypes.data
+        yield path, Entry("view", [owner, value.dtype.str, offset, shape, strides])
     elif isinstance(value, np.ndarray):
         yield path, Entry("array", [value.dtype.str, list(value.shape)], still.contents[key])
     elif isinstance(value, CycleRecord):
@@ -299,6 +305,9 @@ class _Builder:
         elif kind == "array":
             dtype, shape = value
             made = np.frombuffer(entry.data, np.dtype(dtype)).reshape(shape).copy()
+        elif kind == "view":
+            owner, dtype, offset, shape, strides = value
+            made = np.ndarray(shape, dtype, self._made[owner], offset, strides)
         elif kind == "record":
             if not isinstance(model, CycleRecord):
                 raise KeyframeError(f"a keyframe with a record at {path}")

@@ -52,7 +52,7 @@ class Descent:
         """Tensions (n,) as far as they are believed: a given-up cable pulls no more than it did
         when that was found, and soon not at all if its drum turns freely; without a cell to say
         so, nothing."""
-        if not faults.failed.any():
+        if not faults.count or not faults.failed.any():
             self._most[:] = tension
             return tension
         self._most[~faults.failed] = tension[~faults.failed]

@@ -29,48 +29,63 @@ _EVEN_TICKS = _UNDER_WAY + 1
 
 @njit(cache=True)
 def _observe(
-    samples: tuple[NDArray[np.int64], NDArray[np.uint16], float],
-    due: tuple[NDArray[np.bool_], NDArray[np.bool_], bool],
-    skipped: bool,
-    drums: tuple[Array, Array, Array, Array],
+    doubt_ns: NDArray[np.int64],
+    age: NDArray[np.uint16],
+    usable: NDArray[np.bool_],
+    failed: NDArray[np.bool_],
+    angle: Array,
+    rate: Array,
+    torque: Array,
+    following: Array,
     tension: Array,
     interval: Array,
-    drives: tuple[Array, Array, Array],
-    limits: tuple[float, float, float],
-    counts: tuple[Counts, Counts, Counts],
-    observed: tuple[Array, Array, Array],
-    past: tuple[Array, Array, Array],
+    enabled: bool,
+    skipped: bool,
+    largest_doubt_ns: float,
+    radius: Array,
+    mass: Array,
+    fastest: Array,
+    time: float,
+    force: float,
+    share: float,
+    even: Counts,
+    unobserved: Counts,
+    misled: Counts,
+    explained: Array,
+    unexplained: Array,
+    mean: Array,
+    last: Array,
+    before: Array,
+    since: Array,
     torques: Array,
     travel: Array,
-) -> None:
-    """``samples``: the axes' doubt (ns) and age, and the largest doubt; ``due``: usable, given up,
-    enabled; ``drums``: angles (rad), rates (rad/s), the last tick's torques (N m), and rates that
-    the platform's motion asks for; ``interval``: s that a rate is the mean of; ``drives`` (n,):
-    drum radius, its mass at the cable, and the largest acceleration (m/s2); ``limits``: observer
-    time, force (N) and share of the torque's that may be unexplained; ``counts``: ticks that were
-    even, that were unobserved, that were misled; ``observed``: explained momentum, unexplained
-    force, mean force of the torque; ``past``: last angles, speeds, intervals; ``torques``
-    (`_UNDER_WAY`, n), those on their way.
+) -> int:
+    """Returns the most ticks that any drum is misled.
+
+    Of the axes' samples ``doubt_ns`` and ``age``; drums that are ``usable`` and have ``failed``;
+    ``angle`` (rad), ``rate`` (rad/s), the last tick's ``torque`` (N m), and the rate (rad/s) at
+    which the drum would be ``following`` the platform; ``interval``: s that a rate is the mean of.
+    Drum ``radius``, its ``mass`` at the cable, and the ``fastest`` acceleration (m/s2); observer
+    ``time``, ``force`` (N) and ``share`` of the torque's that may be unexplained. Ticks that were
+    ``even``, ``unobserved``, ``misled``; momentum that is ``explained``, force that is
+    ``unexplained``, ``mean`` force of the torque; ``last`` angles, speeds ``before``, intervals
+    ``since``; ``torques`` (`_UNDER_WAY`, n), those on their way.
     """
-    radius, mass, fastest = drives
-    time, force, share = limits
-    even, unobserved, misled = counts
-    explained, unexplained, mean = observed
-    last, before, since = past
+    most = 0
     for i in range(tension.shape[0]):
-        uncertain = skipped or samples[0][i] > samples[2] or samples[1][i] > 0
+        uncertain = skipped or doubt_ns[i] > largest_doubt_ns or age[i] > 0
         even[i] = 0 if uncertain else even[i] + 1
-        wanted = due[0][i] and not due[1][i] and due[2]
+        wanted = usable[i] and not failed[i] and enabled
         watched = wanted and even[i] >= _EVEN_TICKS
         unobserved[i] = unobserved[i] + 1 if wanted and not watched else 0
         acted = torques[_UNDER_WAY - 1, i]
         for k in range(_UNDER_WAY - 1, 0, -1):
             torques[k, i] = torques[k - 1, i]
-        torques[0, i] = drums[2][i]
-        speed, pull, following = radius[i] * drums[1][i], acted / radius[i], radius[i] * drums[3][i]
-        if not (watched and math.isfinite(speed + pull + tension[i] + following)):
+        torques[0, i] = torque[i]
+        speed, pull, ahead = radius[i] * rate[i], acted / radius[i], radius[i] * following[i]
+        if not (watched and math.isfinite(speed + pull + tension[i] + ahead)):
             explained[i], unexplained[i], mean[i] = mass[i] * speed, 0.0, abs(pull)
-            misled[i], travel[i], last[i], before[i] = 0, 0.0, drums[0][i], speed
+            misled[i], travel[i], last[i], before[i] = 0, 0.0, angle[i], speed
             since[i] = interval[i]
             continue
         period = interval[i]
@@ -82,8 +97,10 @@ def _observe(
         if abs(speed - before[i]) > fastest[i] * 0.5 * (period + since[i]):
             misled[i] = _CERTAIN
         before[i], since[i] = speed, period
-        travel[i] = travel[i] + period * following if drums[0][i] == last[i] else 0.0
-        last[i] = drums[0][i]
+        travel[i] = travel[i] + period * ahead if angle[i] == last[i] else 0.0
+        last[i] = angle[i]
+        most = max(most, misled[i])
+    return most
 
 
 class DrumObserver:
@@ -92,23 +109,39 @@ class DrumObserver:
     def __init__(self, robot: Robot, settings: Settings) -> None:
         cables, radius, mass = robot.cables, robot.drum_radius, robot.drum_mass
         strongest = robot.torque_limit / radius
-        self._drives = (radius, mass, settings.acceleration * strongest / mass)
-        self._limits = (settings.torque_s, settings.torque_error, settings.torque_share)
-        self._doubt_ns = settings.sample_doubt * 1e9
         self.unobserved = np.zeros(cables, dtype=np.int64)
         """(n,) ticks in a row in which a drum's motion could not be held against its torque"""
         self.misled = np.zeros(cables, dtype=np.int64)
         """(n,) ticks in a row in which it did not match"""
         self.travel = np.zeros(cables)
         """(n,) m that a standing drum should have wound, by the platform's motion"""
-        self._counts = (np.zeros(cables, dtype=np.int64), self.unobserved, self.misled)
+        self.most_misled = 0
+        """ticks, of the drum that has been misled for longest"""
+        even = np.zeros(cables, dtype=np.int64)
         self._observed = (np.zeros(cables), np.zeros(cables), np.zeros(cables))
         self._torques = np.zeros((_UNDER_WAY, cables))
         self._past = (np.zeros(cables), np.zeros(cables), np.zeros(cables))
+        self._kept = (
+            settings.sample_doubt * 1e9,
+            radius,
+            mass,
+            settings.acceleration * strongest / mass,
+            settings.torque_s,
+            settings.torque_error,
+            settings.torque_share,
+            even,
+            self.unobserved,
+            self.misled,
+            *self._observed,
+            *self._past,
+            self._torques,
+            self.travel,
+        )
 
     def reset(self) -> None:
         """What is counted of the samples goes on."""
         self.misled[:] = 0
+        self.most_misled = 0
         for each in (*self._observed, self._torques, self.travel):
             each[:] = 0.0
         self._past[1][:] = np.nan
@@ -127,19 +160,19 @@ class DrumObserver:
         """From the samples' times in ``image``, what ``sensing`` has of them, the drums that have
         ``failed`` (n,), the last tick's torques (n,) N m, and the rates (n,) rad/s at which they
         would follow the platform; ``skipped``: ticks before this one were missed."""
-        axes = image.axes
-        _observe(
-            (axes["doubt_ns"], axes["age"], self._doubt_ns),
-            (sensing.usable, failed, enabled),
-            skipped,
-            (sensing.angle, sensing.rate, torque, following),
+        axis = image.axis
+        self.most_misled = _observe(
+            axis.doubt_ns,
+            axis.age,
+            sensing.usable,
+            failed,
+            sensing.angle,
+            sensing.rate,
+            torque,
+            following,
             sensing.tension,
             sensing.interval,
-            self._drives,
-            self._limits,
-            self._counts,
-            self._observed,
-            self._past,
-            self._torques,
-            self.travel,
+            enabled,
+            skipped,
+            *self._kept,
         )

@@ -46,15 +46,16 @@ _BY_LENGTH = (Fault.LENGTH_JUMP, Fault.LENGTH_DRIFT)
 @njit(cache=True)
 def _count(
     innovation: Array,
-    tension: tuple[Array, Array],
+    reference: Array,
+    filtered: Array,
     watched: NDArray[np.bool_],
     limits: tuple[float, float, float],
     jumped: Counts,
     astray: Counts,
     drift: Array,
 ) -> None:
-    """``tension``: reference and filtered; ``limits``: jump (m), tension error (N), share of a tick
-    in the mean innovation. An innovation that is not a number (no sample) counts for nothing."""
+    """``limits``: jump (m), tension error (N), share of a tick in the mean innovation. An
+    innovation that is not a number (no sample) counts for nothing."""
     jump, error, share = limits
     for i in range(innovation.shape[0]):
         if not watched[i]:
@@ -65,7 +66,7 @@ def _count(
             jumped[i] = jumped[i] + 1 if abs(innovation[i]) > jump else 0
             bounded = min(max(innovation[i], -2.0 * jump), 2.0 * jump)
             drift[i] += share * (bounded - drift[i])
-        off = abs(tension[0][i] - tension[1][i]) > error
+        off = abs(reference[i] - filtered[i]) > error
         astray[i] = astray[i] + 1 if off else 0
 
 
@@ -73,19 +74,21 @@ def _count(
 def _repeat(
     raw: Array,
     age: NDArray[np.uint16],
+    tension: Array,
     reference: Array,
-    change: float,
-    loaded: NDArray[np.bool_],
+    limits: tuple[float, float],
     last: Array,
     then: Array,
     same: Counts,
 ) -> None:
-    """``then``: the tension references when the readings last changed; a reading counts as repeated
-    once its reference has moved by ``change`` (N) from there."""
+    """``limits``: tension of a cable with a load (N), change (N). ``then``: the tension references
+    when the readings last changed; a reading counts as repeated once its reference has moved by the
+    change from there."""
+    taut, change = limits
     for i in range(reference.shape[0]):
         if age[i] != 0:
             continue
-        if raw[i] != last[i] or not loaded[i]:
+        if raw[i] != last[i] or not tension[i] > taut:
             last[i], then[i], same[i] = raw[i], reference[i], 0
         elif abs(reference[i] - then[i]) > change:
             same[i] += 1
@@ -106,8 +109,33 @@ def _quiet(
 
 
 @njit(cache=True)
-def _none_reaches(counts: Counts, limit: int) -> bool:
-    return bool(counts.max() < limit)
+def _residuals(
+    innovation: Array,
+    reference: Array,
+    filtered: Array,
+    watched: NDArray[np.bool_],
+    raw: Array,
+    age: NDArray[np.uint16],
+    tension: Array,
+    jump: float,
+    error: float,
+    share: float,
+    taut: float,
+    change: float,
+    astray_ticks: int,
+    mean: float,
+    frozen_ticks: int,
+    jumped: Counts,
+    astray: Counts,
+    drift: Array,
+    last: Array,
+    then: Array,
+    same: Counts,
+) -> bool:
+    """All of a tick; returns whether no residual can be a fault."""
+    _count(innovation, reference, filtered, watched, (jump, error, share), jumped, astray, drift)
+    _repeat(raw, age, tension, reference, (taut, change), last, then, same)
+    return _quiet(jumped, astray, drift, same, (astray_ticks, mean, frozen_ticks))
 
 
 class Isolation:
@@ -116,13 +144,8 @@ class Isolation:
     def __init__(self, robot: Robot, settings: Settings, stop: Stop, period: float) -> None:
         self._settings, self._taut = settings, stop.taut_tension
         self.drums = DrumObserver(robot, settings)
-        self._limits = (
-            settings.length_jump,
-            settings.tension_error,
-            1.0 - math.exp(-period / settings.innovation_s),
-        )
+        self._share = 1.0 - math.exp(-period / settings.innovation_s)
         self._astray_ticks = round(settings.tension_error_s / period)
-        self._least = (self._astray_ticks, settings.innovation, settings.frozen_ticks)
         self._jumped = np.zeros(robot.cables, dtype=np.int64)
         self._astray = np.zeros(robot.cables, dtype=np.int64)
         self.drift = np.zeros(robot.cables)
@@ -132,28 +155,49 @@ class Isolation:
         self._strayed, self._straying = 0, -1
         self._last, self._then = np.full(robot.cables, np.nan), np.zeros(robot.cables)
         self._same = np.zeros(robot.cables, dtype=np.int64)
-        self._loaded = np.zeros(robot.cables, dtype=bool)
         self._overwound = np.zeros(robot.cables, dtype=bool)
+        self._kept = (
+            settings.length_jump,
+            settings.tension_error,
+            self._share,
+            stop.taut_tension,
+            settings.frozen_change,
+            self._astray_ticks,
+            settings.innovation,
+            settings.frozen_ticks,
+            self._jumped,
+            self._astray,
+            self.drift,
+            self._last,
+            self._then,
+            self._same,
+        )
+        self._quiet = True
+        """no residual of the lengths and cells can be a fault"""
 
     def reset(self) -> None:
         self._jumped[:] = self._astray[:] = self._same[:] = 0
         self.drift[:] = self._stray[:] = 0.0
         self._overwound[:] = False
+        self._quiet = True
         self.drums.reset()
 
     def step(
-        self, innovation: Array, reference: Array, filtered: Array, watched: NDArray[np.bool_]
+        self,
+        innovation: Array,
+        reference: Array,
+        filtered: Array,
+        watched: NDArray[np.bool_],
+        raw: Array,
+        age: NDArray[np.uint16],
+        tension: Array,
     ) -> None:
         """From innovations (n,) in m, tension references and filtered tensions (n,) in N, of the
-        cables that are ``watched`` (n,)."""
-        _count(
-            innovation,
-            (reference, filtered),
-            watched,
-            self._limits,
-            self._jumped,
-            self._astray,
-            self.drift,
+        cables that are ``watched`` (n,); and raw readings and ages of the cells (n + 1,) with the
+        tensions (n,) made of them: a cell without load, or whose load should not change, may well
+        repeat itself."""
+        self._quiet = _residuals(
+            innovation, reference, filtered, watched, raw, age, tension, *self._kept
         )
 
     def descend(self) -> None:
@@ -164,7 +208,7 @@ class Isolation:
     def lengths(self, innovation: Array, believed: NDArray[np.bool_]) -> None:
         """From innovations (n,) m of a descent, and whose lengths corrected the estimate (n,)."""
         told = believed & np.isfinite(innovation)
-        self._stray[told] += self._limits[2] * (innovation[told] - self._stray[told])
+        self._stray[told] += self._share * (innovation[told] - self._stray[told])
         stray = np.abs(self._stray)
         cable, limit = int(stray.argmax()), self._settings.innovation_descent
         second = np.partition(stray, -2)[-2]
@@ -182,25 +226,10 @@ class Isolation:
         (n,) m that the drums have left it; of cables that are ``slack`` (n,)."""
         self._overwound[:] = slack & (distance - length > self._settings.overwound)
 
-    def cells(self, raw: Array, age: NDArray[np.uint16], tension: Array, reference: Array) -> None:
-        """From raw readings and ages of the cells, tensions and their references (n,): a cell
-        without load, or whose load should not change, may well repeat itself."""
-        self._loaded[:] = tension > self._taut
-        _repeat(
-            raw,
-            age,
-            reference,
-            self._settings.frozen_change,
-            self._loaded,
-            self._last,
-            self._then,
-            self._same,
-        )
-
     def found(self, tension: Array) -> tuple[Fault, int]:
         """The first fault there is, and its cable or cell; ``tension`` (n,) N, unfiltered, tells a
         cable that does not pull any more from one whose length is wrong."""
-        if _quiet(self._jumped, self._astray, self.drift, self._same, self._least):
+        if self._quiet:
             return Fault.NONE, -1
         fault, place = self._contradiction(tension)
         if fault in _BY_LENGTH:
@@ -214,14 +243,15 @@ class Isolation:
         ``descending`` drums work at their limits, where losses are least certain; then a slack
         cable may be torn, and a cell frozen."""
         s = self._settings
+        if not descending and self.drums.most_misled < s.torque_ticks:
+            return Fault.NONE, -1
         if descending and self._overwound.any():
             return Fault.CABLE_TORN, int(self._overwound.argmax())
         if descending and (self._same >= s.frozen_ticks).any():
             return Fault.CELL_FROZEN, int((self._same >= s.frozen_ticks).argmax())
-        misled = self.drums.misled
-        if _none_reaches(misled, s.torque_descent_ticks if descending else s.torque_ticks):
+        if self.drums.most_misled < (s.torque_descent_ticks if descending else s.torque_ticks):
             return Fault.NONE, -1
-        return Fault.DRUM_TORQUE, int(misled.argmax())
+        return Fault.DRUM_TORQUE, int(self.drums.misled.argmax())
 
     def _contradiction(self, tension: Array) -> tuple[Fault, int]:
         s = self._settings

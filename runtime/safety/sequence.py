@@ -14,19 +14,19 @@ from tonus.config.schema.control import Control
 from tonus.config.schema.robot import Robot
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.control.referencing import Referencing
-from tonus.runtime.control.sensing import Sensing
+from tonus.runtime.control.sensing import FAULT_STATES, NOT_ENABLED, Sensing
 from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.faults import PASSIVE, Faults
 from tonus.runtime.safety.isolation import Isolation
 from tonus.runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State, StopMode
 
-_FAULTS = (int(AxisState.FAULT), int(AxisState.FAULT_REACTION_ACTIVE))
 FEWEST = 5
 """cables with which a descent is planned; with fewer the pose is not known for long"""
 FEWEST_DOUBTED = 7
 """the same once a cable was excluded by a contradiction, which may have named the wrong one: with
 six no length contradicts another one, and a wrong one adds energy (docs/stop.md)"""
 MOVING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
+_ENABLING = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
 
 
 @njit(cache=True)
@@ -242,7 +242,8 @@ class Sequence:
     @property
     def carrying(self) -> NDArray[np.bool_]:
         """(n,) cables that may be asked for tension."""
-        return self._sensing.present & ~self.faults.failed
+        faults, present = self.faults, self._sensing.present
+        return present & ~faults.failed if faults.count else present
 
     @property
     def descending(self) -> bool:
@@ -254,7 +255,7 @@ class Sequence:
         if self.state is State.SAFE_STOP:
             stopping = self.enabled and not self._given_up
             return AxisCommand.ENABLE if stopping else AxisCommand.DISABLE
-        if self.state in (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE):
+        if self.state in _ENABLING:
             return AxisCommand.ENABLE
         return AxisCommand.RESET_FAULT if self._resetting else AxisCommand.DISABLE
 
@@ -355,7 +356,11 @@ class Sequence:
 
     def _examine_devices(self, image: ProcessImage) -> None:
         """Silence, faults and defects that drives and cells show."""
-        sensing, axes, cells, faults = self._sensing, image.axes, image.cells, self.faults
+        sensing, faults = self._sensing, self.faults
+        alarm = sensing.alarm
+        if not alarm or (alarm == NOT_ENABLED and not self.enabled):
+            return
+        axes, cells = image.axes, image.cells
         if self.state is not State.OFF or self.elapsed > self._settings.enable_timeout_s:
             axis = -1
             while (axis := sensing.lost_axis(axis + 1)) >= 0:
@@ -370,7 +375,7 @@ class Sequence:
         wanted, axis = int(AxisState.OPERATION_ENABLED) if armed else -1, -1
         states, ages = axes["state"], axes["age"]
         while not self._resetting:
-            axis = _broken_axis(states, ages, fresh, _FAULTS, wanted, axis + 1)
+            axis = _broken_axis(states, ages, fresh, FAULT_STATES, wanted, axis + 1)
             if axis < 0:
                 break
             faults.add(Fault.DRIVE_FAULT, axis)

@@ -54,7 +54,13 @@ class Watched:
                 raw[self.repeats] = self._raw[self.repeats]
             self._raw = raw
             self.isolation.step(
-                given["innovation"], given["reference"], given["tension"], self.watched
+                given["innovation"],
+                given["reference"],
+                given["tension"],
+                self.watched,
+                raw,
+                FRESH,
+                given["tension"],
             )
             observe(
                 self.isolation.drums,
@@ -66,7 +72,6 @@ class Watched:
                 self.watched,
                 INTERVAL,
             )
-            self.isolation.cells(raw, FRESH, given["tension"], given["reference"])
         drum = self.isolation.disobedient(descending=self.descending)
         return drum if drum[0] is not Fault.NONE else self.isolation.found(given["tension"])
 
