@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -35,6 +35,9 @@ class FrameTap(Protocol):
         self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
     ) -> None:
         """One frame; ``sent``: by this program. ``data`` has at most 8 bytes."""
+
+    def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
+        """Frames that this program has sent at ``now_ns``: identifier and data of each."""
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         """Frames (n,) of `RAW_FRAME`, read until ``now_ns``, without those of this program; a

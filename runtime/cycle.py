@@ -41,6 +41,10 @@ from tonus.runtime.states import ARMED, Operator, State
 Array = NDArray[np.float64]
 _MOST_SKIPPED = 100
 """missed ticks in a row that the estimate is carried over: each takes as long as in a tick"""
+# Looked up once: a member of an enumeration takes ten times as long as a name (Python 3.11).
+_HOLD = State.HOLD
+_ACTIVE = State.ACTIVE
+_BEARING = (State.HOLD, State.ACTIVE)
 
 
 class ControlCycle:
@@ -60,6 +64,7 @@ class ControlCycle:
         period = control.rates.period
         self._robot, self._control, self._period = robot, control, period
         self._radius, self._axial_stiffness = robot.drum_radius, robot.axial_stiffness
+        self._resting = robot.rest[2]
         self.record = CycleRecord(robot.cables)
         self._kinematics = Kinematics(robot.geometry)
         self._sensing = Sensing(robot, control)
@@ -107,8 +112,7 @@ class ControlCycle:
         self._torque = np.zeros(robot.cables)
         """N m, of the last tick"""
         self._last_tick, self._skipped = -1, 0
-        self.unobserved = self._isolation.drums.unobserved
-        """(n,) ticks in a row in which a drum's motion could not be held against its torque"""
+        self.drums = self._isolation.drums
         self._drum_rate, self._none = np.zeros(robot.cables), np.zeros(robot.cables)
         self._desired_drums = (np.zeros(robot.cables), np.zeros(robot.cables))
         self._law = 0.0
@@ -147,10 +151,10 @@ class ControlCycle:
         if change.number:
             self.tuning.ask(change, sequence.state)
         self.tuning.step()
-        image.command[:] = sequence.axis_command
+        image.command.fill(int(sequence.axis_command))
         self._skipped = tick - self._last_tick - 1
         self._last_tick = tick
-        self._isolation.drums.step(
+        self.drums.step(
             image,
             sensing,
             sequence.faults.failed,
@@ -178,7 +182,7 @@ class ControlCycle:
         if rate is None:
             torque[:] = 0.0
         else:
-            usable = sensing.usable & sequence.carrying
+            usable = sequence.sound
             torque[:] = self._loop(
                 self._allocation.reference,
                 sensing.tension,
@@ -231,7 +235,7 @@ class ControlCycle:
     def selectable(self) -> bool:
         """Another scenario may be chosen: nothing moves, and nothing will until a START."""
         state = self.sequence.state
-        return state not in ARMED or (state is State.HOLD and self._guide.standing)
+        return state not in ARMED or (state is _HOLD and self._guide.standing)
 
     @property
     def tare(self) -> Array:
@@ -245,7 +249,7 @@ class ControlCycle:
 
     def _enter(self, state: State) -> None:
         self._finite = True
-        self._change_loop(self._active_loop if state is State.ACTIVE else self._usual_loop)
+        self._change_loop(self._active_loop if state is _ACTIVE else self._usual_loop)
         if state is State.REFERENCING:
             self._loop.reset()
             self._limiter.reset()
@@ -278,10 +282,10 @@ class ControlCycle:
         believed = sensing.usable & ~faults.failed if faults.count else sensing.usable
         self._pulling = descent.pulling(sensing.tension, faults)
         estimator = self._estimator
-        for _ in range(min(self._skipped, _MOST_SKIPPED)):
+        for _ in range(min(self._skipped, _MOST_SKIPPED) if self._skipped else 0):
             estimator.step(lengths, self._pulling, self._nobody)
         estimate = estimator.step(lengths, self._pulling, believed)
-        watched = sensing.usable & sequence.carrying
+        watched = sequence.sound
         if sequence.descending:
             slack = watched & ~descent.taut
             self._isolation.reeled(self._kinematics.lengths, lengths, slack)
@@ -304,7 +308,7 @@ class ControlCycle:
     def _regulate(self, estimate: Estimate) -> None:
         """Law, cap, limiter, wrench, distribution."""
         sensing, sequence, envelope = self._sensing, self.sequence, self._envelope
-        bearing = sensing.usable if sequence.state in (State.HOLD, State.ACTIVE) else self._nobody
+        bearing = sensing.usable if sequence.state in _BEARING else self._nobody
         contact = sensing.contact
         envelope(
             sensing.filtered,
@@ -324,7 +328,7 @@ class ControlCycle:
             contact,
             self._allocation.shortfall,
             self._referencing.wound,
-            self._radius * sensing.rate,
+            sensing.winding,
             self._guide.push,
             *self._guide.attitude,
         )
@@ -338,13 +342,13 @@ class ControlCycle:
             if sequence.descending
             else self._controller.wrench(motion, stiffness)
         )
-        sequence.height = float(estimate.position[2]) - self._robot.rest[2]
+        sequence.height = estimate.position.item(2) - self._resting
         sequence.load = max(norm(motion.external) - motion.contact, 0.0)
         if sequence.descending:
             allocation.descend(self._descent, self._pulling, sequence.carrying, sequence.faults)
         else:
             allocation.distribute(motion, stiffness, sequence.levels, sequence.carrying)
-            active = sequence.state is State.ACTIVE
+            active = sequence.state is _ACTIVE
             self._controller.applied(allocation.reference, sequence.elapsed if active else -1.0)
         allocation.deliver(sensing.tension)
 

@@ -82,12 +82,7 @@ class Channel:
 
     def send_all(self, frames: Sequence[tuple[int, bytes]]) -> None:
         """Identifiers and data, in one go where the bus can."""
-        now = self._clock()
-        if self._together is not None:
-            self._transmit(frames, now)
-        else:
-            for frame in frames:
-                self._transmit((frame,), now)
+        self._transmit(frames, self._clock())
 
     def sync(self, tick: int) -> None:
         now, free_ns = self._clock(), self._free_ns
@@ -100,27 +95,38 @@ class Channel:
         self._free_ns += sum(arrival.frame_bits for arrival in self.arrivals) * self._bit_ns
 
     def _transmit(self, frames: Sequence[tuple[int, bytes]], now: int) -> bool:
-        """Whether all of ``frames`` could be sent; of several, all or none. A bus in software is
-        told the time: devices answer a SYNC from the instant it is on the wire."""
+        """Whether all of ``frames`` could be sent. A bus that takes several at once takes all or
+        none; on another one a frame that is refused keeps back no other. A bus in software is told
+        the time: devices answer a SYNC from the instant it is on the wire."""
+        done, together = 0, self._together is not None and len(frames) > 1
         try:
-            if len(frames) > 1 and self._together is not None:
+            if self._together is not None and together:
                 self._together.send_frames(frames, now)
             else:
                 for identifier, data in frames:
                     self._frames.send_frame(identifier, data, now)
+                    done += 1
         except (can.CanError, OSError) as error:
+            if done:
+                self._book_sent(frames[:done], now)
             self._refused = True
             self._events.begin("transmit_refused", self.name, f"frame not sent: {error}")
+            if not together and done + 1 < len(frames):
+                self._transmit(frames[done + 1 :], now)
             return False
+        self._book_sent(frames, now)
+        return True
+
+    def _book_sent(self, frames: Sequence[tuple[int, bytes]], now: int) -> None:
         if self._refused:
             self._refused = False
             self._events.end("transmit_refused", self.name)
-        bits = sum([_EMPTY_BITS + 8 * len(data) for _, data in frames])
+        bits = len(frames) * _EMPTY_BITS
+        for _, data in frames:
+            bits += 8 * len(data)
         self._free_ns = max(now, self._free_ns) + bits * self._bit_ns
         if self._tap is not None:
-            for identifier, data in frames:
-                self._tap.frame(now, self._number, identifier, data, sent=True)
-        return True
+            self._tap.sent(frames, self._number, now)
 
     def drain(self) -> None:
         """Hand every frame that has arrived to its handler."""

@@ -126,21 +126,28 @@ def spring(error: Array, error_rate: Array, stiffness: float, damping: float) ->
 
 @njit(cache=True)
 def platform_wrench(
-    forces: tuple[Array, Array, Array],
+    force: Array,
+    weight: Array,
+    push: Array,
     acceleration: Array,
     mass: float,
-    attitude: tuple[Array, Array, Array],
-    rotational: tuple[float, float],
+    quaternion: Array,
+    turning: Array,
+    wanted_turning: Array,
+    level: Array,
+    rotational_stiffness: float,
+    rotational_damping: float,
 ) -> Array:
-    """Wrench (6,): the sum of ``forces`` and of inertia; and a rotational spring and damper
-    (``rotational``) towards level. ``attitude``: orientation, angular velocity, level."""
+    """Wrench (6,): the sum of three forces and of inertia; and a rotational spring and damper
+    towards the orientation ``level``. ``quaternion``: the platform's, ``turning`` and
+    ``wanted_turning`` (rad/s) its angular velocity and the desired one."""
     wrench = np.empty(6)
-    quaternion, angular_velocity, level = attitude
     turn = rotation_between(quaternion, level)
     for k in range(3):
         inertia = mass * acceleration[k]
-        wrench[k] = forces[0][k] + inertia + (forces[1][k] + forces[2][k])
-        wrench[3 + k] = rotational[0] * turn[k] - rotational[1] * angular_velocity[k]
+        wrench[k] = force[k] + inertia + (weight[k] + push[k])
+        rate = turning[k] - wanted_turning[k]
+        wrench[3 + k] = rotational_stiffness * turn[k] - rotational_damping * rate
     return wrench
 
 
@@ -485,9 +492,20 @@ def estimate_tick(
     matrix: Array,
     innovations: Array,
     believed: NDArray[np.bool_],
-    by_cables: tuple[Array, Array, Array, Array],
-    published: tuple[Array, Array, Array, Array, Array],
-    past: tuple[Array, Array, Array, Array, NDArray[np.bool_]],
+    cables_position: Array,
+    cables_quaternion: Array,
+    cables_lengths: Array,
+    cables_matrix: Array,
+    there: Array,
+    oriented: Array,
+    velocity: Array,
+    turning: Array,
+    external: Array,
+    past_lengths: Array,
+    past_tensions: Array,
+    past_positions: Array,
+    past_quaternions: Array,
+    past_believed: NDArray[np.bool_],
     noise: Array,
     length_variance: float,
     share: float,
@@ -499,11 +517,11 @@ def estimate_tick(
     count: int,
     iterations: int,
 ) -> tuple[float, float]:
-    """All that an estimator's tick computes: the filter, the pose from the lengths alone
-    (``by_cables``: its position, quaternion, lengths and matrix), the estimate one period on and
-    the external wrench (``published``), and the row of this tick, number ``count``, in what is kept
-    of the ``past``: lengths, tensions, positions, quaternions, believed. The others as in
-    `filter_tick`. Returns what that and `forward` do."""
+    """All that an estimator's tick computes: the filter; the pose from the lengths alone, its
+    lengths and matrix (``cables_...``); the estimate one period on (position ``there``, quaternion
+    ``oriented``, ``velocity``, ``turning``) and the ``external`` wrench (6,); and the row of this
+    tick, number ``count``, in what is kept of the past. The others as in `filter_tick`. Returns
+    what that and `forward` do."""
     state, body = (position, quaternion, rest, covariance, mean), (mass, inertia, gravity)
     anchors = (frame, platform)
     squared = filter_tick(
@@ -523,20 +541,19 @@ def estimate_tick(
         measured,
         believed,
         anchors,
-        by_cables[0],
-        by_cables[1],
-        by_cables[2],
-        by_cables[3],
+        cables_position,
+        cables_quaternion,
+        cables_lengths,
+        cables_matrix,
         iterations,
     )
-    row = count % past[0].shape[0]
-    past[0][row], past[1][row] = measured, tensions
-    past[2][row], past[3][row] = position, quaternion
-    past[4][row] = believed
-    wrench = matrix @ tensions
-    estimate = (published[0], published[1], published[2], published[3])
+    row = count % past_lengths.shape[0]
+    past_lengths[row], past_tensions[row] = measured, tensions
+    past_positions[row], past_quaternions[row] = position, quaternion
+    past_believed[row] = believed
+    wrench, estimate = matrix @ tensions, (there, oriented, velocity, turning)
     carry_forward(
         state, (*body, axial_stiffness), period, wrench, anchors, lengths, matrix, estimate
     )
-    published[4][:] = rest[EXTERNAL - TWIST : OFFSETS - TWIST]
+    external[:] = rest[EXTERNAL - TWIST : OFFSETS - TWIST]
     return squared, residual

@@ -164,12 +164,6 @@ class PoseEstimator:
         """whose lengths corrected the estimate in this tick"""
         self.cable_position, self._cable_quaternion = np.zeros(3), self._quaternion.copy()
         """as solved from the lengths alone, with nothing calibrated"""
-        self._by_cables = (
-            self.cable_position,
-            self._cable_quaternion,
-            self._cables.lengths,
-            self._cables.matrix,
-        )
         self.residual = 0.0
         """m, RMS disagreement of the lengths with that pose"""
         self.inconsistency = 1.0
@@ -196,15 +190,17 @@ class PoseEstimator:
             kinematics.matrix,
             self.innovations,
             self.believed,
-            self._by_cables,
-            (*self._published, self.estimate.external),
-            (
-                self._past_lengths,
-                self._past_tensions,
-                self._past_positions,
-                self._past_quaternions,
-                self._past_usable,
-            ),
+            self.cable_position,
+            self._cable_quaternion,
+            self._cables.lengths,
+            self._cables.matrix,
+            *self._published,
+            self.estimate.external,
+            self._past_lengths,
+            self._past_tensions,
+            self._past_positions,
+            self._past_quaternions,
+            self._past_usable,
         )
 
     @property

@@ -105,12 +105,14 @@ def _trust(
     limits: tuple[int, int],
     usable: NDArray[np.bool_],
     present: NDArray[np.bool_],
+    sound: NDArray[np.bool_],
 ) -> None:
     fresh, stale = limits
     for i in range(usable.shape[0]):
         odd = implausible[0][i] or implausible[1][i]
         usable[i] = not odd and max(ages[0][i], ages[1][i]) <= fresh
         present[i] = max(silences[0][i], silences[1][i]) <= stale
+        sound[i] = usable[i] and present[i]
 
 
 @njit(cache=True)
@@ -169,6 +171,9 @@ def _sense(
     silent_cells: NDArray[np.int64],
     usable: NDArray[np.bool_],
     present: NDArray[np.bool_],
+    sound: NDArray[np.bool_],
+    radius: Array,
+    winding: Array,
 ) -> int:
     """All of a tick; returns its alarm. First the image's columns, then limits (s, rad/s (n,), N,
     ticks, ticks), then what `Sensing` keeps. Single arrays, since a tuple of them takes twice as
@@ -179,7 +184,10 @@ def _sense(
     _count_silence(age, last_age, fresh, implausible, silent)
     _count_silence(cell_age, last_cell_age, fresh, implausible_cells, silent_cells)
     ages, silences = (age, cell_age), (silent, silent_cells)
-    _trust(ages, silences, (implausible, implausible_cells), (fresh, stale), usable, present)
+    odd = (implausible, implausible_cells)
+    _trust(ages, silences, odd, (fresh, stale), usable, present, sound)
+    for i in range(rate.shape[0]):
+        winding[i] = radius[i] * rate[i]
     return _alarm(silences, age, state, status, (fresh, stale))
 
 
@@ -211,6 +219,10 @@ class Sensing:
         """drive and cell of a cable are both fresh: it may have a torque"""
         self.present = np.zeros(cables, dtype=bool)
         """neither is lost: it keeps its place in the distribution through a short silence"""
+        self.sound = np.zeros(cables, dtype=bool)
+        """both: it may have a torque now"""
+        self.winding = np.zeros(cables)
+        """m/s, rate at which a cable is reeled in"""
         self.interval = np.full(cables, self._period)
         """s between the two samples that a rate is made of"""
         self._sampled = (np.full(cables, _MISSING, dtype=np.int64), np.zeros(cables, np.int64))
@@ -238,6 +250,9 @@ class Sensing:
             self._silent_cells,
             self.usable,
             self.present,
+            self.sound,
+            robot.drum_radius,
+            self.winding,
         )
         self.tension = self.force[:-1]
         """N, (n,), unfiltered"""

@@ -34,7 +34,7 @@ class Reporter:
     def __init__(self, config: Config, cycle: ControlCycle, events: EventSink) -> None:
         self._config, self._events = config, events
         self._sequence, self._record = cycle.sequence, cycle.record
-        self._unobserved, self._blind = cycle.unobserved, False
+        self._drums, self._blind = cycle.drums, False
         seconds = config.control.isolation.unobserved_s
         self._blind_ticks = round(seconds / config.control.rates.period)
         self.fault = ""
@@ -68,9 +68,8 @@ class Reporter:
         if sequence.state is not self._state:
             before, self._state = self._state, sequence.state
             self._tell(Level.INFO, "state", "", f"{before.name} to {sequence.state.name}")
-        grade = Grade(int(self._record.envelope.grade))
-        if grade is not self._grade:
-            self._grade = grade
+        if int(self._record.envelope.grade) != self._grade:
+            grade = self._grade = Grade(int(self._record.envelope.grade))
             level = Level.INFO if grade is Grade.GREEN else Level.WARNING
             self._tell(level, "envelope", "", f"grade {grade.name.lower()}")
         self._watch_tracker()
@@ -94,17 +93,17 @@ class Reporter:
     def _watch_estimator(self) -> None:
         """Measurements that contradict each other, and what the estimator made of it."""
         pose, tracker = self._record.pose, self._record.tracker
-        away = 1e3 * float(tracker.disagreement)
-        consistency, learnt = Consistency(int(pose.consistency)), int(tracker.learnt)
-        if consistency is not self._consistency:
-            self._consistency = consistency
+        learnt = int(tracker.learnt)
+        if int(pose.consistency) != self._consistency:
+            consistency = self._consistency = Consistency(int(pose.consistency))
             level = Level.INFO if consistency is Consistency.GOOD else Level.WARNING
             text = _CONSISTENCY[consistency]
             if consistency is Consistency.TRACKER:
-                text += f", {away:.1f} mm away"
+                text += f", {1e3 * float(tracker.disagreement):.1f} mm away"
             self._tell(level, f"pose_{consistency.name.lower()}", "estimator", text)
         if learnt > self._learnt:
-            text = f"the tracker stays {away:.1f} mm away: the cable lengths are referenced again"
+            away = f"{1e3 * float(tracker.disagreement):.1f} mm"
+            text = f"the tracker stays {away} away: the cable lengths are referenced again"
             self._tell(Level.WARNING, "tracker_learnt", "estimator", text)
         self._learnt = learnt
 
@@ -120,13 +119,13 @@ class Reporter:
     def _watch_drums(self) -> None:
         """Where samples come late too often, a jammed or slipping drum would not be found by its
         torque."""
-        longest = int(self._unobserved.max())
+        longest = self._drums.longest_unobserved
         if self._blind and longest == 0:
             self._blind = False
             self._tell(Level.INFO, "drums_observed", "", "torque and motion are compared again")
         elif not self._blind and longest > self._blind_ticks:
             self._blind = True
-            axis = int(self._unobserved.argmax())
+            axis = int(self._drums.unobserved.argmax())
             text = "samples are late or of uncertain time: torque and motion cannot be compared"
             self._tell(Level.WARNING, "drums_unobserved", f"axis {axis}", text)
 

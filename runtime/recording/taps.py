@@ -147,6 +147,15 @@ class FrameRing(RingWriter):
         )
         self._release(slot)
 
+    def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
+        """As `tonus.drivers.fieldbus.FrameTap` has it."""
+        words, pack, memory = self._words, _FRAME.pack_into, self._memory
+        for identifier, data in frames:
+            slot = self._slot
+            words[slot] = 0
+            pack(memory, slot * 8 + 8, now_ns, identifier, channel, len(data), True, data)
+            self._release(slot)
+
 
 class EventRing(RingWriter):
     """What a person wants to know about a run: a few a second at most."""

@@ -59,8 +59,8 @@ def _observe(
     since: Array,
     torques: Array,
     travel: Array,
-) -> int:
-    """Returns the most ticks that any drum is misled.
+) -> tuple[int, int]:
+    """Returns the most ticks that any drum is misled, and is unobserved.
 
     Of the axes' samples ``doubt_ns`` and ``age``; drums that are ``usable`` and have ``failed``;
     ``angle`` (rad), ``rate`` (rad/s), the last tick's ``torque`` (N m), and the rate (rad/s) at
@@ -71,13 +71,14 @@ def _observe(
     ``unexplained``, ``mean`` force of the torque; ``last`` angles, speeds ``before``, intervals
     ``since``; ``torques`` (`_UNDER_WAY`, n), those on their way.
     """
-    most = 0
+    most = longest = 0
     for i in range(tension.shape[0]):
         uncertain = skipped or doubt_ns[i] > largest_doubt_ns or age[i] > 0
         even[i] = 0 if uncertain else even[i] + 1
         wanted = usable[i] and not failed[i] and enabled
         watched = wanted and even[i] >= _EVEN_TICKS
         unobserved[i] = unobserved[i] + 1 if wanted and not watched else 0
+        longest = max(longest, unobserved[i])
         acted = torques[_UNDER_WAY - 1, i]
         for k in range(_UNDER_WAY - 1, 0, -1):
             torques[k, i] = torques[k - 1, i]
@@ -100,7 +101,7 @@ def _observe(
         travel[i] = travel[i] + period * ahead if angle[i] == last[i] else 0.0
         last[i] = angle[i]
         most = max(most, misled[i])
-    return most
+    return most, longest
 
 
 class DrumObserver:
@@ -115,8 +116,8 @@ class DrumObserver:
         """(n,) ticks in a row in which it did not match"""
         self.travel = np.zeros(cables)
         """(n,) m that a standing drum should have wound, by the platform's motion"""
-        self.most_misled = 0
-        """ticks, of the drum that has been misled for longest"""
+        self.most_misled = self.longest_unobserved = 0
+        """ticks, of the drum that has been misled or unobserved for longest"""
         even = np.zeros(cables, dtype=np.int64)
         self._observed = (np.zeros(cables), np.zeros(cables), np.zeros(cables))
         self._torques = np.zeros((_UNDER_WAY, cables))
@@ -161,7 +162,7 @@ class DrumObserver:
         ``failed`` (n,), the last tick's torques (n,) N m, and the rates (n,) rad/s at which they
         would follow the platform; ``skipped``: ticks before this one were missed."""
         axis = image.axis
-        self.most_misled = _observe(
+        self.most_misled, self.longest_unobserved = _observe(
             axis.doubt_ns,
             axis.age,
             sensing.usable,

@@ -25,6 +25,15 @@ from tonus.runtime.states import Fault
 
 Array = NDArray[np.float64]
 _GRADED = (Bound.CONTACT, Bound.SPEED, Bound.WORKSPACE, Bound.TENSION_HIGH)
+# Looked up once: a member of an enumeration takes ten times as long as a name (Python 3.11).
+_NO_FAULT = Fault.NONE
+_GREEN = Grade.GREEN
+_AMBER = Grade.AMBER
+_RED = Grade.RED
+_NO_BOUND = Bound.NONE
+_CONTACT = Bound.CONTACT
+_TENSION_HIGH = Bound.TENSION_HIGH
+_TENSION_LOW = Bound.TENSION_LOW
 
 
 @njit(cache=True)
@@ -119,9 +128,9 @@ class Envelope:
         """N/m"""
         self.progress = 1.0
         """rate of the scenario's time"""
-        self.grade = Grade.GREEN
-        self.bound = Bound.NONE
-        self.fault = Fault.NONE
+        self.grade = _GREEN
+        self.bound = _NO_BOUND
+        self.fault = _NO_FAULT
         self.where = -1
         self.tension_high = self.tension_low = self.contact = self.speed = self.workspace = 1.0
         self._over[:] = 0
@@ -173,7 +182,7 @@ class Envelope:
     def _judge(self, contact: float, speed: float, inside: float, over: int, under: int) -> None:
         """Red: what is met now, not what is predicted."""
         s, ticks = self._settings, self._settings.over_tension_ticks
-        self.fault, self.where = Fault.NONE, -1
+        self.fault, self.where = _NO_FAULT, -1
         if contact >= s.contact_limit:
             self.fault = Fault.CONTACT_LIMIT
         elif over >= ticks:
@@ -198,14 +207,14 @@ class Envelope:
         place, share = _shares(left, self._held, s.release_band, self._release)
         bound = _GRADED[place]
         low, high = self._law.minimum, self._law.maximum
-        stiffening = bound in (Bound.CONTACT, Bound.TENSION_HIGH)
+        stiffening = bound in (_CONTACT, _TENSION_HIGH)
         self.cap = low + share * (high - low) if stiffening else high
         self.progress = share
         amber = share < 1.0 or self.tension_low < -edge
-        if self.fault is not Fault.NONE:
-            self.grade = Grade.RED
+        if self.fault is not _NO_FAULT:
+            self.grade = _RED
         elif amber:
-            self.grade = Grade.AMBER
+            self.grade = _AMBER
         else:
-            self.grade = Grade.GREEN
-        self.bound = bound if share < 1.0 else (Bound.TENSION_LOW if amber else Bound.NONE)
+            self.grade = _GREEN
+        self.bound = bound if share < 1.0 else (_TENSION_LOW if amber else _NO_BOUND)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,9 @@ class GuardedTap:
         self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
     ) -> None:
         self._part(self._tap.frame, stamp_ns, channel, identifier, data, sent=sent)
+
+    def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
+        self._part(self._tap.sent, frames, channel, now_ns)
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         self._part(self._tap.received, frames, channel, now_ns)

@@ -246,6 +246,12 @@ class Sequence:
         return present & ~faults.failed if faults.count else present
 
     @property
+    def sound(self) -> NDArray[np.bool_]:
+        """(n,) cables among them whose measurements are usable in this tick."""
+        faults, sensing = self.faults, self._sensing
+        return sensing.sound & ~faults.failed if faults.count else sensing.sound
+
+    @property
     def descending(self) -> bool:
         """A stop without all cables: weight and damping only, no position is held."""
         return self.stop_mode is StopMode.DESCENT

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import socket
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from unittest.mock import patch
@@ -38,6 +38,8 @@ class _NoTap:
     def frame(
         self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
     ) -> None: ...
+
+    def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None: ...
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None: ...
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import struct
 from collections import deque
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Sequence
 from typing import Any, TypeVar
 
 import can
@@ -134,6 +134,10 @@ class Tap:
         self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
     ) -> None:
         self.seen.append((stamp_ns, channel, identifier, data, sent))
+
+    def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
+        for identifier, data in frames:
+            self.frame(now_ns, channel, identifier, data, sent=True)
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         for stamp_ns, identifier, dlc, own, _, word in frames.tolist():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,6 +51,9 @@ class _Numbered:
         self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
     ) -> None:
         self._tap.frame(stamp_ns, self._first + channel, identifier, data, sent=sent)
+
+    def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
+        self._tap.sent(frames, self._first + channel, now_ns)
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         self._tap.received(frames, self._first + channel, now_ns)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,10 @@ class LateSinks:
     ) -> None:
         if self.rings is not None and self.rings.frames is not None:
             self.rings.frames.frame(stamp_ns, channel, identifier, data, sent=sent)
+
+    def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
+        if self.rings is not None and self.rings.frames is not None:
+            self.rings.frames.sent(frames, channel, now_ns)
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         if self.rings is not None and self.rings.frames is not None:

@@ -151,17 +151,19 @@ class Controller(ABC):
     def _levelled(
         self, motion: Motion, forces: tuple[Array, Array, Array], acceleration: Array = NOTHING
     ) -> Array:
+        force, weight, push = forces
         return np.asarray(
             platform_wrench(
-                forces,
+                force,
+                weight,
+                push,
                 acceleration,
                 self._robot.platform.mass,
-                (
-                    motion.quaternion,
-                    motion.angular_velocity - motion.desired_angular_velocity,
-                    motion.desired_quaternion,
-                ),
-                self._rotational,
+                motion.quaternion,
+                motion.angular_velocity,
+                motion.desired_angular_velocity,
+                motion.desired_quaternion,
+                *self._rotational,
             )
         )
 
