@@ -40,13 +40,21 @@ _CHANNEL_BIT, _LENGTH_BIT = 32, 40
 
 
 @njit(cache=True)
-def _invalidate(words: NDArray[np.int64], ring: tuple[int, int, int], slot: int, n: int) -> None:
-    """Take the positions of ``n`` slots away. A function of its own, as the other two are: within
-    one a compiler may leave out, or put off, what only another process sees."""
+def _invalidate(
+    words: NDArray[np.int64], ring: tuple[int, int, int], slot: int, frames: NDArray[np.void]
+) -> int:
+    """Take the positions of as many slots away as frames are not our own, and count them. A
+    function of its own, as the other two are: within one a compiler may leave out, or put off, what
+    only another process sees."""
     first, stride, end = ring
-    for _ in range(n):
+    count = 0
+    for i in range(frames.shape[0]):
+        if frames[i].own:
+            continue
+        count += 1
         words[slot] = 0
         slot = slot + stride if slot + stride != end else first
+    return count
 
 
 @njit(cache=True)
@@ -83,24 +91,14 @@ def _validate(
     return slot
 
 
-@njit(cache=True)
-def _strangers(frames: NDArray[np.void]) -> int:
-    """How many frames are not our own."""
-    count = 0
-    for i in range(frames.shape[0]):
-        count += not frames[i].own
-    return count
-
-
 def compile_frames() -> None:
     """What takes frames as they were received, before a tick needs it."""
     words, ring = np.zeros(8, np.int64), (0, 8, 8)
     for read_only in (False, True):  # a bus may give either
         frames = np.zeros(0, RAW_FRAME)
         frames.flags.writeable = not read_only
-        _strangers(frames)
+        _invalidate(words, ring, 0, frames)
         _fill(words, ring, 0, frames, 0, 0)
-    _invalidate(words, ring, 0, 0)
     _validate(words, ring, 0, 0, 0)
 
 
@@ -125,9 +123,8 @@ class FrameRing(RingWriter):
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         """As `tonus.drivers.fieldbus.FrameTap` has it, at most as many as the ring holds."""
-        count = _strangers(frames)
         words, ring, slot = self._array, self._shape, self._slot
-        _invalidate(words, ring, slot, count)
+        count = _invalidate(words, ring, slot, frames)
         _fill(words, ring, slot, frames, channel, now_ns)
         self._slot = _validate(words, ring, slot, count, self.count)
         self._publish(count)

@@ -489,7 +489,7 @@ class Channel:
         wire = self._wire
         if wire.delivered_frames:
             for listener, received in self._hosts:
-                received.extend(wire.rows_for(listener.number, echo=listener.echo))
+                wire.hand_over(listener.number, received, echo=listener.echo)
             wire.handed_out()
 
     def _react(self, now_ns: int) -> bool:

@@ -57,36 +57,45 @@ class Inbox:
         self.missed = 0
         """frames that did not fit"""
         self._depth = depth
-        self._begin = self._end = 0
+        self._begin = self.end = 0
+        """rows of the oldest frame, and behind the newest"""
         self._hold(_FIRST_SIZE)
 
     def _hold(self, size: int) -> None:
         self._frames = np.zeros(size, FRAMES)
-        self._rows = self._frames.view(np.int64).reshape(size, WORDS)
+        self.rows = self._frames.view(np.int64).reshape(size, WORDS)
         self._memory = self._frames.view(np.uint8).data
 
     def __len__(self) -> int:
-        return self._end - self._begin
+        return self.end - self._begin
 
     def _make_room(self, count: int) -> None:
         """Let ``count`` more rows fit behind the last."""
-        kept = self._frames[self._begin : self._end].copy()
+        kept = self._frames[self._begin : self.end].copy()
         if len(kept) + count > len(self._frames) // 2:
             self._hold(2 * len(self._frames) + count)
-        self._begin, self._end = 0, len(kept)
-        self._frames[: self._end] = kept
+        self._begin, self.end = 0, len(kept)
+        self._frames[: self.end] = kept
+
+    def holds(self, count: int) -> bool:
+        """Whether ``count`` more frames may be written into `rows` from `end` on."""
+        if self._depth is not None and len(self) + count > self._depth:
+            return False
+        if self.end + count > self.rows.shape[0]:
+            self._make_room(count)
+        return True
 
     def append(self, row: bytes) -> None:
         """A frame as `pack` gives it."""
         if self._depth is not None and len(self) >= self._depth:
             self.missed += 1
             return
-        end = self._end
-        if end == self._rows.shape[0]:
+        end = self.end
+        if end == self.rows.shape[0]:
             self._make_room(1)
-            end = self._end
+            end = self.end
         self._memory[end * _SIZE : end * _SIZE + _SIZE] = row
-        self._end = end + 1
+        self.end = end + 1
 
     def extend(self, rows: NDArray[np.int64]) -> None:
         """Frames as rows (n, `WORDS`)."""
@@ -95,10 +104,10 @@ class Inbox:
             fit = max(self._depth - len(self), 0)
             self.missed += count - fit
             rows, count = rows[:fit], fit
-        if self._end + count > len(self._frames):
+        if self.end + count > len(self._frames):
             self._make_room(count)
-        self._rows[self._end : self._end + count] = rows
-        self._end += count
+        self.rows[self.end : self.end + count] = rows
+        self.end += count
 
     def __iter__(self) -> Iterator[Received]:
         """Every frame, oldest first; none is taken."""
@@ -111,7 +120,7 @@ class Inbox:
     def pop(self) -> RawFrame | None:
         """Take the oldest frame; None if there is none."""
         begin = self._begin
-        if begin == self._end:
+        if begin == self.end:
             return None
         self._begin = begin + 1
         stamp_ns, identifier, dlc, own, data = _unpack(self._memory, begin * _SIZE)
@@ -124,8 +133,11 @@ class Inbox:
     def take(self, limit: int) -> NDArray[np.void]:
         """The oldest frames, ``limit`` at most, as a copy: (n,) of `FRAMES`."""
         begin = self._begin
-        self._begin = end = min(self._end, begin + limit)
-        return np.frombuffer(self._memory[begin * _SIZE : end * _SIZE].tobytes(), FRAMES)
+        self._begin = end = min(self.end, begin + limit)
+        taken = np.frombuffer(self._memory[begin * _SIZE : end * _SIZE].tobytes(), FRAMES)
+        if end == self.end:
+            self._begin = self.end = 0
+        return taken
 
     def clear(self) -> None:
-        self._begin = self._end = 0
+        self._begin = self.end = 0

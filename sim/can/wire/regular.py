@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tonus.sim.can.wire.frame import BASE_ID, Frame
-from tonus.sim.can.wire.inbox import WORDS
+from tonus.sim.can.wire.inbox import WORDS, Inbox
 from tonus.sim.can.wire.timing import stuffed_bits
 
 Integers = NDArray[np.int64]
@@ -142,10 +142,13 @@ def _run(
         land(state, frames, delivered)
 
 
-@njit("int64(int64[:, ::1], int64, int64, boolean, int64[:, ::1])", cache=True)
-def _for_host(delivered: Integers, count: int, port: int, echo: bool, rows: Integers) -> int:
-    """What a host receives of ``delivered``, as rows of an inbox; how many."""
-    taken = 0
+@njit("int64(int64[:, ::1], int64, int64, boolean, int64[:, ::1], int64)", cache=True)
+def _for_host(
+    delivered: Integers, count: int, port: int, echo: bool, rows: Integers, at: int
+) -> int:
+    """What a host receives of ``delivered``, as rows of an inbox from row ``at`` on; the row
+    behind them."""
+    taken = at
     for i in range(count):
         own = delivered[i, WORDS] == port
         if own and not echo:
@@ -236,10 +239,13 @@ class RegularWire:
         """When something happens next by itself, or `NEVER`."""
         return self._words[NEXT]
 
-    def rows_for(self, port: int, *, echo: bool) -> Integers:
-        """Delivered frames that a host receives; good until the next call."""
-        count = _for_host(self.delivered, self._words[DELIVERED], port, echo, self._rows)
-        return self._rows[:count]
+    def hand_over(self, port: int, inbox: Inbox, *, echo: bool) -> None:
+        """Let a host have what it receives of the delivered frames."""
+        count = self._words[DELIVERED]
+        if inbox.holds(count):
+            inbox.end = _for_host(self.delivered, count, port, echo, inbox.rows, inbox.end)
+        else:
+            inbox.extend(self._rows[: _for_host(self.delivered, count, port, echo, self._rows, 0)])
 
     def handed_out(self) -> None:
         """Every host has the delivered frames."""
