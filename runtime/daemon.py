@@ -31,7 +31,7 @@ from tonus.runtime.safety.firewall import Firewall, Part, in_one_line
 from tonus.runtime.safety.guarded_parts import GuardedParts
 from tonus.runtime.signals import CycleRecord
 from tonus.runtime.states import ARMED, Fault, Operator, State
-from tonus.runtime.timing.clock import Stopwatch, now_ns
+from tonus.runtime.timing.clock import Stopwatch, loop_clock, now_ns
 from tonus.runtime.timing.latencies import Latencies, Marks
 from tonus.runtime.timing.overruns import Overruns
 from tonus.runtime.timing.scheduler import Misses, Pacing, Scheduler
@@ -105,6 +105,7 @@ class Daemon:
             ticks = round(config.recording.keyframe_s / config.control.rates.period)
             self._keeper = KeyframeKeeper(self.cycle, keyframes, ticks)
         self._due_ns = self._after_ns = self._ticks = 0
+        self._now_ns = now_ns
         self._overruns = Overruns(config.realtime)
         self.latencies = Latencies()
         self._halted = False
@@ -142,6 +143,7 @@ class Daemon:
         outcome, not an exception.
         """
         try:
+            self._now_ns = loop_clock()
             if await self._bring_up(progress):
                 ready()
                 scheduler = self.scheduler = self._schedule(pacing(), start_ns)
@@ -291,7 +293,7 @@ class Daemon:
         """Without one the pose is as old as the last that came."""
         tracker, part = self._fieldbus.image.tracker, self._guard.tracker
         failures = part.failures
-        part(self._tracker.collect, now_ns())
+        part(self._tracker.collect, self._now_ns())
         if part.failures > failures:
             tracker["fresh"] = 0
             tracker["delay"] += self._config.control.rates.period

@@ -60,8 +60,11 @@ class Pacing(Protocol):
 class VirtualPacing:
     """The next tick is when virtual time says so."""
 
+    _loop: asyncio.AbstractEventLoop | None = None
+
     async def until(self, due_ns: int) -> None:
-        loop = asyncio.get_running_loop()
+        # Asked for once: asyncio makes a system call each time, to see that no fork came between.
+        loop = self._loop = self._loop or asyncio.get_running_loop()
         # To go through the loop takes a tenth of a tick, and most often nobody else is there.
         if isinstance(loop, VirtualTimeLoop) and loop.skip(due_ns):
             return
