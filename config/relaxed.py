@@ -9,6 +9,7 @@ from tonus.config.schema.place import (
     DEFAULTS,
     LARGEST_JITTER_MS,
     LARGEST_PATIENCE_MS,
+    LARGEST_RELAY_TIMEOUT_MS,
     LARGEST_STALE_TICKS,
     LARGEST_TIMEOUT_MS,
 )
@@ -59,6 +60,13 @@ def _risks(config: Config) -> Iterator[tuple[Key, str]]:
             ("supervisor", "timeout_ms"),
             f"{supervisor.timeout_ms} ms are how long drives go on without it, on a robot more "
             f"than {LARGEST_TIMEOUT_MS} are too many",
+        )
+    relay = config.relay
+    if relay is not None and relay.timeout_ms > LARGEST_RELAY_TIMEOUT_MS:
+        yield (
+            ("sto_relay", "timeout_ms"),
+            f"{relay.timeout_ms} ms are how long drives go on without their supervisor, on a robot "
+            f"more than {LARGEST_RELAY_TIMEOUT_MS} are too many",
         )
     if config.tolerance.jitter_ms > LARGEST_JITTER_MS:
         yield (

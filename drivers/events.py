@@ -199,12 +199,13 @@ EVENTS: dict[str, Meaning] = {
     ),
     "supervisor_stopped": Meaning(
         "the supervisor found a requirement broken and stops the drives",
-        "its heartbeat has ended; the drives brake and disable by themselves",
+        "its heartbeat has ended; the drives brake and disable by themselves, or have no torque "
+        "(sto_relay)",
         "look the requirement up in supervisor.md; keep the log: daemon or supervisor is wrong",
     ),
     "supervisor_lost": Meaning(
         "no heartbeat of the supervisor on a channel",
-        "the drives there brake and disable by themselves",
+        "the drives there brake and disable by themselves, or have no torque (sto_relay)",
         "look whether its process runs, and at the channel; a reset arms nothing without it",
     ),
     "unsupervised": Meaning(
@@ -217,6 +218,17 @@ EVENTS: dict[str, Meaning] = {
         "the supervisor's heartbeat is received again",
         "",
         "",
+    ),
+    "sto_relay_open": Meaning(
+        "the relay in the circuit of the STO inputs opened while the drives were enabled",
+        "every drive reports STO",
+        "look for supervisor_stopped or supervisor_lost beside it, else at the relay's node and "
+        "its wires; then reset",
+    ),
+    "sto_relay_stuck": Meaning(
+        "the relay in the circuit of the STO inputs reports closed contacts while its output is off",
+        "the robot is not armed",
+        "replace the relay: a contact is welded, or the wire of its mirror contact is broken",
     ),
     "dropped": Meaning(
         "more events than can be kept between two ticks",

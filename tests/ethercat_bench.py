@@ -12,6 +12,7 @@ from tonus.config.schema.root import Config
 from tonus.sim.ethercat.frames import Command, Datagram, build, parse, physical
 from tonus.sim.ethercat.slaves.slave import Slave
 from tonus.sim.lab.engine import Lab
+from tonus.tools.run.supervision import without_relay
 
 US, MS = 1_000, 1_000_000
 CHANNEL = "tonus0"
@@ -24,7 +25,7 @@ TPDO = (0x60410010, 0x60640020, 0x60770010)
 
 @cache
 def _config(name: str) -> Config:
-    return load(name)[0]
+    return without_relay(load(name)[0])
 
 
 class SegmentBench:

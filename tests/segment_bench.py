@@ -22,6 +22,7 @@ from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.runtime.timing.steering import SteeredPacing
 from tonus.sim.ethercat.ring import Ring
 from tonus.sim.lab.engine import Lab
+from tonus.tools.run.supervision import without_relay
 
 Result = TypeVar("Result")
 PERIOD_NS = 1_000_000
@@ -37,7 +38,7 @@ class SegmentBench:
     def __init__(
         self, overrides: dict[str, Any] | None = None, name: str = "config/ethercat.yaml"
     ) -> None:
-        self.config: Config = load(name, overrides=overrides)[0]
+        self.config: Config = without_relay(load(name, overrides=overrides)[0])
         self.lab = Lab(
             self.config,
             load("config/ethercat.yaml", scenario="hold")[1].lab,

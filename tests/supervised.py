@@ -70,8 +70,7 @@ class Run:
 
     def _before_tick(self, playing: Playing) -> None:
         if not self._buses:
-            names = [channel.name for channel in self.config.fieldbus.channels]  # type: ignore[attr-defined]
-            self._buses = [can.Bus(interface="tonus", channel=name) for name in names]
+            self._buses = [can.Bus(interface="tonus", channel=name) for name in self._channels()]
         self._listen()
         rows = playing._cycles.rows
         if self.changed_ns == 0:
@@ -84,6 +83,9 @@ class Run:
                 bus.shutdown()
             raise Over  # a daemon that was changed may not come to an end by itself
         self._left -= self.changed_ns > 0
+
+    def _channels(self) -> list[str]:
+        return [channel.name for channel in self.config.fieldbus.channels]  # type: ignore[attr-defined]
 
     def _listen(self) -> None:
         for bus in self._buses:

@@ -17,6 +17,7 @@ RelaxedKey = Literal[
     "supervisor.period_ms",
     "supervisor.timeout_ms",
     "supervisor.patience_ms",
+    "sto_relay.timeout_ms",
 ]
 DEFAULTS: dict[Key, tuple[Any, Any]] = {
     ("realtime", "policy"): ("require", "prefer"),
@@ -33,6 +34,8 @@ DEFAULTS: dict[Key, tuple[Any, Any]] = {
     ("supervisor", "period_ms"): (2, 10),
     ("supervisor", "timeout_ms"): (22, 60),
     ("supervisor", "patience_ms"): (5, 40),
+    # Two heartbeats of the supervisor may be lost, and a third be late.
+    ("sto_relay", "timeout_ms"): (7, 60),
 }
 """Of a robot, and of a configuration with a lab section."""
 LARGEST_STALE_TICKS = 10
@@ -40,6 +43,7 @@ LARGEST_STALE_TICKS = 10
 LARGEST_JITTER_MS = 20
 LARGEST_PATIENCE_MS = 10
 LARGEST_TIMEOUT_MS = 50
+LARGEST_RELAY_TIMEOUT_MS = 20
 
 
 def with_defaults(data: Any) -> Any:

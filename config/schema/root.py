@@ -15,6 +15,7 @@ from tonus.config.schema.operation import Operation
 from tonus.config.schema.place import RelaxedKey, with_defaults
 from tonus.config.schema.realtime import RealTime
 from tonus.config.schema.robot import Response, Robot
+from tonus.config.schema.sto_relay import StoRelay
 from tonus.config.schema.supervisor import Supervisor
 from tonus.config.schema.tolerance import Tolerance
 from tonus.config.schema.tracker import Tracker
@@ -32,6 +33,8 @@ class Config(Section):
     operation: Operation = Operation()
     supervisor: Supervisor | None = None
     """null: none judges the daemon"""
+    sto_relay: StoRelay | None = None
+    """what the supervisor stops drives with that are not on CAN; null: nothing"""
     scenario: str
     """the scenario that runs when none is named"""
     lab: Lab | None = None
@@ -45,6 +48,12 @@ class Config(Section):
     @classmethod
     def _defaults_of_the_place(cls, data: Any) -> Any:
         return with_defaults(data)
+
+    @property
+    def relay(self) -> StoRelay | None:
+        """In the circuit of the STO inputs: without a supervisor it is bridged."""
+        supervised = self.supervisor is not None and self.supervisor.policy != "off"
+        return self.sto_relay if supervised else None
 
     @property
     def response(self) -> Response:

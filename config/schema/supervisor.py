@@ -115,6 +115,9 @@ class Supervisor(Section):
     """rad/s, in every state"""
     logged_tension: Annotated[Positive, Field(le=50)]
     """N by which a recorded force may differ from the one on the bus"""
+    answered_torque: Annotated[Positive, Field(le=100)] = 10.0
+    """N at the cable by which the torque that a drive reports may be outside of those that it was
+    sent lately; judged where its frames are not read"""
     logged_ticks: Annotated[int, Field(ge=1, le=64)]
     """records before the last two looks among which a torque on the bus may be too"""
     priority: Priority

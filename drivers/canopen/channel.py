@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import can
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.bus import Channel as ChannelSection
+from tonus.config.schema.bus import Master
 from tonus.drivers.canopen.frames import (
     ERROR,
     EXTENDED,
@@ -34,6 +36,17 @@ _SYNC = ((SYNC, b""),)
 _EMPTY_BITS = FRAME_BITS + INTERFRAME_BITS
 
 
+class Wires(Protocol):
+    """Of a configuration, what concerns its channels."""
+
+    @property
+    def bitrate(self) -> int: ...
+    @property
+    def master(self) -> Master: ...
+    @property
+    def channels(self) -> tuple[ChannelSection, ...]: ...
+
+
 class Channel:
     """Sends and drains one python-can bus; never waits."""
 
@@ -41,7 +54,7 @@ class Channel:
         self,
         number: int,
         bus: can.BusABC,
-        config: CanopenBus,
+        config: Wires,
         period_us: int,
         fresh_ticks: int,
         clock: Clock,

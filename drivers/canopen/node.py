@@ -63,6 +63,8 @@ class Role:
     """CiA 402: it has a fault to be reset"""
     watches: tuple[Watch, ...] = ()
     """0x1016, in the order of its entries"""
+    transmission: int = pdo.EVERY_SYNC
+    """of its PDOs"""
     errors: Errors = field(default_factory=Errors)
     finish: Callable[[ObjectAccess], Awaitable[None]] | None = None
     """called when the settings are in place, to read what depends on them"""
@@ -237,7 +239,8 @@ class Node:
         for direction, entries in directions:
             for number in range(2, PDOS + 1):
                 await pdo.silence(self.sdo, direction, number)
-            await pdo.configure(self.sdo, direction, 1, self.node_id, entries)
+            way = self.role.transmission
+            await pdo.configure(self.sdo, direction, 1, self.node_id, entries, way)
 
     def _heartbeat_settings(self) -> tuple[Setting, ...]:
         produce = Setting(0x1017, 0, self.role.device.heartbeat_ms, 2, "heartbeat period, ms")

@@ -65,6 +65,11 @@ class SupervisorMonitor:
         self._heard, self._out_of_reach = [], []
 
     @property
+    def beating(self) -> bool:
+        """On each channel."""
+        return all(heard.beating for heard in self._heard)
+
+    @property
     def _item(self) -> str:
         """Of its own: a robot may have several fieldbuses on CAN."""
         return "supervisor of " + ", ".join(heard.channel for heard in self._heard)

@@ -16,6 +16,8 @@ INVALID = 1 << 31
 NO_REMOTE_REQUEST = 1 << 30
 EVERY_SYNC = 1
 """Transmission type: sampled, or applied, at each SYNC."""
+ON_EVENT = 255
+"""Transmission type: sent when it changes, or applied when it arrives."""
 
 # Objects whose type is not an unsigned integer: the mapping word tells the length only.
 _SIGNED = frozenset(
@@ -92,9 +94,14 @@ def identifier(direction: Direction, number: int, node_id: int) -> int:
 
 
 async def configure(
-    access: ObjectAccess, direction: Direction, number: int, node_id: int, entries: Sequence[int]
+    access: ObjectAccess,
+    direction: Direction,
+    number: int,
+    node_id: int,
+    entries: Sequence[int],
+    transmission: int = EVERY_SYNC,
 ) -> None:
-    """Map ``entries``, make the PDO synchronous, and read everything back.
+    """Map ``entries``, give the PDO its transmission type, and read everything back.
 
     The order is CiA 301's: identifier invalid, count 0, entries, count, type, identifier valid.
     Raises `PdoError` when what is read differs, and `SdoError`.
@@ -109,7 +116,7 @@ async def configure(
     for subindex, entry in enumerate(entries, start=1):
         await access.write(mapping, subindex, _word(entry, 4))
     await access.write(mapping, 0, _word(len(entries), 1))
-    await access.write(communication, 2, _word(EVERY_SYNC, 1))
+    await access.write(communication, 2, _word(transmission, 1))
     await access.write(communication, 1, _word(cob_id, 4))
 
     async def expect(index: int, subindex: int, wanted: int, ignored: int = 0) -> None:
@@ -121,7 +128,7 @@ async def configure(
             )
 
     await expect(communication, 1, cob_id, ignored=NO_REMOTE_REQUEST)
-    await expect(communication, 2, EVERY_SYNC)
+    await expect(communication, 2, transmission)
     await expect(mapping, 0, len(entries))
     for subindex, entry in enumerate(entries, start=1):
         await expect(mapping, subindex, entry)

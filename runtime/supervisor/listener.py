@@ -23,7 +23,7 @@ Fetch = Callable[[], Iterable[tuple[int, int, int]]]
 """Identifier, length and data as a little-endian word of every frame that has arrived."""
 
 
-_STATE, _QUICK_STOP_ACTIVE, _OPERATION_ENABLED = 0x6F, 0x07, 0x27
+STATE, _QUICK_STOP_ACTIVE, OPERATION_ENABLED = 0x6F, 0x07, 0x27
 """CiA 402, statusword"""
 
 
@@ -123,7 +123,7 @@ class Listener:
 
 
 def _powered(word: int, statusword: Value) -> bool:
-    return statusword.unsigned(word) & _STATE in (_OPERATION_ENABLED, _QUICK_STOP_ACTIVE)
+    return statusword.unsigned(word) & STATE in (OPERATION_ENABLED, _QUICK_STOP_ACTIVE)
 
 
 def _fetch(bus: can.BusABC) -> Fetch:

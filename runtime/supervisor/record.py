@@ -16,6 +16,26 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Answers:
+    """What drives and amplifiers have answered, as the daemon records it."""
+
+    angle: Floats
+    """rad of the drums (n,)"""
+    torque: Floats
+    """N m at the drums, the drives' own figure (n,)"""
+    statusword: NDArray[np.uint16]
+    """(n,)"""
+    age: NDArray[np.uint16]
+    """ticks (n,)"""
+    force: Floats
+    """N of the cells, as reported (n + 1,)"""
+    force_age: NDArray[np.uint16]
+    """ticks (n + 1,)"""
+    force_status: NDArray[np.uint8]
+    """of the amplifiers, 0 good (n + 1,)"""
+
+
+@dataclass(frozen=True)
 class Claim:
     """One record, as far as it is judged."""
 
@@ -35,6 +55,8 @@ class Claim:
     """N/m"""
     failed: NDArray[np.bool_]
     """cables that are given up (n,)"""
+    answers: Answers | None = None
+    """where they are asked for"""
 
 
 Records = Callable[[], Iterable[tuple[int, Any]]]
@@ -52,8 +74,8 @@ def of_ring(ring: RingReader, cables: int) -> Records:
     return new
 
 
-def claims(records: Iterable[tuple[int, Any]]) -> list[Claim]:
-    """In their order."""
+def claims(records: Iterable[tuple[int, Any]], *, answered: bool = False) -> list[Claim]:
+    """In their order; ``answered``: with what the devices have answered."""
     return [
         Claim(
             stamp,
@@ -65,6 +87,20 @@ def claims(records: Iterable[tuple[int, Any]]) -> list[Claim]:
             float(record["wrench"]["contact"]),
             float(record["stiffness"]["k_eq"]),
             record["state"]["failed"].astype(bool),
+            _answers(record) if answered else None,
         )
         for stamp, record in records
     ]
+
+
+def _answers(record: Any) -> Answers:
+    drives, cells = record["drives"], record["force_cells"]
+    return Answers(
+        drives["angle"].copy(),
+        drives["torque"].copy(),
+        drives["statusword"].copy(),
+        drives["age"].copy(),
+        cells["raw"].copy(),
+        cells["age"].copy(),
+        cells["status"].copy(),
+    )

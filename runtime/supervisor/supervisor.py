@@ -17,11 +17,14 @@ from tonus.runtime.supervisor.judge import NOWHERE, Judge, Violation
 from tonus.runtime.supervisor.listener import Listener, Watched
 from tonus.runtime.supervisor.observation import Listened, Observation, Observer
 from tonus.runtime.supervisor.record import Records, claims
+from tonus.runtime.supervisor.recorded import RecordedWiring, Replayed
 from tonus.runtime.supervisor.wiring import Value, Wiring
 
 OpenBus = Callable[[str, str, int], can.BusABC]
 """From interface, channel and bit rate."""
-_EMERGENCY, _HEARTBEAT = 0x080, 0x700
+_EMERGENCY, _RPDO, _HEARTBEAT = 0x080, 0x200, 0x700
+_HELD, _RELEASED = b"\1", b"\0"
+"""digital outputs of the relay's node: bit 0 is the coil"""
 _OPERATIONAL = b"\5"
 _ERROR = struct.Struct("<HBBf")
 _EMERGENCY_BYTES = 8
@@ -39,6 +42,9 @@ class Supervisor:
     of its own that has passed, gives an armed robot nothing back, and a drive that it stopped needs
     the operator's reset. A silent drive counts as what it was, while the daemon's record is armed.
     A channel on which no device answers gets no heartbeat any more.
+
+    With a relay in the circuit of the STO inputs it judges what the daemon records of the drives,
+    and the heartbeat and the relay's output are what it holds.
     """
 
     def __init__(self, config: Config, records: Records, open_bus: OpenBus) -> None:
@@ -52,7 +58,14 @@ class Supervisor:
         """what it stopped the robot for; None while it sends its heartbeat"""
         self._beating: list[bool] = []
         """on each channel"""
-        wiring = Wiring(config)
+        relay = config.relay
+        recorded = None if relay is None else RecordedWiring(config, relay)
+        wiring = recorded or Wiring(config)
+        self._replayed = None if recorded is None else Replayed(config, recorded)
+        """what the daemon records, where the drives' frames are not read"""
+        self._relay = relay
+        self._holds = False
+        """whether it has set the relay's output"""
         self._records = records
         tick_ns = config.control.rates.period_ns
         self._observe = Observer(wiring, settings, config.robot.contact_cell, tick_ns)
@@ -62,23 +75,31 @@ class Supervisor:
         self._listeners: list[Listener] = []
         for interface, channel, bitrate in wiring.channels:
             bus = open_bus(interface, channel, bitrate)
-            self._listeners.append(Listener(bus, _watched(wiring, channel)))
+            watched = _watched(wiring, channel)
+            if relay is not None:
+                watched = [Watched(_HEARTBEAT + relay.node_id, 1, ())]
+            self._listeners.append(Listener(bus, watched))
         self._beating = [False] * len(self._listeners)
         names = [name for _, name, _ in wiring.channels]
-        self._channel_of = np.array([names.index(axis.channel) for axis in wiring.axes], np.int64)
+        places = [0 if relay is not None else names.index(axis.channel) for axis in wiring.axes]
+        self._channel_of = np.array(places, np.int64)
         self._answers = [_answers(wiring, channel) for _, channel, _ in wiring.channels]
+        if relay is not None:
+            self._answers = [[_HEARTBEAT + relay.node_id]]
         self._heard: Listened = {
             (channel, identifier): heard
             for (_, channel, _), listener in zip(wiring.channels, self._listeners, strict=True)
             for identifier, heard in listener.heard.items()
         }
+        if self._replayed is not None:
+            self._heard = self._replayed.heard
 
     def step(self, now_ns: int) -> None:
         """Never raises for a bus: what cannot be received ages, what cannot be sent is missed."""
         for listener in self._listeners:
             with contextlib.suppress(can.CanError, OSError):
                 listener.read(now_ns)
-        seen = self._observe(now_ns, self._heard, claims(self._records()))
+        seen = self._look(now_ns)
         # A drive that is silent is what it was, unless daemon and all others are disarmed: then it
         # was pulled, or has no power.
         present = seen.measured_age < self.settings.stale_ms
@@ -92,10 +113,12 @@ class Supervisor:
         if seen.rested or not armed:
             self._judge.rest()
         self._fall_silent_where_deaf(now_ns, armed)
+        if not (armed or self._sees(seen)):
+            self._beating = [False] * len(self._listeners)
         quiet = self._quiet_ns is not None and (
             now_ns - self._quiet_ns >= self.settings.quiet_s * 1e9
         )
-        if quiet and not all(self._beating) and self._hears(seen):
+        if quiet and not all(self._beating) and self._hears(seen) and self._sees(seen):
             self._beating = [True] * len(self._listeners)
             self.violation = None
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
@@ -106,7 +129,29 @@ class Supervisor:
                 self._send(_EMERGENCY, _error(self.violation))
                 self._beating = [False] * len(self._listeners)
         self._send(_HEARTBEAT, _OPERATIONAL)
+        self._hold_relay()
         self._looked_ns = now_ns
+
+    def _look(self, now_ns: int) -> Observation:
+        if self._replayed is None:
+            return self._observe(now_ns, self._heard, claims(self._records()))
+        found = claims(self._records(), answered=True)
+        self._replayed.take(found)
+        seen = self._observe(now_ns, self._heard, found)
+        # What a drive was sent is the record itself: its own figure is what there is to compare.
+        seen.unlogged = self._replayed.astray > self.settings.answered_torque
+        return seen
+
+    def _hold_relay(self) -> None:
+        """Its output is on as long as the heartbeat goes, and is off at once with its end."""
+        if self._relay is None or not (self.beating or self._holds):
+            return
+        self._holds = self.beating
+        data = _HELD if self._holds else _RELEASED
+        identifier = _RPDO + self._relay.node_id
+        message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
+        with contextlib.suppress(can.CanError, OSError):
+            self._listeners[0].bus.send(message)
 
     def _late(self, now_ns: int) -> Violation | None:
         """Looks that come late keep the drives alive, and find everything late."""
@@ -121,9 +166,20 @@ class Supervisor:
         """Whether any channel gets a heartbeat."""
         return any(self._beating)
 
+    def _sees(self, seen: Observation) -> bool:
+        """Whether it would see that a drive is enabled: without frames, only by a record that goes
+        on."""
+        if self._replayed is None:
+            return True
+        oldest_ns = self.settings.patience_ms * 1e6
+        return seen.claim is not None and seen.now_ns - seen.claim.at_ns <= oldest_ns
+
     def _hears(self, seen: Observation) -> bool:
         """Whether everything arrives that it judges by: it does not begin deaf."""
         ages = [*seen.measured_age, *seen.torque_age, *seen.cell_age, seen.contact_age]
+        if self._relay is not None:
+            answer = self._listeners[0].heard[_HEARTBEAT + self._relay.node_id]
+            ages.append((seen.now_ns - answer.at_ns) * 1e-6 if answer.count else math.inf)
         return bool(max(ages) < self.settings.stale_ms)
 
     def _fall_silent_where_deaf(self, now_ns: int, armed: bool) -> None:

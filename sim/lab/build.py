@@ -15,6 +15,7 @@ from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.errors import LabError
 from tonus.sim.lab.emulation import emulate
 from tonus.sim.lab.hardware import Cells, Hardware, Timeline
+from tonus.sim.lab.sto_relay import emulate_relay
 
 _FIRST_CELL = 17
 """Node id of cell 0 where no bus names one."""
@@ -39,6 +40,8 @@ def build(
     built = Hardware(timeline, lab, drives, cells, emulated, rewired)
     for part in bus.parts:
         emulate(built, part)
+    if config.relay is not None:
+        emulate_relay(built, config.relay)
     return built
 
 

@@ -81,6 +81,7 @@ class _Server:
         self._lab = lab
         self._clock = lab.clock
         self._buses = config.fieldbus.parts
+        self._relay = config.relay
         self._coalesce_ns = config.lab.bus.coalesce_us * 1000
         self._target = (config.tracker.address, config.tracker.port)
         self._loop = asyncio.get_running_loop()
@@ -124,6 +125,9 @@ class _Server:
                     "--virtual"
                 )
             openers[bus.kind](bus)
+        relay = self._relay
+        if relay is not None and relay.channel in self._lab.channels:
+            self._open_channel(relay.channel, relay.interface, relay.bitrate)
         door = self._directory / LAB_DOOR
         remove_stale(door, socket.SOCK_DGRAM)
         self._door = DoorSocket(
@@ -131,15 +135,16 @@ class _Server:
         )
 
     def _open_channels(self, bus: CanopenBus) -> None:
-        lab = self._lab
-        inhabited = {name for name, _ in lab.nodes}
         for spec in bus.channels:
-            channel = lab.channels[spec.name]
-            if bus.interface == OUR_INTERFACE:
-                self._listen(channel)
-            elif spec.name in inhabited:
-                bridge = Bridge(lab, channel, bus.interface, bus.bitrate, self._arm)
-                self._bridges.append(bridge)
+            self._open_channel(spec.name, bus.interface, bus.bitrate)
+
+    def _open_channel(self, name: str, interface: str, bitrate: int) -> None:
+        lab = self._lab
+        channel = lab.channels[name]
+        if interface == OUR_INTERFACE:
+            self._listen(channel)
+        elif any(name == inhabited for inhabited, _ in lab.nodes):
+            self._bridges.append(Bridge(lab, channel, interface, bitrate, self._arm))
 
     def _open_segment(self, bus: EthercatBus) -> None:
         end = self._end

@@ -36,6 +36,7 @@ def ethercat() -> list[Figure]:
         "fieldbus.interface": f"tb{number}",
         "lab.ethercat.interface": f"tc{number}",
         "fieldbus.master.receive_timeout_us": TIMEOUT_US,
+        "sto_relay": None,
     }
     config, _ = load("config/ethercat.yaml", overrides=overrides)
     with tempfile.TemporaryDirectory() as folder:

@@ -6,122 +6,37 @@ reports the end of the supervisor's heartbeat, as a bus of the test's own receiv
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.supervised import BRIEF, DRIVES, Run, configured
+from tests.wrong_daemons import (
+    AT_ONCE,
+    LATER,
+    Change,
+    blind,
+    both,
+    instead,
+    opposite,
+    raises,
+    torque_on_the_bus,
+)
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import CellBreak, Loss
 from tonus.config.schema.supervisor import Requirement
-from tonus.drivers.exchange import Exchange
-from tonus.runtime.control.allocation import Allocation
-from tonus.runtime.control.passivity import Limiter
 from tonus.runtime.cycle import ControlCycle
-from tonus.runtime.daemon import Daemon
 from tonus.runtime.safety.fallback import Fallback
-from tonus.runtime.safety.faults import Faults
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.supervisor import Supervisor
 from tonus.runtime.timing import clock
 from tonus.tools.campaign.observed import Observed
 from tonus.tools.campaign.play import Playing
-from tonus.tools.run.supervision import Overheard
 
 pytestmark = pytest.mark.wide
 
 WITHIN_MS = 25.0
-AXIS = 2
-Change = Callable[[pytest.MonkeyPatch], None]
-
-
-def _after(owner: type, name: str, change: Callable[..., Any]) -> Change:
-    """``change(result, *arguments)`` takes the place of what a method gives."""
-    original = getattr(owner, name)
-
-    def changed(*arguments: Any) -> Any:
-        return change(original(*arguments), *arguments)
-
-    return lambda patch: patch.setattr(owner, name, changed)
-
-
-def _instead(owner: type, name: str, change: Any) -> Change:
-    return lambda patch: patch.setattr(owner, name, change)
-
-
-def _blind(patch: pytest.MonkeyPatch) -> None:
-    """The daemon finds no fault any more."""
-    patch.setattr(Faults, "add", lambda *_: False)
-
-
-def _both(*changes: Change) -> Change:
-    def all_of_them(patch: pytest.MonkeyPatch) -> None:
-        for change in changes:
-            change(patch)
-
-    return all_of_them
-
-
-def _torque_on_the_bus(change: Callable[[Any], Any]) -> Change:
-    def changed(result: tuple[Any, Any], *_: Any) -> tuple[Any, Any]:
-        words, torques = result
-        return words, change(torques.copy())
-
-    return _after(Exchange, "commands", changed)
-
-
-def _torque_in_control(change: Callable[[Any], Any]) -> Change:
-    def changed(_: None, cycle: ControlCycle, image: Any, *rest: Any) -> None:
-        del cycle, rest
-        image.commands["torque"] = change(image.commands["torque"].copy())
-
-    return _after(ControlCycle, "act", changed)
-
-
-class _EverySecond:
-    """The sign of one torque, in every second tick; ``first``: of which the supervisor sees the
-    last before it looks, or the other."""
-
-    def __init__(self, first: int) -> None:
-        self.count = first
-
-    def __call__(self, torques: Any) -> Any:
-        self.count += 1
-        return _opposite(torques) if self.count % 2 else torques
-
-
-class _Frozen:
-    """Keeps the first value."""
-
-    def __init__(self) -> None:
-        self.value: Any = None
-
-    def __call__(self, value: Any) -> Any:
-        self.value = value if self.value is None else self.value
-        return self.value
-
-
-def _opposite(torques: Any) -> Any:
-    torques[AXIS] = -torques[AXIS]
-    return torques
-
-
-def _slack(torques: Any) -> Any:
-    torques[AXIS] = 0
-    return torques
-
-
-def _stiff(_: float, limiter: Limiter, *__: Any) -> float:
-    limiter.value = 6000.0
-    return limiter.value
-
-
-def _raises(*_: Any) -> None:
-    raise RuntimeError("changed")
-
-
 ALSO = ("nothing is recorded", "torques frozen in control")
 """played by `make test-long`: another makes the same requirement act"""
 
@@ -136,32 +51,6 @@ def _run(monkeypatch: pytest.MonkeyPatch, change: Change, **given: Any) -> tuple
     return run, seen
 
 
-AT_ONCE: dict[str, tuple[Change, set[Requirement]]] = {
-    "the daemon stands still": (_instead(Daemon, "_tick", lambda *_: None), {Requirement.TICK}),
-    "the supervisor is gone": (_instead(Supervisor, "step", lambda *_: None), set()),
-    "nothing is recorded": (
-        _instead(Overheard, "publish", lambda *_: None),
-        {Requirement.TICK},
-    ),
-    "torques frozen on the bus": (_torque_on_the_bus(_Frozen()), {Requirement.FROZEN}),
-    "torques frozen in control": (_torque_in_control(_Frozen()), {Requirement.FROZEN}),
-    "a sign wrong on the bus": (_torque_on_the_bus(_opposite), {Requirement.COMMAND_LOGGED}),
-    "a sign wrong on the bus in each even tick": (
-        _torque_on_the_bus(_EverySecond(0)),
-        {Requirement.COMMAND_LOGGED},
-    ),
-    "a sign wrong on the bus in each odd tick": (
-        _torque_on_the_bus(_EverySecond(1)),
-        {Requirement.COMMAND_LOGGED},
-    ),
-    "no torque for one axis on the bus": (
-        _torque_on_the_bus(_slack),
-        {Requirement.COMMAND_LOGGED},
-    ),
-    "K_eq without its limiter": (_after(Limiter, "__call__", _stiff), {Requirement.STIFFNESS}),
-}
-
-
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=pytest.mark.long if name in ALSO else ()) for name in AT_ONCE],
@@ -172,23 +61,6 @@ def test_a_wrong_daemon_is_stopped_within_25_ms(name: str, monkeypatch: pytest.M
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert run.slowest_ms <= WITHIN_MS
     assert {number for number, _ in run.said} == requirements
-
-
-def _tensed(_: None, allocation: Allocation, *__: Any) -> None:
-    allocation.reference[:] = 240.0
-
-
-LATER: dict[str, tuple[Change, float]] = {
-    "tensions beyond their bound, no fault found": (
-        _both(_blind, _after(Allocation, "distribute", _tensed)),
-        25.0,
-    ),
-    "a sign wrong in control, no fault found": (
-        _both(_blind, _torque_in_control(_opposite)),
-        40.0,
-    ),
-}
-"""With the longest time to the last drive, ms: what is wrong has to show first."""
 
 
 @pytest.mark.parametrize("name", LATER)
@@ -207,8 +79,8 @@ def test_torques_that_are_kept_where_control_raises_and_has_no_fallback(
 ) -> None:
     """They hold the platform for a while. From the instant at which a drum's rate has truly changed
     by what the supervisor takes for motion."""
-    nothing = _instead(Fallback, "step", lambda *_, **__: None)
-    run, seen = _run(monkeypatch, _both(_instead(ControlCycle, "act", _raises), nothing))
+    nothing = instead(Fallback, "step", lambda *_, **__: None)
+    run, seen = _run(monkeypatch, both(instead(ControlCycle, "act", raises), nothing))
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert {number for number, _ in run.said} == {Requirement.FROZEN}
     after = seen.truth_ns > run.changed_ns
@@ -251,7 +123,7 @@ def test_a_contact_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> N
     """From the instant at which it is truly beyond the supervisor's bound."""
     pushed = {**BRIEF, "control.envelope.enabled": False}
     run, seen = _run(
-        monkeypatch, _blind, scenario="contact_near", overrides=pushed, seconds=6.0, at=0.1
+        monkeypatch, blind, scenario="contact_near", overrides=pushed, seconds=6.0, at=0.1
     )
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert {number for number, _ in run.said} == {Requirement.CONTACT}
@@ -282,7 +154,7 @@ def test_a_daemon_that_stops_for_a_broken_cell_is_let_be(monkeypatch: pytest.Mon
 
 
 def test_its_requirement_is_in_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, seen = _run(monkeypatch, _torque_on_the_bus(_opposite), overrides=BRIEF)
+    _, seen = _run(monkeypatch, torque_on_the_bus(opposite), overrides=BRIEF)
     found = {(each.name, each.where): each.text for each in seen.events}
     assert "SUP-10 at 2" in found["supervisor_stopped", "can1"]
     assert ("supervisor_lost", "can1") in found

@@ -157,6 +157,7 @@ def _renamed(near: str, far: str, ring: bool) -> str:
     data = read(folder / "ethercat.yaml").data
     data["fieldbus"]["interface"] = near
     data["lab"]["ethercat"]["interface"] = far
+    del data["sto_relay"]  # nobody here would hold it
     if ring:
         data["fieldbus"]["redundant_interface"] = f"{near}r"
         data["lab"]["ethercat"]["redundant_interface"] = f"{far}r"

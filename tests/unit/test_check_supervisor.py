@@ -45,7 +45,7 @@ def test_a_robot_whose_drives_do_not_watch_it() -> None:
     assert all(each.where.endswith("watches_supervisor") for each in found)
 
 
-@pytest.mark.parametrize("name", ["mixed", "ethercat", "direct"])
+@pytest.mark.parametrize("name", ["mixed", "mixed_drives_ethercat", "direct"])
 def test_a_robot_with_drives_that_are_not_on_can(name: str) -> None:
     path = f"config/{name}.yaml"
     found = refused(path, lab=None)
@@ -59,7 +59,7 @@ def test_a_robot_with_drives_that_are_not_on_can(name: str) -> None:
 
 def test_a_run_that_requires_one_that_has_no_drive_to_act_on() -> None:
     for stated, refuses in (({}, False), ({"supervisor.policy": "require"}, True)):
-        config, _ = load("config/ethercat.yaml", overrides=stated)
+        config, _ = load("config/mixed.yaml", overrides=stated)
         with pytest.raises(ToolError, match="no drive is on CAN") if refuses else nullcontext():
             require_reach(config)
     config, _ = load("config/can.yaml", overrides={"supervisor.policy": "require"})

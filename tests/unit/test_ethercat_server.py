@@ -51,7 +51,7 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lab:
     monkeypatch.setattr(server, "SegmentPort", Port)
     monkeypatch.setattr(server, "WakeUp", WakeUp)
     monkeypatch.setattr(server, "open_pair", lambda *_: False)
-    config, scenario = load("config/ethercat.yaml")
+    config, scenario = load("config/ethercat.yaml", overrides={"sto_relay": None})
 
     async def serve() -> Lab:
         now = clock.loop_clock()

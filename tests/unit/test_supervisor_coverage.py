@@ -11,6 +11,7 @@ import pytest
 
 pytestmark = pytest.mark.wide
 
+TESTS = ("tests/unit/test_supervisor.py", "tests/unit/test_supervisor_recorded.py")
 ROOT = Path(__file__).parents[2]
 
 
@@ -18,7 +19,7 @@ def test_every_branch_of_the_supervisor_is_tried(tmp_path: Path) -> None:
     data = f"--data-file={tmp_path / 'coverage'}"
     coverage = [sys.executable, "-m", "coverage"]
     measured = [*coverage, "run", "--branch", data, "--include=*/runtime/supervisor/*"]
-    tests = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/unit/test_supervisor.py"]
+    tests = ["-m", "pytest", "-q", "-p", "no:cacheprovider", *TESTS]
     ran = subprocess.run([*measured, *tests], cwd=ROOT, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stdout
     page = tmp_path / "coverage.json"

@@ -16,6 +16,7 @@ from tonus.tools.check.finding import Finding
 from tonus.tools.check.losses import check_losses
 from tonus.tools.check.mechanics import mechanics, scenario_rules
 from tonus.tools.check.plausibility import plausibility
+from tonus.tools.check.sto_relay import check_relay
 from tonus.tools.check.supervisor import check_supervisor
 from tonus.tools.fieldbus.registry import fieldbus_kind
 
@@ -31,6 +32,7 @@ def check(config: Config, scenario: Scenario, *, timed: bool = False) -> list[Fi
     for bus in config.fieldbus.parts:
         findings += fieldbus_kind(bus).check(config, bus)
     findings += check_supervisor(config)
+    findings += check_relay(config)
     findings += check_data_sheets(config)
     findings += check_losses(config)
     findings += _faults(config, scenario)

@@ -34,13 +34,14 @@ def check_supervisor(config: Config) -> Iterator[Finding]:
         for axis in numbers(list(bus.nodes()))[0]
     }
     others = sorted(set(range(config.robot.cables)) - on_can)
-    if others and config.lab is None and settings.policy == "require":
+    if others and config.lab is None and settings.policy == "require" and config.relay is None:
         yield Finding(
             "supervisor",
             False,
             f"{_KEY}.policy",
-            f"it acts on CAN only, and cannot stop axes {', '.join(map(str, others))}",
-            "write supervisor.policy under relaxed, and set it to use or off",
+            f"without a relay it cannot stop axes {', '.join(map(str, others))}, not on CAN",
+            "add sto_relay: !include sto_relay.yaml where no drive is on CAN; else write "
+            "supervisor.policy under relaxed, and set it to use or off",
         )
 
 

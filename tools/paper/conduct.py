@@ -25,6 +25,7 @@ from tonus.tools.log.log import Event
 from tonus.tools.paper.case import Kind, Run
 from tonus.tools.paper.trial import Trial
 from tonus.tools.run import fieldbuses
+from tonus.tools.run.supervision import without_relay
 
 SLOW_TICKS = 10
 """A trial of stage 1 moves at 1 mm/s for minutes: one tick in so many is kept."""
@@ -81,7 +82,7 @@ class _Conduct:
     """One run: everything on one virtual loop."""
 
     def __init__(self, run: Run, config: Config) -> None:
-        self._run, self._config = run, config
+        self._run, self._config = run, without_relay(config)
         stride = SLOW_TICKS if run.case.kind is Kind.SLOPE else 1
         stride_ns = stride * config.control.rates.period_ns
         cables = config.robot.cables

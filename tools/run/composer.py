@@ -12,6 +12,7 @@ import signal
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -57,7 +58,7 @@ from tonus.tools.run.ring_directory import ring_directory
 from tonus.tools.run.rings import Rings
 from tonus.tools.run.run_folder import LOG, RunFolder
 from tonus.tools.run.supervision import supervised
-from tonus.tools.run.supervisor_process import supervisor_of
+from tonus.tools.run.supervisor_process import bridged_where_alone, supervisor_of
 
 __all__ = ["Order", "Result", "run"]
 
@@ -102,6 +103,7 @@ def _control_socket(order: Order) -> ControlSocket | None:
 def _run(order: Order, control: ControlSocket | None) -> Result:
     if not order.virtual:
         demand(order.config.realtime)
+        order = replace(order, config=bridged_where_alone(order.config))
     make_folder(order.out)
     if not rehearse(order.config, order.scenario):
         raise ToolError("the control cycle does not reach ACTIVE even with an obedient robot")

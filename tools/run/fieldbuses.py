@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
+from tonus.drivers.canopen.sto_relay import RelayedFieldbus
 from tonus.drivers.fieldbus import Fieldbus, FrameTap
 from tonus.drivers.process_image import ProcessImage
 from tonus.drivers.several import SeveralFieldbuses
@@ -26,6 +27,11 @@ def build(
 ) -> Fieldbus:
     """``lab`` is one in this process and this loop, whose buses are then used. Raises `ToolError`
     and `DriverError`."""
+    fieldbus = _build(config, image, lab, tap)
+    return fieldbus if config.relay is None else RelayedFieldbus(config, fieldbus)
+
+
+def _build(config: Config, image: ProcessImage, lab: Lab | None, tap: FrameTap | None) -> Fieldbus:
     bus = config.fieldbus
     if bus.parts == (bus,):
         return fieldbus_kind(bus).build(config, image, lab, tap)
@@ -33,7 +39,7 @@ def build(
 
     def part(theirs: Config, rows: ProcessImage) -> Fieldbus:
         first = channels(theirs)
-        return build(theirs, rows, lab, _numbered(tap, names.index(first[0]) if first else 0))
+        return _build(theirs, rows, lab, _numbered(tap, names.index(first[0]) if first else 0))
 
     return SeveralFieldbuses(config, image, part)
 
@@ -62,6 +68,8 @@ class _Numbered:
 def steering(config: Config, fieldbus: Fieldbus, pacing: MakePacing) -> MakePacing:
     """``pacing``, steered where the configuration lets a bus' clocks lead; the first one's. Raises
     `ToolError`."""
+    if isinstance(fieldbus, RelayedFieldbus):
+        fieldbus = fieldbus.fieldbus
     found = [(config.fieldbus, fieldbus)]
     if isinstance(fieldbus, SeveralFieldbuses):
         found = fieldbus.parts

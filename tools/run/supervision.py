@@ -26,18 +26,32 @@ _KEPT = 256
 
 
 def wanted(config: Config) -> bool:
-    """Whether a run is supervised: there is a supervisor, and a drive on CAN that it acts on."""
+    """Whether a run is supervised: there is a supervisor, and a drive on CAN that it acts on, or a
+    relay."""
     supervisor = config.supervisor
-    return supervisor is not None and supervisor.policy != "off" and bool(Wiring(config).axes)
+    if supervisor is None or supervisor.policy == "off":
+        return False
+    return config.relay is not None or bool(Wiring(config).axes)
+
+
+def without_relay(config: Config) -> Config:
+    """For a run that nobody supervises, with the relay bridged."""
+    return config.model_copy(update={"sto_relay": None})
 
 
 def require_reach(config: Config) -> None:
-    """Raises `ToolError` where a supervisor is required and has no drive to act on."""
+    """Raises `ToolError` where a supervisor is required and has no drive to act on, and where there
+    is a relay beside drives on CAN."""
     supervisor = config.supervisor
+    if config.relay is not None and Wiring(config).axes:
+        raise ToolError(
+            "sto_relay is for robots without a drive on CAN, whose frames the supervisor does not "
+            "read: remove it"
+        )
     if supervisor is not None and supervisor.policy == "require" and not wanted(config):
         raise ToolError(
-            "supervisor.policy is require, and no drive is on CAN, where it acts: write "
-            "supervisor.policy under relaxed, and set it to off"
+            "supervisor.policy is require, and no drive is on CAN, where it acts: add sto_relay: "
+            "!include sto_relay.yaml, or write supervisor.policy under relaxed, and set it to off"
         )
 
 

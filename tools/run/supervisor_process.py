@@ -30,7 +30,7 @@ from tonus.runtime.timing.scheduler import TimerPacing
 from tonus.tools import output
 from tonus.tools.errors import ToolError
 from tonus.tools.run.child_process import READY, ChildProcess, say, start_child
-from tonus.tools.run.supervision import open_bus, require_reach, wanted
+from tonus.tools.run.supervision import open_bus, require_reach, wanted, without_relay
 
 _COMMAND = (sys.executable, "-m", "tonus.tools.run.supervisor_process")
 _START_S = 60.0
@@ -46,6 +46,20 @@ def start_supervisor(config: Config, rings: Path) -> ChildProcess:
     return start_child([*_COMMAND, str(path)], "the supervisor", _START_S, remedy)
 
 
+def bridged_where_alone(config: Config) -> Config:
+    """For a run in real time: without the relay where it has no supervisor for want of processors,
+    since no drive could be enabled."""
+    return config if config.relay is None or _enough(config) else without_relay(config)
+
+
+def _enough(config: Config) -> bool:
+    """Processors, for a supervisor beside a lab that may do without."""
+    settings = config.supervisor
+    if settings is None or config.lab is None or settings.policy != "use":
+        return True
+    return len(os.sched_getaffinity(0)) >= settings.processors
+
+
 def supervisor_of(config: Config, rings: Path, report: Progress) -> ChildProcess | None:
     """The supervisor of a run in real time; None where none is asked for, or where the run may do
     without it and it does not start. Raises `ToolError` where it may not."""
@@ -53,20 +67,20 @@ def supervisor_of(config: Config, rings: Path, report: Progress) -> ChildProcess
     if settings is None or settings.policy == "off":
         return None
     require_reach(config)
-    if not wanted(config):
-        report("without a supervisor: it acts on CANopen only (docs/supervisor.md)")
-        return None
-    there = len(os.sched_getaffinity(0))
-    if config.lab is not None and settings.policy == "use" and there < settings.processors:
+    if not _enough(config):
+        there = len(os.sched_getaffinity(0))
         report(
             f"without a supervisor: beside a lab it needs {settings.processors} processors, this "
             f"host has {there}"
         )
         return None
+    if not wanted(config):
+        report("without a supervisor: no drive is on CAN and there is no sto_relay")
+        return None
     try:
         return start_supervisor(config, rings)
     except ToolError as error:
-        if settings.policy == "require":
+        if settings.policy == "require" or config.relay is not None:
             raise
         report(f"without a supervisor (supervisor.policy is use): {error}")
         return None

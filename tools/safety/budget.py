@@ -21,9 +21,10 @@ _BOUNDS = "bounds."
 def seconds(text: str) -> float:
     """Of a sum of keys and whole ticks such as ``control.freshness.stale_stop_ticks + 1 tick``.
 
-    A key is one of config/can.yaml, after ``bounds.`` one of config/bounds.yaml, or a timeout that
-    follows from periods and tolerances (``timeouts.master``, ``timeouts.node``,
-    ``timeouts.watchdog``; config/timeouts.py). Raises `ToolError`.
+    A key is one of config/can.yaml, of ``sto_relay`` one of config/ethercat.yaml, after
+    ``bounds.`` one of config/bounds.yaml, or a timeout that follows from periods and tolerances
+    (``timeouts.master``, ``timeouts.node``, ``timeouts.watchdog``; config/timeouts.py). Raises
+    `ToolError`.
     """
     return sum(_term(term.strip()) for term in text.split("+"))
 
@@ -41,7 +42,7 @@ def _rounded(value: float) -> str:
 
 
 def _term(text: str) -> float:
-    config = _config()
+    config = _segment() if text.startswith("sto_relay.") else _config()
     period = config.control.rates.period
     ticks = _TICKS.match(text)
     if ticks is not None:
@@ -85,8 +86,13 @@ def _node() -> int:
     return node_timeout_ms(bus.drive, bus.master, _config().tolerance)
 
 
+@cache
+def _segment() -> Config:
+    return load("config/ethercat.yaml")[0]
+
+
 def _watchdog() -> int:
-    config = load("config/ethercat.yaml")[0]
+    config = _segment()
     assert isinstance(config.fieldbus, EthercatBus)
     return watchdog_ms(config.fieldbus, config.tolerance, config.control.rates.period_us)
 

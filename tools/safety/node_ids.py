@@ -34,7 +34,8 @@ def _methods(node: ast.ClassDef) -> list[str]:
     return [
         each.name
         for each in node.body
-        if isinstance(each, ast.FunctionDef) and each.name.startswith("test_")
+        if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)
+        and each.name.startswith("test_")
     ]
 
 

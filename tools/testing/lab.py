@@ -20,6 +20,7 @@ from tonus.sim.lab.engine import Lab
 from tonus.sim.lab.faults import ActiveFault
 from tonus.sim.lab.truth import truth_dtype
 from tonus.tools.errors import ToolError
+from tonus.tools.run.supervision import without_relay
 from tonus.tools.testing.arguments import number
 from tonus.tools.testing.waiting_bus import WaitingBus
 
@@ -36,11 +37,12 @@ class VirtualLab:
     `advance`, and while a bus or a CANopen network of this lab waits for something."""
 
     def __init__(self, config: Config, script: LabScript | None = None, *, seed: int = 1) -> None:
-        """``script`` as in `tonus.Lab`. Raises `LabError`."""
+        """``script`` as in `tonus.Lab`. A relay of the configuration is bridged: nobody would hold
+        it. Raises `LabError`."""
         self.config, self.seed = config, seed
         self._truth = np.zeros(1, truth_dtype(config.robot.cables))
         self.lab: Lab = Lab(
-            config,
+            without_relay(config),
             script or LabScript(),
             seed=seed,
             clock=lambda: self.lab.now_ns,

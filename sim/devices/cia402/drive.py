@@ -21,7 +21,7 @@ from tonus.sim.devices.cia402.output import (
 )
 from tonus.sim.devices.cia402.set_points import SetPoints
 from tonus.sim.devices.cia402.states import Command, Machine, State
-from tonus.sim.devices.cia402.terminals import Function, Terminals
+from tonus.sim.devices.cia402.terminals import TORQUE_OFF, Function, Terminals
 from tonus.sim.devices.device import ErrorSink, PdoDefault, Reader, Writer
 from tonus.sim.devices.objects import ObjectDictionary
 from tonus.sim.devices.samples import Samples
@@ -295,14 +295,14 @@ class Cia402Drive:
     # -- the world -------------------------------------------------------------------------------
 
     def set_input(self, name: str, active: bool) -> None:
-        """A wire's level changes: one of `terminals.WIRES`, or "sto", which is active when the
-        torque is to be off. Raises KeyError for another.
+        """A wire's level changes: one of `terminals.WIRES`, or of `terminals.TORQUE_OFF`,
+        which are active when the torque is to be off. Raises KeyError for another.
 
         A limit switch is an error when it closes, so that the motor can be driven off it.
         """
         terminals = self._terminals
-        if name == "sto":
-            terminals.torque_off = active
+        if name in TORQUE_OFF:
+            terminals.set_torque_off(name, active=active)
             if active and self._output.powered:
                 self.fail(self._codes.torque_off)
         else:

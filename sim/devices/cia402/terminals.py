@@ -19,6 +19,9 @@ WIRES = {"negative_limit": 0, "positive_limit": 1, "home": 2, "quick_stop": 4, "
 """Which input each wire goes to, as places in 0x3141; those of the switches suit the defaults of
 0x3142, the other two do nothing until their inputs are given a function."""
 
+TORQUE_OFF = ("sto", "sto_relay")
+"""What can interrupt the wires of the safe torque off inputs: a fault, and the relay."""
+
 
 class Function(IntEnum):
     NEGATIVE_LIMIT = 0
@@ -32,12 +35,23 @@ class Terminals:
     def __init__(self, objects: ObjectDictionary) -> None:
         self._objects = objects
         self._levels = 0
-        self.torque_off = False
-        """what the safe torque off inputs ask for"""
+        self._without_voltage: set[str] = set()
         objects.find(0x3202, 1).read = lambda: 0 if self.torque_off else _STO_RELEASED
         objects.find(0x3141, 1).read = self.logic
         objects.find(0x60FD, 0).read = self.functions
         objects.find(0x3150, 1).read = self._outputs
+
+    @property
+    def torque_off(self) -> bool:
+        """What the safe torque off inputs ask for."""
+        return bool(self._without_voltage)
+
+    def set_torque_off(self, wire: str, *, active: bool) -> None:
+        """One of `TORQUE_OFF` takes the voltage of the safe torque off inputs, or has it back."""
+        if active:
+            self._without_voltage.add(wire)
+        else:
+            self._without_voltage.discard(wire)
 
     def set(self, wire: str, *, active: bool) -> None:
         """Raises KeyError for a wire there is not."""

@@ -1,0 +1,166 @@
+"""Drives and cells whose frames are not read: what the daemon records, as if it were frames.
+
+An EtherCAT segment's frames are its master's alone. The record says what each drive was sent and
+what the daemon read of its answer; in that form it is judged like what is read from a CAN channel.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonus.config.schema.root import Config
+from tonus.config.schema.sto_relay import StoRelay
+from tonus.runtime.supervisor.listener import OPERATION_ENABLED, STATE, Heard
+from tonus.runtime.supervisor.observation import Listened
+from tonus.runtime.supervisor.record import Answers, Claim, Floats
+from tonus.runtime.supervisor.wiring import Axis, Cell, Value, Wiring
+
+_CHANNEL = ""
+_SENT, _DRIVE, _CELL, _STATUS = 0x100, 0x200, 0x300, 0x400
+"""first identifiers; there are no frames that these could be confused with"""
+_TORQUE, _STATUSWORD, _POSITION = Value(0, 32), Value(0, 16), Value(16, 48)
+_FORCE = Value(0, 32, real=True)
+_METRE = 1e-9
+"""of cable, the grid of a position"""
+_AT_A_LIMIT = 0x0800
+"""CiA 402, statusword"""
+_NEVER = 0xFFFF
+"""age of what was never measured"""
+_FLOAT = struct.Struct("<f")
+_DELAY_TICKS = 6
+"""records in which a torque may come back as the drive's own figure: sent, acting, sampled, read;
+and as many lost frames as stop nothing"""
+_RISE_TICKS = 2
+"""by which the drive's current follows"""
+
+
+class RecordedWiring(Wiring):
+    """Every axis and cell of the robot, as a drive and an amplifier on a channel without a name;
+    ``channels`` has the relay's."""
+
+    def __init__(self, config: Config, relay: StoRelay) -> None:
+        robot = config.robot
+        self.channels = [(relay.interface, relay.channel, relay.bitrate)]
+        self.axes = []
+        for number, (train, sign) in enumerate(zip(robot.drive_trains, robot.signs, strict=True)):
+            ratio, radius = train.gearbox.ratio, train.drum.radius
+            mille = sign * train.motor.rated_torque * 1e-3
+            self.axes.append(
+                Axis(
+                    number,
+                    _CHANNEL,
+                    _SENT + number,
+                    _DRIVE + number,
+                    4,
+                    8,
+                    _TORQUE,
+                    _STATUSWORD,
+                    _POSITION,
+                    mille * ratio / radius,
+                    1.0 / (mille * ratio),
+                    _METRE,
+                    train.drum.inertia / radius**2,
+                    train.drum.viscous_friction / radius**2,
+                )
+            )
+        self.cells = [
+            Cell(number, _CHANNEL, _CELL + number, 4, _FORCE, 1.0, _STATUS + number)
+            for number in range(robot.cells)
+        ]
+
+
+class Replayed:
+    """Records as frames, each read when its tick was due; a measurement that is a repetition of an
+    older one is none."""
+
+    def __init__(self, config: Config, wiring: RecordedWiring) -> None:
+        self._axes, self._cells = wiring.axes, wiring.cells
+        self._radius = np.array([train.drum.radius for train in config.robot.drive_trains])
+        self._mille = np.array([axis.per_newton_metre for axis in wiring.axes])
+        self._tick_ns = config.control.rates.period_ns
+        self._sampled_ns = np.full(len(wiring.axes), -1, np.int64)
+        self._measured_ns = np.full(len(wiring.cells), -1, np.int64)
+        self._commanded: deque[Floats] = deque(maxlen=_DELAY_TICKS + _RISE_TICKS)
+        self.astray = np.zeros(len(wiring.axes))
+        """N at each cable by which the drive's own torque was outside of what it was sent, at most
+        in the records taken last; 0 while it is not enabled or at a limit of its own"""
+        self.heard: Listened = {
+            (_CHANNEL, identifier): heard
+            for identifier, heard in (
+                *((axis.sent, Heard(4, (_TORQUE,))) for axis in wiring.axes),
+                *((axis.received, Heard(8, (), _STATUSWORD)) for axis in wiring.axes),
+                *((cell.received, Heard(4, (_FORCE,))) for cell in wiring.cells),
+                *((cell.emergency, Heard(2, ())) for cell in wiring.cells),
+            )
+        }
+
+    def take(self, claims: list[Claim]) -> None:
+        """Claims with their answers, in their order."""
+        if claims:
+            self.astray = np.zeros(len(self._axes))
+        for claim in claims:
+            if claim.answers is not None:
+                self._take(claim, claim.answers)
+
+    def _take(self, claim: Claim, answers: Answers) -> None:
+        heard, at_ns = self.heard, claim.at_ns
+        wanted = np.rint(np.nan_to_num(claim.torque * self._mille)).astype(np.int64)
+        length = np.rint(np.nan_to_num(answers.angle * self._radius) / _METRE).astype(np.int64)
+        sampled = self._anew(at_ns, answers.age, self._sampled_ns)
+        for axis, mille, position, word, new in zip(
+            self._axes,
+            wanted.tolist(),
+            length.tolist(),
+            answers.statusword.tolist(),
+            sampled.tolist(),
+            strict=True,
+        ):
+            heard[_CHANNEL, axis.sent].take([mille & 0xFFFFFFFF], at_ns)
+            if new:
+                packed = word | (position & (1 << 48) - 1) << 16
+                heard[_CHANNEL, axis.received].take([packed], at_ns)
+        measured = self._anew(at_ns, answers.force_age, self._measured_ns)
+        for cell, force, status, new in zip(
+            self._cells,
+            answers.force.tolist(),
+            answers.force_status.tolist(),
+            measured.tolist(),
+            strict=True,
+        ):
+            if new:
+                heard[_CHANNEL, cell.received].take([_word(force)], at_ns)
+                heard[_CHANNEL, cell.emergency].take([status], at_ns)
+        self._compare(claim, answers)
+
+    def _anew(
+        self, at_ns: int, age: NDArray[np.uint16], before_ns: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Which measurements are of a later tick than those before, which are then brought up."""
+        taken_ns = at_ns - age.astype(np.int64) * self._tick_ns
+        new: NDArray[np.bool_] = (taken_ns > before_ns) & (age != _NEVER)
+        before_ns[new] = taken_ns[new]
+        return new
+
+    def _compare(self, claim: Claim, answers: Answers) -> None:
+        """The drive's own torque with the least and the largest that it was sent lately."""
+        commanded = self._commanded
+        if len(commanded) == commanded.maxlen:
+            lately = np.array(commanded)
+            low, high = lately.min(axis=0), lately.max(axis=0)
+            beyond = np.maximum(answers.torque - high, low - answers.torque)
+            # A drive that says that it is at a limit of its own gives what it can.
+            comparable = answers.statusword & (STATE | _AT_A_LIMIT) == OPERATION_ENABLED
+            astray = np.where(comparable, beyond / self._radius, 0.0)
+            self.astray = np.maximum(self.astray, astray)
+        commanded.append(np.nan_to_num(claim.torque))
+
+
+def _word(force: float) -> int:
+    if not math.isfinite(force):
+        force = math.nan
+    return int.from_bytes(_FLOAT.pack(force), "little")

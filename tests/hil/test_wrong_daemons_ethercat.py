@@ -1,0 +1,152 @@
+"""On EtherCAT, with a relay in the circuit of the STO inputs: the supervisor stops all drives of a
+daemon that has died or is wrong, and no others. STO-1 to STO-4.
+
+Drives and relay are looked at in the lab in every tick. A time counts from the change of the daemon
+to the tick in which the last drive has no power and reports STO; the drives take what their maker
+states as the longest (`sto_relay.torque_off_ms`), which no real one has to need.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.relayed import PATH, RelayRun, relay_of
+from tests.supervised import BRIEF, DRIVES, configured
+from tests.wrong_daemons import AT_ONCE, LATER, Change, blind, opposite, torque_on_the_bus
+from tonus.config.loader import load_scenario
+from tonus.config.schema.faults import PowerCycle, Unplug
+from tonus.config.schema.robot_faults import CableCut
+from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.states import State
+from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.tools.campaign.observed import Observed
+from tonus.tools.campaign.play import Playing
+
+pytestmark = pytest.mark.wide
+
+OUTPUT_MS = 10.0
+"""from the change to the output's end, the longest of what is found at once"""
+SLOWER = {"torques frozen on the bus": 22.0}
+"""a torque that stays is wrong once the one that is recorded has gone away from it"""
+FOUND = {"torques frozen on the bus": {Requirement.COMMAND_LOGGED}}
+"""where the frames are not read, found by what the drives report"""
+ROBOT: dict[str, Any] = {"sto_relay.timeout_ms": 7}
+"""as without a lab"""
+
+
+def _run(patch: pytest.MonkeyPatch, change: Change, **given: Any) -> tuple[RelayRun, Observed]:
+    scenario, seconds = given.pop("scenario", "sine_z"), given.pop("seconds", 0.3)
+    config, _ = configured(PATH, **ROBOT, **given.pop("overrides", {}))
+    run = RelayRun(config, load_scenario(scenario), lambda: change(patch), **given)
+    with patch.context():
+        seen = run.play(seconds)
+    patch.undo()
+    return run, seen
+
+
+def _all_stopped(run: RelayRun, seen: Observed, output_ms: float) -> None:
+    """Output, contacts and drives, each after its time; a tick is how often they are looked at."""
+    relay = relay_of(run.config)
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert run.off_ms <= output_ms
+    assert run.open_ms <= run.off_ms + relay.release_ms + 1.0
+    assert run.slowest_ms <= run.open_ms + relay.torque_off_ms + 1.0
+
+
+@pytest.mark.parametrize("name", AT_ONCE)
+def test_a_wrong_daemon_on_ethercat_loses_the_torque_of_every_drive(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    change, requirements = AT_ONCE[name]
+    run, seen = _run(monkeypatch, change, overrides=BRIEF)
+    _all_stopped(run, seen, SLOWER.get(name, OUTPUT_MS))
+    assert {number for number, _ in run.said} == FOUND.get(name, requirements)
+
+
+@pytest.mark.parametrize(
+    ("name", "output_ms"),
+    list(zip(LATER, (OUTPUT_MS, 24.0), strict=True)),
+    ids=list(LATER),
+)
+def test_a_mistake_on_ethercat_that_has_to_show(
+    name: str, output_ms: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, seen = _run(monkeypatch, LATER[name][0])
+    _all_stopped(run, seen, output_ms)
+
+
+def test_a_contact_on_ethercat_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the instant at which it is truly beyond the supervisor's bound."""
+    pushed = {**BRIEF, "control.envelope.enabled": False}
+    run, seen = _run(
+        monkeypatch, blind, scenario="contact_near", overrides=pushed, seconds=6.0, at=0.1
+    )
+    assert {number for number, _ in run.said} == {Requirement.CONTACT}
+    run.changed_ns = int(seen.truth_ns[seen.truth["contact_force"] > 27.5][0])
+    _all_stopped(run, seen, OUTPUT_MS)
+
+
+def test_a_daemon_in_order_on_ethercat_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    run, seen = _run(monkeypatch, lambda _: None, overrides=BRIEF, seconds=1.0)
+    assert not run.said
+    assert not run.stopped_ns
+    names = {each.name for each in seen.events}
+    assert not names & {"unsupervised", "supervisor_lost", "supervisor_stopped", "sto_relay_open"}
+    assert run.released[0], "open until the supervisor holds it"
+    assert not run.released[-1]
+
+
+def test_a_stop_of_the_daemons_own_on_ethercat_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    def cut() -> None:
+        assert run._playing.lab is not None
+        run._playing.lab.inject(CableCut(axis=2))
+
+    config, _ = configured(PATH, **ROBOT, **BRIEF)
+    run = RelayRun(config, load_scenario("sine_z"), cut)
+    seen = run.play(3.0)
+    assert State.SAFE_STOP in seen.state
+    assert not run.said
+    assert not run.off_ns
+    assert "sto_relay_open" not in {each.name for each in seen.events}
+
+
+def test_what_it_stopped_for_is_in_the_log_on_ethercat(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, seen = _run(monkeypatch, torque_on_the_bus(opposite), overrides=BRIEF)
+    found = {(each.name, each.where): each.text for each in seen.events}
+    assert "SUP-10 at 2" in found["supervisor_stopped", "sto"]
+    assert ("supervisor_lost", "sto") in found
+    assert ("sto_relay_open", "sto/120") in found
+    reported = [each for each in seen.events if each.name == "drive_error"]
+    assert len(reported) == len(DRIVES)
+    assert all("0x8A88" in each.text for each in reported)
+
+
+@pytest.mark.parametrize("fault", [Unplug, PowerCycle])
+def test_a_relay_that_is_cut_off_opens(fault: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its node hears nobody any more, or has lost what it was told."""
+
+    def away() -> None:
+        relay, lab = relay_of(run.config), run._playing.lab
+        assert lab is not None
+        lab.inject(fault(channel=relay.channel, node=relay.node_id))
+
+    config, _ = configured(PATH, **ROBOT, **BRIEF)
+    run = RelayRun(config, load_scenario("sine_z"), away)
+    seen = run.play(0.5)
+    _all_stopped(run, seen, relay_of(config).timeout_ms + 1.0)
+    assert not run.said, "the daemon is in order"
+
+
+@pytest.mark.parametrize("policy", ["require", "use"])
+def test_without_it_a_robot_with_a_relay_is_not_armed(
+    policy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No drive could be enabled, whatever the policy."""
+    monkeypatch.setattr(Supervisor, "step", lambda *_: None)
+    config, _ = configured(PATH, **{"supervisor.policy": policy})
+    end = Playing(config, load_scenario("hold"), 1, tail=0.1, longest=5.0).run().end
+    assert end is not None
+    assert "sto relay: is open: the supervisor does not hold it" in end.reason
+    assert ("supervisor of sto: is not heard on sto" in end.reason) == (policy == "require")

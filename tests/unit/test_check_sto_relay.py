@@ -1,0 +1,120 @@
+"""What `tonus check` and the loader refuse: a relay of the STO inputs that could not stop the robot
+in time, or that nobody could hold."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tonus.config import ConfigError, load
+from tonus.tools.check.finding import Finding
+from tonus.tools.check.rules import check
+from tonus.tools.errors import ToolError
+from tonus.tools.run.supervision import require_reach, wanted, without_relay
+
+PATH = "config/ethercat.yaml"
+
+
+def findings(path: str = PATH, overrides: dict[str, Any] | None = None) -> list[Finding]:
+    found = check(*load(path, overrides=overrides))
+    return [each for each in found if each.rule in ("sto_relay", "supervisor")]
+
+
+def refused(path: str = PATH, **overrides: Any) -> list[str]:
+    stated = {key.replace("__", "."): value for key, value in overrides.items()}
+    return [each.where for each in findings(path, stated) if not each.ok]
+
+
+def test_the_shipped_segment_is_within_the_supervisors_reach() -> None:
+    assert refused() == []
+    assert refused(lab=None) == []
+    assert wanted(load(PATH)[0])
+    require_reach(load(PATH, overrides={"supervisor.policy": "require"})[0])
+
+
+def test_how_long_the_drives_have_torque_is_said() -> None:
+    robot = [each.text for each in findings(overrides={"lab": None}) if each.rule == "sto_relay"]
+    assert robot[-1] == (
+        "no drive has torque 44 ms after the supervisor's end at the latest, 44 ms after the "
+        "daemon's"
+    )
+
+
+def test_without_a_relay_the_segment_is_out_of_reach() -> None:
+    assert refused(lab=None, sto_relay=None) == ["supervisor.policy"]
+    assert not wanted(load(PATH, overrides={"sto_relay": None})[0])
+
+
+def test_without_a_supervisor_the_relay_is_bridged() -> None:
+    config, _ = load(PATH, overrides={"supervisor.policy": "off"})
+    assert config.sto_relay is not None
+    assert config.relay is None
+    assert not wanted(config)
+    assert without_relay(load(PATH)[0]).relay is None
+    assert [
+        each for each in findings(overrides={"supervisor": None}) if each.rule == "sto_relay"
+    ] == []
+
+
+def test_drives_on_can_have_no_relay() -> None:
+    relay = load(PATH)[0].sto_relay
+    assert relay is not None
+    beside = {"sto_relay": relay.model_dump(mode="json")}
+    assert "sto_relay" in [
+        each.where for each in findings("config/can.yaml", beside) if not each.ok
+    ]
+    with pytest.raises(ToolError, match="sto_relay is for robots without a drive on CAN"):
+        require_reach(load("config/can.yaml", overrides=beside)[0])
+
+
+def test_a_channel_that_is_not_its_own() -> None:
+    relay = load(PATH)[0].sto_relay
+    assert relay is not None
+    stated = relay.model_dump(mode="json") | {"channel": "can1"}
+    assert refused("config/mixed.yaml", sto_relay=stated) == ["sto_relay.channel"]
+    assert refused("config/mixed.yaml", sto_relay=stated | {"channel": "sto"}) == []
+
+
+@pytest.mark.parametrize("key", ["sto_relay__node_id", "sto_relay__master__node_id"])
+def test_a_node_with_the_supervisors_number(key: str) -> None:
+    assert refused(**{key: 126}) == ["sto_relay.node_id"]
+
+
+def test_a_node_with_the_masters_number() -> None:
+    with pytest.raises(ConfigError, match="node_id 127 is the master's too"):
+        load(PATH, overrides={"sto_relay.node_id": 127})
+
+
+@pytest.mark.parametrize(("timeout_ms", "ok"), [(20, False), (21, True)])
+def test_a_node_that_does_not_bear_a_lost_heartbeat(timeout_ms: int, ok: bool) -> None:
+    expected = [] if ok else ["sto_relay.timeout_ms"]
+    assert refused(sto_relay__timeout_ms=timeout_ms) == expected
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("timeout_ms", 101),
+        ("closing_ms", 100.1),
+        ("release_ms", 100.1),
+        ("release_ms", -1),
+        ("torque_off_ms", 100.1),
+        ("rpdo", [0x60400010]),
+        ("tpdo", [0x60410010]),
+    ],
+)
+def test_values_that_no_relay_has(key: str, value: Any) -> None:
+    with pytest.raises(ConfigError) as error:
+        load(PATH, overrides={f"sto_relay.{key}": value})
+    assert "sto_relay" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_how_long_only_a_lab_may_wait() -> None:
+    stated = {"sto_relay.timeout_ms": 21}
+    load(PATH, overrides=stated)
+    with pytest.raises(ConfigError, match=r"or write sto_relay\.timeout_ms under relaxed"):
+        load(PATH, overrides={"lab": None} | stated)
+    load(PATH, overrides={"lab": None, "relaxed": ["sto_relay.timeout_ms"]} | stated)
+    assert load(PATH, overrides={"lab": None})[0].sto_relay.timeout_ms == 7  # type: ignore[union-attr]

@@ -1,0 +1,450 @@
+"""The relay in the circuit of the STO inputs: its node, its contacts and the drives in the lab, and
+what the daemon makes of it. STO-4 and STO-5."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import can
+import pytest
+
+from tonus.config import Config, load
+from tonus.config.schema.lab import LabScript
+from tonus.config.schema.sto_relay import StoRelay
+from tonus.drivers.canopen.sto_relay import RelayedFieldbus
+from tonus.drivers.errors import BringUpError, DriverError
+from tonus.drivers.fieldbus import BusEvent, Progress
+from tonus.drivers.process_image import AxisCommand, ProcessImage
+from tonus.runtime.timing import clock
+from tonus.sim.devices.output_node import OutputNode
+from tonus.sim.errors import LabError
+from tonus.sim.lab.engine import Lab
+from tonus.tools.run import fieldbuses
+
+PATH = "config/ethercat.yaml"
+ROBOT: dict[str, Any] = {"sto_relay.timeout_ms": 7, "supervisor.period_ms": 2}
+MS = 1_000_000
+SUPERVISOR = 126
+STO = 0x8A88
+
+
+class Segment:
+    """The fieldbus beside it, which has nothing to do."""
+
+    channels = ("none",)
+
+    def __init__(self) -> None:
+        self.image = ProcessImage(8)
+        self.image.commands["command"] = AxisCommand.DISABLE
+        self.done: list[str] = []
+        self.fails = False
+
+    async def start(self, progress: Progress) -> None:
+        del progress
+        self.done.append("start")
+        if self.fails:
+            raise DriverError("no slaves")
+
+    def collect(self, tick: int) -> None:
+        self.done.append(f"collect {tick}")
+
+    def publish(self, tick: int) -> None:
+        self.done.append(f"publish {tick}")
+
+    def take_events(self) -> list[BusEvent]:
+        return [BusEvent("frame_lost", "none", "its own")]
+
+    async def sdo_read(self, axis: int, index: int, subindex: int) -> bytes:
+        return bytes((axis, subindex))
+
+    async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
+        self.done.append(f"write {axis} {index:04X}:{subindex} {data.hex()}")
+
+    async def recover(self) -> None:
+        self.done.append("recover")
+
+    async def stop(self) -> None:
+        self.done.append("stop")
+
+
+class Bench:
+    """A lab in virtual time with the relay's channel, a supervisor by hand, and the daemon's side.
+    Use `play`."""
+
+    def __init__(self, **overrides: Any) -> None:
+        self.config: Config = load(PATH, overrides={**ROBOT, **overrides})[0]
+        assert self.config.relay is not None
+        self.relay: StoRelay = self.config.relay
+        self.beats = self.holds = False
+        self.segment = Segment()
+        self.events: list[BusEvent] = []
+        self.tick = 0
+
+    def play(self, act: Callable[[Bench], Awaitable[None]]) -> None:
+        async def main() -> None:
+            now = clock.loop_clock()
+            self.lab = Lab(self.config, LabScript(), seed=1, clock=now)
+            self.lab.open()
+            self.bus = can.Bus(interface="tonus", channel=self.relay.channel)
+            self.fieldbus = RelayedFieldbus(self.config, self.segment)
+            try:
+                await act(self)
+            finally:
+                await self.fieldbus.stop()
+                self.bus.shutdown()
+                self.lab.close()
+
+        clock.run(main(), virtual=True)
+
+    @property
+    def node(self) -> OutputNode:
+        device = self.lab.nodes[self.relay.channel, self.relay.node_id].device
+        assert isinstance(device, OutputNode)
+        return device
+
+    @property
+    def closed(self) -> bool:
+        self.lab.advance(clock.now_ns())
+        return not self.node.inputs & 1
+
+    @property
+    def torque_off(self) -> list[bool]:
+        self.lab.advance(clock.now_ns())
+        return [drive.objects.find(0x3202, 1).get() == 0 for drive in self.lab.drives]
+
+    @property
+    def obstacles(self) -> dict[str, str]:
+        return self.segment.image.obstacles
+
+    def names(self) -> list[str]:
+        return [event.name for event in self.events if event.where != "none"]
+
+    def send(self, identifier: int, data: bytes) -> None:
+        self.bus.send(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
+
+    def object(self, index: int, subindex: int) -> int:
+        return self.node.objects.number(index, subindex)
+
+    async def start(self) -> None:
+        await self.fieldbus.start(lambda _: None)
+
+    async def pass_ms(self, count: int) -> None:
+        """Ticks, and the supervisor's two frames in every second one."""
+        for _ in range(count):
+            if self.tick % 2 == 0:
+                if self.beats:
+                    self.send(0x700 + SUPERVISOR, b"\5")
+                if self.holds:
+                    self.send(0x200 + self.relay.node_id, b"\1")
+            self.fieldbus.collect(self.tick)
+            self.fieldbus.publish(self.tick)
+            self.events += self.fieldbus.take_events()
+            self.tick += 1
+            await asyncio.sleep(0.001)
+
+    async def held(self) -> None:
+        """Closed, by a supervisor that beats."""
+        await self.start()
+        self.beats = self.holds = True
+        await self.pass_ms(40)
+        assert self.closed
+        assert self.obstacles == {}
+
+
+def played(**overrides: Any) -> Callable[[Callable[[Bench], Awaitable[None]]], Callable[[], None]]:
+    """A test on a bench."""
+
+    def made(act: Callable[[Bench], Awaitable[None]]) -> Callable[[], None]:
+        def test() -> None:
+            Bench(**overrides).play(act)
+
+        test.__doc__ = act.__doc__
+        return test
+
+    return made
+
+
+# --- in the lab ----------------------------------------------------------------------------------
+
+
+@played()
+async def test_without_its_output_no_drive_can_be_enabled(bench: Bench) -> None:
+    assert not bench.closed
+    assert bench.torque_off == [True] * 8
+    drive = bench.lab.drives[0]
+    assert not drive.may_enable()
+    assert drive.objects.number(0x603F, 0) == STO
+
+
+@played(**{"sto_relay.timeout_ms": 100})
+async def test_contacts_follow_the_output_and_the_torque_the_contacts(bench: Bench) -> None:
+    await bench.held()
+    assert bench.torque_off == [False] * 8
+    bench.holds = False
+    bench.send(0x200 + bench.relay.node_id, b"\0")
+    await asyncio.sleep(0.011)
+    assert bench.closed
+    await asyncio.sleep(0.002)
+    assert not bench.closed
+    assert bench.torque_off == [False] * 8
+    await asyncio.sleep(0.023)
+    assert bench.torque_off == [False] * 8
+    await asyncio.sleep(0.002)
+    assert bench.torque_off == [True] * 8
+    bench.send(0x200 + bench.relay.node_id, b"\1")
+    await asyncio.sleep(0.014)
+    assert not bench.closed
+    await asyncio.sleep(0.002)
+    assert bench.closed
+    assert bench.torque_off == [False] * 8
+
+
+@played(**{"sto_relay.timeout_ms": 100})
+async def test_the_last_change_of_the_output_counts(bench: Bench) -> None:
+    await bench.held()
+    for data in (b"\0", b"\1"):
+        bench.send(0x200 + bench.relay.node_id, data)
+        await asyncio.sleep(0.008)
+    for _ in range(60):
+        assert bench.closed
+        assert bench.torque_off == [False] * 8
+        await asyncio.sleep(0.001)
+
+
+@played()
+async def test_the_output_ends_with_the_heartbeat_and_stays_off(bench: Bench) -> None:
+    """Though frames go on that would set it."""
+    await bench.held()
+    bench.beats = False
+    bench.segment.image.commands["command"] = AxisCommand.ENABLE
+    await bench.pass_ms(9)
+    assert bench.node.outputs == 0
+    await bench.pass_ms(200)
+    assert bench.node.outputs == 0
+    assert not bench.closed
+    assert bench.torque_off == [True] * 8
+
+
+@played()
+async def test_the_fault_of_the_sto_inputs_and_the_relay_are_two_causes(bench: Bench) -> None:
+    drive = bench.lab.drives[2]
+    await bench.held()
+    drive.set_input("sto", True)
+    assert bench.torque_off[2]
+    bench.holds = bench.beats = False
+    await bench.pass_ms(60)
+    drive.set_input("sto", False)
+    assert bench.torque_off == [True] * 8
+
+
+def test_outputs_without_an_error_mode_stay_and_others_take_their_value() -> None:
+    seen: list[int] = []
+    node = OutputNode(5, seen.append)
+    put = node.writer(0x6200, 1)
+    node.set_operational(True)
+    for mode, value, after in ((0xFF, 0x00, 0x00), (0x0F, 0x05, 0xA5), (0x00, 0x00, 0xAA)):
+        node.objects.find(0x6206, 1).value = mode
+        node.objects.find(0x6207, 1).value = value
+        put(0xAA)
+        node.fail(0x8130)
+        assert node.outputs == seen[-1] == after
+        put(0xAA)
+        node.set_operational(False)
+        assert node.outputs == after
+    assert node.objects.number(0x1001, 0) == 0x10
+    node.communication_reset()
+    assert node.objects.number(0x1001, 0) == 0
+    node.power_cycle()
+    assert node.outputs == 0
+
+
+def test_a_relay_on_a_channel_of_the_fieldbus_is_refused() -> None:
+    relay = load(PATH)[0].sto_relay
+    assert relay is not None
+    stated = {"sto_relay": relay.model_dump(mode="json") | {"channel": "can1"}}
+    config, _ = load("config/mixed.yaml", overrides=stated)
+    with pytest.raises(LabError, match=r"sto_relay\.channel: can1"):
+        Lab(config, LabScript(), seed=1, clock=lambda: 0)
+    stated = {"sto_relay": relay.model_dump(mode="json") | {"bitrate": 500_000}}
+    config, _ = load("config/mixed.yaml", overrides=stated)
+    with pytest.raises(LabError, match=r"sto_relay\.bitrate: .* 1000000, not 500000"):
+        Lab(config, LabScript(), seed=1, clock=lambda: 0)
+
+
+def test_a_relay_that_is_not_emulated_has_no_wires_in_the_lab() -> None:
+    config, _ = load(PATH)
+    lab = Lab(config, LabScript(), seed=1, clock=lambda: 0, nodes=frozenset())
+    assert lab.channels == {}
+    assert lab.drives[0].may_enable()
+
+
+# --- the daemon's side ---------------------------------------------------------------------------
+
+
+@played()
+async def test_the_node_is_told_what_ends_its_output(bench: Bench) -> None:
+    await bench.start()
+    assert bench.object(0x1016, 1) == SUPERVISOR << 16 | 7
+    assert bench.object(0x6206, 1) == 0xFF
+    assert bench.object(0x6207, 1) == 0
+    assert bench.object(0x1400, 2) == bench.object(0x1800, 2) == 255
+    assert bench.object(0x1017, 0) == bench.relay.heartbeat_ms
+    assert bench.segment.done == ["start"]
+
+
+@played(**{"supervisor.policy": "use"})
+async def test_arming_waits_for_closed_contacts_whatever_the_policy(bench: Bench) -> None:
+    await bench.start()
+    await bench.pass_ms(20)
+    assert bench.obstacles == {"sto relay": "is open: the supervisor does not hold it"}
+    bench.beats = bench.holds = True
+    await bench.pass_ms(40)
+    assert bench.obstacles == {}
+    assert bench.names() == []
+
+
+@played(**{"supervisor.policy": "require"})
+async def test_where_it_is_required_the_supervisor_has_to_be_heard(bench: Bench) -> None:
+    await bench.start()
+    await bench.pass_ms(20)
+    assert bench.obstacles["supervisor of sto"] == "is not heard on sto"
+    bench.beats = bench.holds = True
+    await bench.pass_ms(40)
+    assert bench.obstacles == {}
+
+
+@played()
+async def test_a_relay_that_opens_under_enabled_drives_is_an_event(bench: Bench) -> None:
+    await bench.held()
+    bench.segment.image.commands["command"] = AxisCommand.ENABLE
+    await bench.pass_ms(10)
+    assert bench.names() == []
+    bench.beats = False
+    await bench.pass_ms(100)
+    assert bench.names() == ["emcy", "sto_relay_open", "supervisor_lost"]
+    assert "sto relay" in bench.obstacles
+    bench.segment.image.commands["command"] = AxisCommand.DISABLE
+    bench.beats = True
+    await bench.pass_ms(200)
+    assert bench.closed, "started again, while no drive is to be enabled"
+    assert bench.obstacles == {}
+
+
+@played()
+async def test_a_relay_whose_node_is_silent(bench: Bench) -> None:
+    await bench.held()
+    bench.lab.unplug(bench.relay.channel, bench.relay.node_id)
+    await bench.pass_ms(200)
+    assert "does not answer" in bench.obstacles["sto relay"]
+    assert "heartbeat_lost" in bench.names()
+    bench.lab.replug(bench.relay.channel, bench.relay.node_id)
+    await bench.pass_ms(300)
+    assert "heartbeat_back" in bench.names()
+    assert bench.obstacles == {}
+
+
+@played()
+async def test_a_relay_that_restarted_waits_for_a_reset(bench: Bench) -> None:
+    """Its watch is gone with its configuration: its output must not be set by anybody."""
+    await bench.held()
+    bench.lab.nodes[bench.relay.channel, bench.relay.node_id].power_cycle()
+    await bench.pass_ms(300)
+    assert "boot_up" in bench.names()
+    assert bench.obstacles["sto relay"] == "restarted and lost its configuration; reset"
+    assert not bench.closed
+    task = asyncio.get_running_loop().create_task(bench.fieldbus.recover())
+    while not task.done():
+        bench.holds = bench.beats = False
+        await bench.pass_ms(1)
+    await task
+    assert "recovered" in bench.names() + [each.name for each in bench.fieldbus.take_events()]
+    assert bench.segment.done[-1] == "recover" or "recover" in bench.segment.done
+    bench.holds = bench.beats = True
+    await bench.pass_ms(60)
+    assert bench.closed
+    assert bench.obstacles == {}
+
+
+def welded(bench: Bench) -> None:
+    """The mirror contact never closes."""
+    node = bench.node
+    reader = node.objects.find(0x6000, 1)
+    reader.read = lambda: 0
+
+
+@played()
+async def test_a_welded_relay_is_not_brought_up(bench: Bench) -> None:
+    welded(bench)
+    with pytest.raises(BringUpError, match=r"sto/120 .*a contact is welded"):
+        await bench.start()
+    assert bench.segment.done == []
+
+
+@played()
+async def test_a_relay_that_is_welded_later_is_seen_when_nobody_holds_it(bench: Bench) -> None:
+    await bench.held()
+    welded(bench)
+    bench.beats = bench.holds = False
+    await bench.pass_ms(300)
+    assert bench.obstacles["sto relay"] == (
+        "is closed although its output is off: a contact is welded"
+    )
+    assert "sto_relay_stuck" in bench.names()
+
+
+@played()
+async def test_a_recovery_that_fails_is_an_event(bench: Bench) -> None:
+    await bench.held()
+    bench.lab.nodes[bench.relay.channel, bench.relay.node_id].power_cycle()
+    await bench.pass_ms(20)
+    welded(bench)
+    task = asyncio.get_running_loop().create_task(bench.fieldbus.recover())
+    while not task.done():
+        await bench.pass_ms(1)
+    await bench.pass_ms(1)
+    assert "recovery_failed" in bench.names()
+
+
+@played()
+async def test_the_relay_opens_when_the_segment_cannot_be_started(bench: Bench) -> None:
+    bench.segment.fails = True
+    with pytest.raises(DriverError, match="no slaves"):
+        await bench.start()
+    assert bench.node.outputs == 0
+
+
+@played()
+async def test_what_is_the_segments_own_goes_to_it(bench: Bench) -> None:
+    assert await bench.fieldbus.sdo_read(3, 0x6041, 1) == b"\3\1"
+    await bench.fieldbus.sdo_write(3, 0x6041, 1, b"\7")
+    assert bench.segment.done == ["write 3 6041:1 07"]
+    assert bench.fieldbus.channels == ("none",)
+    await bench.start()
+    await bench.pass_ms(1)
+    assert bench.segment.done[1:] == ["start", "collect 0", "publish 0"]
+    assert [event.where for event in bench.events] == ["none"]
+
+
+def test_a_channel_that_cannot_be_opened() -> None:
+    config, _ = load(PATH)
+
+    def gone(_: StoRelay) -> can.BusABC:
+        raise OSError("no such device")
+
+    fieldbus = RelayedFieldbus(config, Segment(), open_bus=gone, clock=lambda: 0)
+    with pytest.raises(BringUpError, match="sto cannot be opened on interface tonus: no such dev"):
+        clock.run(fieldbus.start(lambda _: None), virtual=True)
+
+
+def test_without_a_relay_there_is_nothing_beside_the_segment() -> None:
+    config, _ = load(PATH, overrides={"sto_relay": None})
+    with pytest.raises(DriverError, match="no relay"):
+        RelayedFieldbus(config, Segment())
+    lab = Lab(config, LabScript(), seed=1, clock=lambda: 0)
+
+    async def built() -> object:
+        return fieldbuses.build(config, ProcessImage(8), lab)
+
+    assert not isinstance(clock.run(built(), virtual=True), RelayedFieldbus)

@@ -1,0 +1,443 @@
+"""The supervisor where drives are not on CAN: it judges what the daemon records of them, and holds
+the relay of the STO inputs. STO-1 to STO-3."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+
+from tonus.config import Config, load
+from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.signals import cycle_dtype
+from tonus.runtime.states import State
+from tonus.runtime.supervisor.record import Claim, claims
+from tonus.runtime.supervisor.recorded import RecordedWiring, Replayed
+from tonus.runtime.supervisor.supervisor import Supervisor
+
+MS = 1_000_000
+ENABLED, AT_A_LIMIT, DISABLED, QUICK_STOP = 0x0237, 0x0A37, 0x0240, 0x0217
+NODE = 120
+BEAT = (0x77E, b"\5")
+HELD, RELEASED = (0x200 + NODE, b"\1"), (0x200 + NODE, b"\0")
+ROBOT: dict[str, Any] = {
+    "supervisor.policy": "require",
+    "supervisor.period_ms": 2,
+    "supervisor.timeout_ms": 22,
+    "supervisor.patience_ms": 5,
+    "sto_relay.timeout_ms": 7,
+}
+Change = Callable[[Any], None]
+
+
+class FakeBus:
+    """Of the relay's channel."""
+
+    def __init__(self) -> None:
+        self.waiting: list[can.Message] = []
+        self.sent: list[tuple[int, bytes]] = []
+        self.broken = False
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        assert timeout == 0
+        return self.waiting.pop(0) if self.waiting else None
+
+    def send(self, message: can.Message, timeout: float | None = None) -> None:
+        del timeout
+        if self.broken:
+            raise can.CanError("gone")
+        self.sent.append((message.arbitration_id, bytes(message.data)))
+
+    def shutdown(self) -> None:
+        """Nothing is held."""
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/ethercat.yaml", overrides=ROBOT)[0]
+
+
+def _record(cables: int, now_ms: int) -> Any:
+    """A robot that is held still, in order."""
+    record = np.zeros(1, cycle_dtype(cables))[0]
+    record["state"]["state"] = State.HOLD
+    record["stiffness"]["k_eq"] = 3000.0
+    drives, cells = record["drives"], record["force_cells"]
+    drives["statusword"] = ENABLED
+    cells["raw"][:-1] = record["tension"]["measured"] = record["tension"]["reference"] = 50.0
+    # So that its torques are not equal to the last bit.
+    drives["torque_command"] = drives["torque"] = 1.0 + 0.01 * (now_ms % 5)
+    return record
+
+
+class Held:
+    """A supervisor, its relay's bus, and what a daemon records each ms; ``change`` is applied."""
+
+    def __init__(self, config: Config) -> None:
+        self.bus, self.config = FakeBus(), config
+        self.answers = True
+        self.recorded = True
+        self._records: list[tuple[int, Any]] = []
+        self.supervisor = Supervisor(config, self._new, lambda *_: self.bus)  # type: ignore[arg-type, return-value]
+        self._now = 0
+
+    def _new(self) -> list[tuple[int, Any]]:
+        new, self._records = self._records, []
+        return new
+
+    def step(self, change: Change = lambda _: None) -> list[tuple[int, bytes]]:
+        """Two ms later: what it sends."""
+        for _ in range(2):
+            self._now += 1
+            record = _record(self.config.robot.cables, self._now)
+            change(record)
+            if self.recorded:
+                self._records.append((self._now * MS, record))
+        if self.answers:
+            beat = can.Message(arbitration_id=0x700 + NODE, is_extended_id=False, data=b"\5")
+            self.bus.waiting.append(beat)
+        self.bus.sent = []
+        self.supervisor.step(self._now * MS)
+        return self.bus.sent
+
+    def steps(self, count: int, change: Change = lambda _: None) -> Iterator[list[Any]]:
+        for _ in range(count):
+            yield self.step(change)
+
+    def armed(self) -> Held:
+        """It holds the relay, and the robot is controlled."""
+        list(self.steps(160, disarmed))
+        assert self.step() == [BEAT, HELD]
+        assert all(sent == [BEAT, HELD] for sent in self.steps(20))
+        return self
+
+    def stopped_for(self, change: Change, within: int = 10) -> Requirement:
+        """What a change makes of it: an emergency, and the output off in the same look."""
+        for sent in self.steps(within, change):
+            if sent != [BEAT, HELD]:
+                break
+        identifier, data = sent[0]
+        code, register, _, _ = struct.unpack("<HBBf", data)
+        assert (identifier, register) == (0x0FE, 0x81)
+        assert sent[1:] == [RELEASED]
+        assert not self.supervisor.beating
+        assert all(sent == [] for sent in self.steps(5, change))
+        return Requirement(code - 0xFF00)
+
+
+@pytest.fixture
+def held(config: Config) -> Iterator[Held]:
+    made = Held(config)
+    yield made
+    made.supervisor.close()
+
+
+def disarmed(record: Any) -> None:
+    record["state"]["state"] = State.STANDBY
+    record["drives"]["statusword"] = DISABLED
+    record["drives"]["torque_command"] = record["drives"]["torque"] = 0.0
+
+
+# --- the relay -----------------------------------------------------------------------------------
+
+
+def test_the_relay_is_held_when_nothing_was_enabled_for_a_while(held: Held) -> None:
+    assert all(sent == [] for sent in held.steps(150, disarmed))
+    assert held.step(disarmed) == [BEAT, HELD]
+    assert held.step() == [BEAT, HELD]
+
+
+def test_a_supervisor_that_finds_the_robot_armed_holds_nothing(held: Held) -> None:
+    assert all(sent == [] for sent in held.steps(400))
+
+
+def test_a_relay_that_does_not_answer_is_not_held(held: Held) -> None:
+    held.answers = False
+    assert all(sent == [] for sent in held.steps(400, disarmed))
+    held.answers = True
+    assert held.step(disarmed) == [BEAT, HELD]
+    held.answers = False
+    sent = list(held.steps(200, disarmed))
+    assert sent[148] == [BEAT, HELD], "one that is late is no cause"
+    assert RELEASED in sent[150]
+    assert sent[151:] == [[]] * 49
+
+
+def test_without_a_record_it_holds_nothing(held: Held) -> None:
+    held.recorded = False
+    assert all(sent == [] for sent in held.steps(400))
+
+
+def test_a_record_that_ends_while_nothing_is_enabled_releases_the_relay(held: Held) -> None:
+    """It would not see that a drive is enabled. Nobody is told of a violation."""
+    list(held.steps(160, disarmed))
+    held.recorded = False
+    assert held.step(disarmed) == [BEAT, HELD]
+    assert held.step(disarmed) == [BEAT, HELD]
+    assert held.step(disarmed) == [RELEASED]
+    assert all(sent == [] for sent in held.steps(400, disarmed))
+    assert held.supervisor.violation is None
+    held.recorded = True
+    assert held.step(disarmed) == [BEAT, HELD]
+
+
+def test_a_record_that_ends_while_the_robot_is_armed_stops_it(held: Held) -> None:
+    held.armed().recorded = False
+    assert held.stopped_for(lambda _: None, within=3) == Requirement.TICK
+
+
+def test_it_holds_the_relay_again_only_when_nothing_was_enabled_for_a_while(held: Held) -> None:
+    held.armed()
+    held.stopped_for(out_of_bounds)
+    assert all(sent == [] for sent in held.steps(400)), "while a drive is enabled"
+    assert all(sent == [] for sent in held.steps(150, disarmed))
+    assert held.step(disarmed) == [BEAT, HELD]
+
+
+def test_a_bus_of_the_relay_that_is_gone_raises_nothing(held: Held) -> None:
+    held.armed().bus.broken = True
+    assert held.step() == []
+    held.bus.broken = False
+    assert held.step() == [BEAT, HELD]
+
+
+# --- what the record shows -----------------------------------------------------------------------
+
+
+def out_of_bounds(record: Any) -> None:
+    record["stiffness"]["k_eq"] = 1e5
+
+
+def tense(record: Any) -> None:
+    record["force_cells"]["raw"][3] = record["tension"]["measured"][3] = 230.0
+    record["tension"]["reference"][3] = 230.0
+    record["drives"]["torque_command"][3] = record["drives"]["torque"][3] = 4.6
+
+
+def pushed(record: Any) -> None:
+    record["force_cells"]["raw"][-1] = record["wrench"]["contact"] = 28.0
+
+
+def opposite(record: Any) -> None:
+    record["drives"]["torque"][2] *= -1.0
+
+
+def late(record: Any) -> None:
+    record["drives"]["age"][5] = 40
+
+
+def unmeasured(record: Any) -> None:
+    record["force_cells"]["age"][1] = 40
+
+
+def said_disarmed(record: Any) -> None:
+    record["state"]["state"] = State.STANDBY
+
+
+def infinite(record: Any) -> None:
+    record["force_cells"]["raw"][4] = np.inf
+
+
+@pytest.mark.parametrize(
+    ("change", "requirement", "within"),
+    [
+        (out_of_bounds, Requirement.STIFFNESS, 2),
+        (tense, Requirement.TENSION, 10),
+        (pushed, Requirement.CONTACT, 10),
+        (opposite, Requirement.COMMAND_LOGGED, 10),
+        (late, Requirement.STALE, 20),
+        (unmeasured, Requirement.STALE, 20),
+        (said_disarmed, Requirement.DISARMED, 40),
+        (infinite, Requirement.TENSION, 10),
+    ],
+)
+def test_what_the_record_shows(
+    held: Held, change: Change, requirement: Requirement, within: int
+) -> None:
+    assert held.armed().stopped_for(change, within) == requirement
+
+
+def test_recorded_torques_that_stay_while_the_tensions_change(held: Held) -> None:
+    held.armed()
+    count = 0
+
+    def frozen(record: Any) -> None:
+        nonlocal count
+        count += 1
+        record["drives"]["torque_command"] = record["drives"]["torque"] = 1.01
+        record["force_cells"]["raw"][:-1] = 50.0 + 0.02 * count
+        record["tension"]["measured"] = record["tension"]["reference"] = 50.0 + 0.02 * count
+
+    assert held.stopped_for(frozen) == Requirement.FROZEN
+
+
+def test_drums_that_turn_faster_than_the_platform_may(held: Held) -> None:
+    """In a stop, by the wide bound: the platform moves upwards with 3 m/s."""
+    geometry = held.config.robot.geometry
+    along = np.array(geometry.frame) - np.array(geometry.platform)
+    upwards = along[:, 2] / np.linalg.norm(along, axis=1)
+    count = 0
+
+    def rising(record: Any) -> None:
+        nonlocal count
+        count += 1
+        record["state"]["state"] = State.SAFE_STOP
+        record["drives"]["angle"] = 3.0e-3 * count * upwards / 0.02
+
+    held.armed()
+    assert held.stopped_for(rising, within=70) == Requirement.SPEED
+
+
+def test_a_drive_in_quick_stop_is_enabled_by_its_recorded_statusword(held: Held) -> None:
+    def quick_stop(record: Any) -> None:
+        disarmed(record)
+        record["drives"]["statusword"][1] = QUICK_STOP
+
+    assert all(sent == [] for sent in held.steps(400, quick_stop))
+
+
+def test_a_cell_that_reports_a_defect_says_nothing_in_a_stop(held: Held) -> None:
+    def broken(record: Any) -> None:
+        record["state"]["state"] = State.SAFE_STOP
+        record["force_cells"]["raw"][3] = 500.0
+        record["force_cells"]["status"][3] = 3
+
+    held.armed()
+    assert all(sent == [BEAT, HELD] for sent in held.steps(100, broken))
+
+
+# --- the drives' own torque ----------------------------------------------------------------------
+
+
+class Player:
+    """Records, each a tick after the one before, and what is made of them."""
+
+    def __init__(self, config: Config) -> None:
+        self.cables = config.robot.cables
+        self.wiring = RecordedWiring(config, config.relay)  # type: ignore[arg-type]
+        self.replayed = Replayed(config, self.wiring)
+        self.now = 0
+
+    def claim(self, change: Change) -> Claim:
+        self.now += 1
+        record = _record(self.cables, 0)
+        change(record)
+        return claims([(self.now * MS, record)], answered=True)[0]
+
+    def take(self, *changes: Change) -> None:
+        self.replayed.take([self.claim(change) for change in changes])
+
+
+def commanded(value: float, answered: float, word: int = ENABLED) -> Change:
+    def change(record: Any) -> None:
+        record["drives"]["torque_command"] = value
+        record["drives"]["torque"] = answered
+        record["drives"]["statusword"] = word
+
+    return change
+
+
+@pytest.fixture
+def player(config: Config) -> Player:
+    made = Player(config)
+    for value in (1.0, 1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0):
+        made.take(commanded(value, 1.0))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("answered", "word", "newton"),
+    [
+        (1.0, ENABLED, 0.0),
+        (1.2, ENABLED, 0.0),
+        (1.3, ENABLED, 0.1 / 0.02),
+        (0.8, ENABLED, 0.2 / 0.02),
+        (-1.0, ENABLED, 2.0 / 0.02),
+        (-1.0, AT_A_LIMIT, 0.0),
+        (-1.0, DISABLED, 0.0),
+    ],
+)
+def test_how_far_a_drives_torque_is_from_what_it_was_sent(
+    player: Player, answered: float, word: int, newton: float
+) -> None:
+    player.take(commanded(1.0, answered, word))
+    assert player.replayed.astray == pytest.approx(np.full(player.cables, newton))
+
+
+def test_the_farthest_of_the_new_records_counts_and_older_ones_no_more(player: Player) -> None:
+    right, wrong = commanded(1.0, 1.0), commanded(1.0, 0.5)
+    player.take(right, wrong, right)
+    assert player.replayed.astray == pytest.approx(np.full(player.cables, 25.0))
+    player.take()
+    assert player.replayed.astray.max() > 0.0, "without a new record the last one holds"
+    player.take(right)
+    assert player.replayed.astray.max() == 0.0
+
+
+def test_a_torque_that_was_sent_long_ago_explains_nothing(player: Player) -> None:
+    player.take(commanded(1.0, 1.0), commanded(1.0, 1.0), commanded(1.0, 1.2))
+    assert player.replayed.astray == pytest.approx(np.full(player.cables, 10.0))
+
+
+def test_before_enough_was_recorded_nothing_is_compared(config: Config) -> None:
+    new = Player(config)
+    for _ in range(8):
+        new.take(commanded(1.0, -1.0))
+        assert new.replayed.astray.max() == 0.0
+    new.take(commanded(1.0, -1.0))
+    assert new.replayed.astray.max() > 0.0
+
+
+# --- records as frames ---------------------------------------------------------------------------
+
+
+def test_a_measurement_that_is_repeated_is_no_new_one(config: Config) -> None:
+    player = Player(config)
+
+    def aged(age: int) -> Change:
+        def change(record: Any) -> None:
+            record["drives"]["age"] = record["force_cells"]["age"] = age
+
+        return change
+
+    axis, cell = player.wiring.axes[3], player.wiring.cells[3]
+    heard = player.replayed.heard
+    player.take(aged(0xFFFF))
+    assert heard["", axis.received].count == heard["", cell.received].count == 0
+    assert heard["", axis.sent].count == 1
+    player.take(aged(1), aged(2), aged(3))
+    assert heard["", axis.received].count == heard["", cell.received].count == 1
+    assert heard["", axis.received].at_ns == 2 * MS
+    player.take(aged(1))
+    assert heard["", axis.received].count == heard["", cell.received].count == 2
+    assert heard["", axis.sent].count == 5
+
+
+def test_the_numbers_of_a_record_in_their_units(config: Config) -> None:
+    player = Player(config)
+
+    def change(record: Any) -> None:
+        record["drives"]["torque_command"][2] = -1.5
+        record["drives"]["angle"][2] = -0.25
+        record["force_cells"]["raw"][2] = 47.25
+
+    player.take(change)
+    axis, cell, heard = player.wiring.axes[2], player.wiring.cells[2], player.replayed.heard
+    assert axis.newton is not None
+    assert axis.metre is not None
+    torque = axis.torque.number(heard["", axis.sent].word) * axis.newton
+    assert torque == pytest.approx(-1.5 / 0.02, abs=0.6 * abs(axis.newton))
+    position = axis.position.number(heard["", axis.received].word) * axis.metre
+    assert position == pytest.approx(-0.25 * 0.02, abs=1e-9)
+    assert axis.statusword.unsigned(heard["", axis.received].word) == ENABLED
+    assert cell.force.number(heard["", cell.received].word) == pytest.approx(47.25)
+
+
+def test_a_claim_without_answers_shows_nothing(config: Config) -> None:
+    player = Player(config)
+    player.replayed.take(claims([(MS, _record(player.cables, 0))]))
+    assert all(heard.count == 0 for heard in player.replayed.heard.values())

@@ -1,0 +1,160 @@
+"""Daemons that are changed in mid-run: what a supervisor has to find."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tonus.config.schema.supervisor import Requirement
+from tonus.drivers.exchange import Exchange
+from tonus.runtime.control.allocation import Allocation
+from tonus.runtime.control.passivity import Limiter
+from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.daemon import Daemon
+from tonus.runtime.safety.faults import Faults
+from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.tools.run.supervision import Overheard
+
+AXIS = 2
+Change = Callable[[pytest.MonkeyPatch], None]
+
+
+def after(owner: type, name: str, change: Callable[..., Any]) -> Change:
+    """``change(result, *arguments)`` takes the place of what a method gives."""
+    original = getattr(owner, name)
+
+    def changed(*arguments: Any) -> Any:
+        return change(original(*arguments), *arguments)
+
+    return lambda patch: patch.setattr(owner, name, changed)
+
+
+def instead(owner: type, name: str, change: Any) -> Change:
+    return lambda patch: patch.setattr(owner, name, change)
+
+
+def blind(patch: pytest.MonkeyPatch) -> None:
+    """The daemon finds no fault any more."""
+    patch.setattr(Faults, "add", lambda *_: False)
+
+
+def both(*changes: Change) -> Change:
+    def all_of_them(patch: pytest.MonkeyPatch) -> None:
+        for change in changes:
+            change(patch)
+
+    return all_of_them
+
+
+def anew(change: Callable[[], Change]) -> Change:
+    """For a change that remembers: another one in each run."""
+
+    def made(patch: pytest.MonkeyPatch) -> None:
+        change()(patch)
+
+    return made
+
+
+def torque_on_the_bus(change: Callable[[Any], Any]) -> Change:
+    def changed(result: tuple[Any, Any], *_: Any) -> tuple[Any, Any]:
+        words, torques = result
+        return words, change(torques.copy())
+
+    return after(Exchange, "commands", changed)
+
+
+def torque_in_control(change: Callable[[Any], Any]) -> Change:
+    def changed(_: None, cycle: ControlCycle, image: Any, *rest: Any) -> None:
+        del cycle, rest
+        image.commands["torque"] = change(image.commands["torque"].copy())
+
+    return after(ControlCycle, "act", changed)
+
+
+class EverySecond:
+    """The sign of one torque, in every second tick; ``first``: of which the supervisor sees the
+    last before it looks, or the other."""
+
+    def __init__(self, first: int) -> None:
+        self.count = first
+
+    def __call__(self, torques: Any) -> Any:
+        self.count += 1
+        return opposite(torques) if self.count % 2 else torques
+
+
+class Frozen:
+    """Keeps the first value."""
+
+    def __init__(self) -> None:
+        self.value: Any = None
+
+    def __call__(self, value: Any) -> Any:
+        self.value = value if self.value is None else self.value
+        return self.value
+
+
+def opposite(torques: Any) -> Any:
+    torques[AXIS] = -torques[AXIS]
+    return torques
+
+
+def slack(torques: Any) -> Any:
+    torques[AXIS] = 0
+    return torques
+
+
+def stiff(_: float, limiter: Limiter, *__: Any) -> float:
+    limiter.value = 6000.0
+    return limiter.value
+
+
+def raises(*_: Any) -> None:
+    raise RuntimeError("changed")
+
+
+AT_ONCE: dict[str, tuple[Change, set[Requirement]]] = {
+    "the daemon stands still": (instead(Daemon, "_tick", lambda *_: None), {Requirement.TICK}),
+    "the supervisor is gone": (instead(Supervisor, "step", lambda *_: None), set()),
+    "nothing is recorded": (
+        instead(Overheard, "publish", lambda *_: None),
+        {Requirement.TICK},
+    ),
+    "torques frozen on the bus": (anew(lambda: torque_on_the_bus(Frozen())), {Requirement.FROZEN}),
+    "torques frozen in control": (anew(lambda: torque_in_control(Frozen())), {Requirement.FROZEN}),
+    "a sign wrong on the bus": (torque_on_the_bus(opposite), {Requirement.COMMAND_LOGGED}),
+    "a sign wrong on the bus in each even tick": (
+        anew(lambda: torque_on_the_bus(EverySecond(0))),
+        {Requirement.COMMAND_LOGGED},
+    ),
+    "a sign wrong on the bus in each odd tick": (
+        anew(lambda: torque_on_the_bus(EverySecond(1))),
+        {Requirement.COMMAND_LOGGED},
+    ),
+    "no torque for one axis on the bus": (
+        torque_on_the_bus(slack),
+        {Requirement.COMMAND_LOGGED},
+    ),
+    "K_eq without its limiter": (after(Limiter, "__call__", stiff), {Requirement.STIFFNESS}),
+}
+
+"""With the requirements that are found broken, where the drives' frames are read."""
+
+
+def tensed(_: None, allocation: Allocation, *__: Any) -> None:
+    allocation.reference[:] = 240.0
+
+
+LATER: dict[str, tuple[Change, float]] = {
+    "tensions beyond their bound, no fault found": (
+        both(blind, after(Allocation, "distribute", tensed)),
+        25.0,
+    ),
+    "a sign wrong in control, no fault found": (
+        both(blind, torque_in_control(opposite)),
+        40.0,
+    ),
+}
+"""With the longest time to the last drive, ms: what is wrong has to show first."""

@@ -1,0 +1,72 @@
+"""Whether the relay of the STO inputs suits supervisor and fieldbus, and how fast it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from tonus.config import Config
+from tonus.config.schema.bus import CanopenBus, of_kind
+from tonus.config.schema.sto_relay import StoRelay
+from tonus.config.schema.supervisor import Supervisor
+from tonus.tools.check.finding import Finding
+
+_RULE = _KEY = "sto_relay"
+
+
+def check_relay(config: Config) -> Iterator[Finding]:
+    """Nothing where no supervisor holds one."""
+    relay, supervisor = config.relay, config.supervisor
+    if relay is None or supervisor is None:
+        return
+    buses = of_kind(config.fieldbus, CanopenBus)
+    on_can = sorted(axis for bus in buses for axis in bus.devices[0])
+    if on_can:
+        named = ", ".join(map(str, on_can))
+        yield Finding(
+            _RULE,
+            False,
+            _KEY,
+            f"axes {named} are on CAN: with a relay it reads no frames of drives",
+            "remove it: drives on CAN wait for the supervisor's heartbeat",
+        )
+    names = [name for bus in config.fieldbus.parts for name in bus.can_channels]
+    yield Finding(
+        _RULE,
+        relay.channel not in names,
+        f"{_KEY}.channel",
+        f"its node is on {relay.channel}"
+        + (", a channel of the fieldbus" if relay.channel in names else ", alone"),
+        "give it a channel of its own: what floods another would keep its output from the relay",
+    )
+    yield Finding(
+        _RULE,
+        supervisor.node_id not in (relay.node_id, relay.master.node_id),
+        f"{_KEY}.node_id",
+        f"node {relay.node_id}, the master's is {relay.master.node_id}, the supervisor's "
+        f"{supervisor.node_id}",
+        "give each its own",
+    )
+    least = 2 * supervisor.period_ms + 1
+    yield Finding(
+        _RULE,
+        relay.timeout_ms >= least,
+        f"{_KEY}.timeout_ms",
+        f"it waits {relay.timeout_ms} ms for a heartbeat sent every {supervisor.period_ms} ms; "
+        f"with one lost it needs {least} ms",
+        f"set it to at least {least}",
+    )
+    yield _times(relay, supervisor)
+
+
+def _times(relay: StoRelay, supervisor: Supervisor) -> Finding:
+    after_ms = relay.release_ms + relay.torque_off_ms
+    dead_ms = relay.timeout_ms + after_ms
+    still_ms = supervisor.patience_ms + supervisor.period_ms + after_ms
+    return Finding(
+        _RULE,
+        True,
+        _KEY,
+        f"no drive has torque {dead_ms:g} ms after the supervisor's end at the latest, "
+        f"{still_ms:g} ms after the daemon's",
+        "",
+    )
