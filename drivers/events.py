@@ -226,7 +226,7 @@ EVENTS: dict[str, Meaning] = {
         "its wires; then reset",
     ),
     "sto_relay_stuck": Meaning(
-        "the relay in the circuit of the STO inputs reports closed contacts while its output is off",
+        "the relay in the circuit of the STO inputs reports closed contacts with its output off",
         "the robot is not armed",
         "replace the relay: a contact is welded, or the wire of its mirror contact is broken",
     ),

@@ -61,10 +61,13 @@ def test_a_lost_heartbeat_of_the_master_stops_no_drive(tonus_held: HeldFactory) 
 
 ROBOT: dict[str, Any] = {dotted(key): safe for key, (safe, _) in DEFAULTS.items()}
 """what a robot without a lab has"""
+ON_CAN = {key: safe for key, safe in ROBOT.items() if not key.startswith("sto_relay")}
+RELAY = (0x77E, 0x278, 0x1F8, 0x778)
+"""heartbeat and output of the supervisor, inputs and heartbeat of the relay's node"""
 
 
 @pytest.mark.parametrize(
-    "values", [pytest.param({}, marks=pytest.mark.long), ROBOT], ids=["lab", "robot"]
+    "values", [pytest.param({}, marks=pytest.mark.long), ON_CAN], ids=["lab", "robot"]
 )
 def test_one_lost_frame_of_each_kind_on_can_stops_nothing(
     tonus_held: HeldFactory, values: dict[str, Any]
@@ -76,15 +79,17 @@ def test_one_lost_frame_of_each_kind_on_can_stops_nothing(
 
 
 def test_one_lost_frame_on_a_segment_stops_nothing(tonus_held: HeldFactory) -> None:
-    """With a robot's values, the shorter watchdog among them."""
-    values = ROBOT | {"supervisor.policy": "off"}  # it acts on CAN only
+    """With a robot's values, the shorter watchdog among them, and of each kind on the relay's
+    channel."""
     run = tonus_held.play(
         config="config/ethercat.yaml",
-        faults=losses("tonus0", (None,)),
+        faults=[*losses("tonus0", (None,)), *losses("sto", RELAY)],
         duration=DURATION_S,
-        overrides=values,
+        overrides=ROBOT,
     )
     went_on(run)
+    run.never("sto_relay_open")
+    run.never("supervisor_lost")
     assert states_at(run, "frame_lost") == {State.ACTIVE}
 
 

@@ -60,8 +60,10 @@ class Operated(Script):
     """A scenario's script that goes on for a while after its end, so that it can be seen what
     becomes of a robot that is switched off, and that does not wait for an end for ever."""
 
-    def __init__(self, scenario: Scenario, period: float, tail: float, longest: float) -> None:
-        super().__init__(scenario.duration, 0.0, scenario.operator, period)
+    def __init__(
+        self, scenario: Scenario, period: float, tail: float, longest: float, patience_s: float
+    ) -> None:
+        super().__init__(scenario.duration, patience_s, scenario.operator, period)
         self._left, self._longest = round(tail / period), round(longest / period)
 
     @property
@@ -97,7 +99,10 @@ class Playing:
         """``tail`` and ``longest``: s, as in `tonus.config.schema.campaign.Times`. ``turn`` may
         fork the process and `take_up` an episode in the child."""
         self.config, self.scenario, self._seed = config, scenario, seed
-        self.script = Operated(scenario, config.control.rates.period, tail, longest)
+        # A relay of the STO inputs closes some ticks after the supervisor has begun.
+        patience_s = 0.0 if config.relay is None else config.operation.self_test.patience_s
+        period = config.control.rates.period
+        self.script = Operated(scenario, period, tail, longest, patience_s)
         self._turn = turn
         cables = config.robot.cables
         self._cycles, self._truths = Rows(cycle_dtype(cables)), Rows(truth_dtype(cables))

@@ -59,6 +59,8 @@ def check_catalogue(
 def _faults(config: Config, scenario: Scenario) -> Iterator[Finding]:
     """A fault injected where there is nothing would never be seen."""
     nodes = {(node.channel, node.number) for node in config.fieldbus.nodes()}
+    if config.relay is not None:
+        nodes.add((config.relay.channel, config.relay.node_id))
     channels = {name for name, _ in nodes}
     for index, fault in enumerate(scenario.lab.faults):
         node = getattr(fault, "node", None)
