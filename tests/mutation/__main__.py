@@ -4,7 +4,8 @@
     python -m tests.mutation --file runtime/supervisor/judge.py --sample 50
     python -m tests.mutation --write DATE      the table in docs/mutation.md
 
-Exit code 1: a mutant survived that tests/mutation/equivalent.yaml does not explain.
+Exit code 1: a mutant survived that neither equivalent.yaml nor survivors.yaml explains; 2: the
+tests of a file fail without a mutant.
 """
 
 from __future__ import annotations
@@ -12,68 +13,86 @@ from __future__ import annotations
 import argparse
 import random
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import time
 from pathlib import Path
+from typing import Any
 
+# What is not ours, or has no mutants, is imported once for all processes.
+import can
+import coverage
+import hypothesis
+import numba
+import numpy as np
+import pytest
 import yaml
 
-import tonus.sim.lab.engine
-import tonus.tools.log.replay  # noqa: F401  # what the tests import anyway, before the processes part
-from tests.mutation.kill import killed
-from tests.mutation.mutants import Mutant, mutants, original
+import tonus.config
+from tests.mutation.kill import Failed, Killing
+from tests.mutation.mutants import mutants
+from tests.mutation.results import HERE, ROOT, Found, keep, kept, write
 
-HERE = Path(__file__).parent
-ROOT = HERE.parents[1]
-PAGE = ROOT / "docs/mutation.md"
-BEGIN, END = "<!-- mutation: begin -->", "<!-- mutation: end -->"
-
-
-@dataclass
-class Found:
-    """Of one file."""
-
-    file: str
-    tried: int = 0
-    killed: int = 0
-    equivalent: int = 0
-    survivors: list[Mutant] = field(default_factory=list)
+_IMPORTED = (can, coverage, numba, np, pytest, tonus.config)
+_QUICK = hypothesis.settings(
+    derandomize=True,
+    database=None,
+    deadline=None,
+    phases=[hypothesis.Phase.explicit, hypothesis.Phase.generate],
+)
+"""Generated inputs are the same for each mutant; which of them is the smallest does not matter."""
+Reasons = dict[str, dict[str, str]]
+"""by file and mutant"""
 
 
-def plan() -> dict[str, list[str]]:
-    """Files and the tests that have to kill their mutants."""
-    found: dict[str, list[str]] = yaml.safe_load((HERE / "plan.yaml").read_text())
+def plan() -> dict[str, dict[str, Any]]:
+    """Files, the tests that have to kill their mutants, and how many are drawn where not all are
+    tried."""
+    found: dict[str, dict[str, Any]] = yaml.safe_load((HERE / "plan.yaml").read_text())
     return found
 
 
-def equivalents() -> dict[str, dict[str, str]]:
-    """By file and mutant: why no test can tell it from the original."""
-    found: dict[str, dict[str, str]] = yaml.safe_load((HERE / "equivalent.yaml").read_text())
+def reasons(name: str) -> Reasons:
+    """Why no test can tell it from the original (equivalent), or none does (survivors)."""
+    path = Path(HERE / f"{name}.yaml")
+    found: Reasons = yaml.safe_load(path.read_text()) or {}
     return found
 
 
-def examine(file: str, tests: Sequence[str], sample: int | None, seed: int, workers: int) -> Found:
+def examine(file: str, tests: list[str], sample: int | None, seed: int, workers: int) -> Found:
     """Every mutant of a file, or some drawn at random."""
-    found, explained = Found(file), equivalents().get(file, {})
+    begin = time.perf_counter()
     todo = list(mutants((ROOT / file).read_text()))
-    unknown = sorted(set(explained) - {each.key for each in todo})
-    if unknown:
-        raise SystemExit(f"equivalent.yaml: {file}: there is no mutant {unknown[0]!r}; remove it")
+    found, equivalent = Found(file, mutants=len(todo)), reasons("equivalent").get(file, {})
+    for name in ("equivalent", "survivors"):
+        unknown = set(reasons(name).get(file, {})) - {each.key for each in todo}
+        if unknown:
+            raise SystemExit(f"{name}.yaml: {file}: there is no mutant {min(unknown)!r}; remove it")
     if sample is not None and sample < len(todo):
         todo = sorted(random.Random(seed).sample(todo, sample), key=lambda each: each.line)
     found.tried = len(todo)
-    left = [each for each in todo if each.key not in explained]
+    left = [each for each in todo if each.key not in equivalent]
     found.equivalent = len(todo) - len(left)
-    left.insert(0, original((ROOT / file).read_text()))
     module = "tonus." + file.removesuffix(".py").replace("/", ".")
-    for mutant, dead in killed(module, ROOT / file, left, tests, workers):
-        if mutant.line == 0:
-            if dead:
-                raise SystemExit(f"{file}: its tests fail without a mutant; correct them first")
-            continue
-        found.killed += dead
-        if not dead:
-            found.survivors.append(mutant)
+    lines = {}
+    try:
+        for verdict in Killing(ROOT / file, module, tests, workers)(left):
+            found.killed += verdict.killed
+            if not verdict.killed:
+                lines[verdict.mutant.key] = verdict.mutant.line
+    except Failed as failed:
+        print(f"{file}: its tests fail without a mutant: {failed.text}", file=sys.stderr)
+        raise SystemExit(2) from None
+    found.survivors = sorted(lines, key=lambda key: lines[key])
+    found.seconds = time.perf_counter() - begin
+    print(found.line, flush=True)
+    for key in found.survivors:
+        print(f"    survived, line {lines[key]}: {key}", flush=True)
+    return found
+
+
+def _files(name: str) -> list[Path]:
+    """Of a pattern of the plan."""
+    found = sorted(ROOT.glob(name))
+    assert found, f"plan.yaml: there is no file {name}"
     return found
 
 
@@ -89,34 +108,24 @@ def main() -> int:
     for file in asked.file or ():
         if file not in planned:
             parser.error(f"{file} is not in tests/mutation/plan.yaml; choose {', '.join(planned)}")
-    results = []
-    for file, tests in planned.items():
+    hypothesis.settings.register_profile("mutation", _QUICK)
+    hypothesis.settings.load_profile("mutation")
+    tonus.config.load("config/can.yaml")  # YAML files and schemas, read once for all processes
+    explained, unexplained = reasons("survivors"), 0
+    for file, each in planned.items():
         if asked.file and file not in asked.file:
             continue
-        found = examine(file, tests, asked.sample, asked.seed, asked.workers)
-        results.append(found)
-        print(_line(found), flush=True)
-        for mutant in found.survivors:
-            print(f"    survived, line {mutant.line}: {mutant.key}")
-    if asked.write:
-        _write(results, asked.write)
-    return 1 if any(found.survivors for found in results) else 0
-
-
-def _line(found: Found) -> str:
-    told = f"{found.file}: {found.tried} mutants, {found.killed} killed, "
-    return told + f"{found.equivalent} equivalent, {len(found.survivors)} survived"
-
-
-def _write(results: Sequence[Found], date: str) -> None:
-    counts = ((f"`{r.file}`", r.tried, r.killed, r.equivalent, len(r.survivors)) for r in results)
-    rows = [f"| {' | '.join(map(str, each))} |" for each in counts]
-    table = "\n".join(
-        ["| file | mutants | killed | equivalent | survived |", "|---|---|---|---|---|", *rows]
-    )
-    text = PAGE.read_text()
-    head, tail = text.split(BEGIN)[0], text.split(END)[1]
-    PAGE.write_text(f"{head}{BEGIN}\n\n{date}.\n\n{table}\n\n{END}{tail}")
+        sample = asked.sample or each.get("sample")
+        tests = [str(path.relative_to(ROOT)) for name in each["tests"] for path in _files(name)]
+        found = examine(file, tests, sample, asked.seed, asked.workers)
+        unexplained += len(set(found.survivors) - set(explained.get(file, {})))
+        if asked.write:
+            found.date = asked.write
+            results = {**kept(), file: found}
+            results = {name: results[name] for name in planned if name in results}
+            keep(results)
+            write(results, explained)
+    return 1 if unexplained else 0
 
 
 if __name__ == "__main__":

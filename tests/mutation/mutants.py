@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import copy
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 _COMPARED: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
     ast.Lt: (ast.LtE, ast.GtE),
@@ -35,6 +35,11 @@ _COMPUTED: dict[type[ast.operator], type[ast.operator]] = {
 _EXCHANGED = {"min": "max", "max": "min", "any": "all", "all": "any", "isfinite": "isnan"}
 
 
+_KINDS = 6
+"""errors that are put into one expression, at most"""
+_BLOCKS = {"body", "orelse", "handlers", "finalbody"}
+
+
 @dataclass(frozen=True)
 class Mutant:
     """``where`` is the function, ``was`` and ``now`` the line before and after; equal ones in a
@@ -42,40 +47,62 @@ class Mutant:
 
     where: str
     line: int
+    last: int
+    """of its lines, without the block below it"""
     was: str
     now: str
     number: int
-    tree: ast.Module
+    source: str = field(repr=False)
+    place: tuple[int, int] = field(repr=False)
+    """line and column of the statement that is changed"""
+    changed: ast.stmt | None = field(repr=False)
+    """what is there instead; None: nothing"""
 
     @property
     def key(self) -> str:
         return f"{self.where}: {self.was} -> {self.now} #{self.number}"
 
+    @property
+    def tree(self) -> ast.Module:
+        """The whole file with the error in it, parsed anew."""
+        tree = ast.parse(self.source)
+        if self.line:
+            _exchange(tree, self.place, self.changed or ast.Pass())
+        return ast.fix_missing_locations(tree)
+
 
 def original(source: str) -> Mutant:
     """The file itself, which no test may fail with."""
-    return Mutant("", 0, "", "", 0, ast.parse(source))
+    return Mutant("", 0, 0, "", "", 0, source, (0, 0), None)
 
 
 def mutants(source: str) -> Iterator[Mutant]:
     """In the order of the lines. Docstrings, annotations and texts of errors are left alone."""
-    tree = ast.parse(source)
     seen: dict[tuple[str, str, str], int] = {}
-    for where, statement in _statements(tree, ""):
+    for where, statement in _statements(ast.parse(source), ""):
         was = _line(statement)
+        first, last = statement.lineno, _last(statement)
+        place = first, statement.col_offset
         for changed in _changes(statement):
             now = "" if changed is None else _line(changed)
             if now == was:
                 continue
             number = seen[where, was, now] = seen.get((where, was, now), 0) + 1
-            made = _with(tree, statement, changed)
-            yield Mutant(where, statement.lineno, was, now, number, made)
+            yield Mutant(where, first, last, was, now, number, source, place, changed)
+
+
+def _last(statement: ast.stmt) -> int:
+    """The last line of its own, without the block below it."""
+    block = getattr(statement, "body", None)
+    if not isinstance(block, list):
+        return statement.end_lineno or statement.lineno
+    return max(statement.lineno, block[0].lineno - 1)
 
 
 def _line(statement: ast.stmt) -> str:
     """Its own line, without the block below it."""
     head = copy.copy(statement)
-    for name in ("body", "orelse", "handlers", "finalbody"):
+    for name in _BLOCKS:
         if getattr(head, name, None):
             setattr(head, name, [ast.Pass()] if name == "body" else [])
     return ast.unparse(ast.fix_missing_locations(head)).split("\n")[0]
@@ -107,16 +134,25 @@ def _changes(statement: ast.stmt) -> Iterator[ast.stmt | None]:
         yield None
     if isinstance(statement, ast.If | ast.While):
         for value in (True, False):
-            made = copy.deepcopy(statement)
+            made = _head(statement)
             made.test = ast.Constant(value)
             if not (isinstance(statement, ast.While) and value):
                 yield made
     count = sum(1 for _ in _expressions(statement))
     for place in range(count):
-        for kind in range(3):
-            made = copy.deepcopy(statement)
+        for kind in range(_KINDS):
+            made = _head(statement)
             if _mutate(list(_expressions(made))[place], kind):
                 yield made
+
+
+def _head(statement: ast.stmt) -> ast.stmt:
+    """A copy of its own line; the block below it is the same."""
+    made = copy.copy(statement)
+    for name, value in ast.iter_fields(statement):
+        if name not in _BLOCKS:
+            setattr(made, name, copy.deepcopy(value))
+    return made
 
 
 def _is_state(statement: ast.stmt) -> bool:
@@ -128,9 +164,9 @@ def _is_state(statement: ast.stmt) -> bool:
 
 def _expressions(statement: ast.stmt) -> Iterator[ast.AST]:
     """Of its own line, annotations left out."""
-    blocks = {"body", "orelse", "handlers", "finalbody", "annotation", "returns", "type_comment"}
+    others = {*_BLOCKS, "annotation", "returns", "type_comment"}
     for name, value in ast.iter_fields(statement):
-        if name not in blocks:
+        if name not in others:
             for each in value if isinstance(value, list) else [value]:
                 if isinstance(each, ast.AST):
                     yield from _parts(each)
@@ -146,10 +182,11 @@ def _parts(node: ast.AST) -> Iterator[ast.AST]:
 
 def _mutate(node: ast.AST, kind: int) -> bool:
     """Put error number ``kind`` into it; False if it has none of that number."""
-    if isinstance(node, ast.Compare) and len(node.ops) == 1:
-        others = _COMPARED.get(type(node.ops[0]), ())
+    if isinstance(node, ast.Compare):
+        others = [(n, new) for n, op in enumerate(node.ops) for new in _COMPARED.get(type(op), ())]
         if kind < len(others):
-            node.ops = [others[kind]()]
+            number, new = others[kind]
+            node.ops[number] = new()
             return True
     elif isinstance(node, ast.BinOp) and kind == 0 and type(node.op) in _COMPUTED:
         node.op = _COMPUTED[type(node.op)]()
@@ -188,16 +225,14 @@ def _other(node: ast.Constant, kind: int) -> bool:
     return False
 
 
-def _with(tree: ast.Module, old: ast.stmt, new: ast.stmt | None) -> ast.Module:
-    """A copy of the file in which ``old`` is ``new``."""
-    place = (old.lineno, old.col_offset, type(old))
-
-    class Exchange(ast.NodeTransformer):
-        def generic_visit(self, node: ast.AST) -> ast.AST:
-            if isinstance(node, ast.stmt) and (node.lineno, node.col_offset, type(node)) == place:
-                return ast.copy_location(new or ast.Pass(), node)
-            return super().generic_visit(node)
-
-    changed = Exchange().visit(copy.deepcopy(tree))
-    assert isinstance(changed, ast.Module)
-    return ast.fix_missing_locations(changed)
+def _exchange(node: ast.AST, place: tuple[int, int], new: ast.stmt) -> bool:
+    """Put ``new`` where the statement of this place is."""
+    for name in _BLOCKS:
+        block = getattr(node, name, None)
+        for number, each in enumerate(block if isinstance(block, list) else ()):
+            if isinstance(each, ast.stmt) and (each.lineno, each.col_offset) == place:
+                block[number] = ast.copy_location(new, each)
+                return True
+            if _exchange(each, place, new):
+                return True
+    return False

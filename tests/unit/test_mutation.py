@@ -1,18 +1,22 @@
-"""The mutants themselves: what is changed, what is left alone, and that a good test kills them."""
+"""The mutants themselves: what is changed, what is left alone, that a mutant is in effect wherever
+its module is used, and that a good test kills it."""
 
 from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+import types
 from pathlib import Path
 
+import numba
 import pytest
 import yaml
 
-from tests.mutation.mutants import mutants
-
-pytestmark = pytest.mark.wide
+from tests.mutation.interpreted import interpret
+from tests.mutation.mutants import Mutant, mutants, original
+from tests.mutation.results import PAGE, Found, kept, printed
+from tests.mutation.transplant import Imported, Transplant
 
 ROOT = Path(__file__).parents[2]
 HERE = ROOT / "tests/mutation"
@@ -28,6 +32,14 @@ def within(values: list[float], low: float = 1.0) -> bool:
         if value < low and value > 0.5 * LIMIT:
             count += 1
     return min(values) >= low or not count
+
+
+def between(value: float) -> bool:
+    if (
+        1.0 <= value < 2.0
+    ):
+        return True
+    return False
 '''
 
 
@@ -52,11 +64,15 @@ def test_each_sort_of_error_is_made_once() -> None:
         "return min(values) >= low or not count",
         "return max(values) >= low or not count",
     ) in found
+    chain = "if 1.0 <= value < 2.0:"
+    for now in ("if 1.0 < value < 2.0:", "if 1.0 <= value <= 2.0:", "if 1.0 <= value >= 2.0:"):
+        assert (chain, now) in found
     assert not any("text" in was or was.startswith("LIMIT") for was, _ in found)
 
 
 def test_a_mutant_is_the_whole_file_with_one_change() -> None:
     unchanged = ast.unparse(ast.parse(SOURCE)).splitlines()
+    assert ast.unparse(original(SOURCE).tree).splitlines() == unchanged
     for each in mutants(SOURCE):
         changed = ast.unparse(each.tree).splitlines()
         differ = [a for a, b in zip(unchanged, changed, strict=False) if a != b]
@@ -64,8 +80,129 @@ def test_a_mutant_is_the_whole_file_with_one_change() -> None:
         assert len(changed) >= len(unchanged) - 1
 
 
+def test_the_lines_of_a_mutant_are_those_of_its_statement() -> None:
+    """Without the block below it: a test that is in the block alone has been in the head too."""
+    lines = {(each.was, each.line, each.last) for each in mutants(SOURCE)}
+    assert ("if 1.0 <= value < 2.0:", 16, 18) in lines
+    assert ("if value < low and value > 0.5 * LIMIT:", 10, 10) in lines
+
+
+# --- a mutant in effect --------------------------------------------------------------------------
+
+USED = """
+import functools
+
+LIMIT = 4
+
+
+def _least():
+    return 1
+
+
+class Range:
+    low = 2
+
+    def __init__(self):
+        self.high = 3
+
+    @property
+    def width(self):
+        return self.high - self.low
+
+    @staticmethod
+    def half(value):
+        return value / 2
+
+    @functools.cached_property
+    def whole(self):
+        return 5
+
+
+class Wider(Range):
+    def __init__(self):
+        super().__init__()
+        self.wide = 6
+
+
+def above(value):
+    def beyond(other):
+        return other > value
+
+    return beyond
+
+
+AT_ONCE = _least()
+"""
+
+
+@pytest.fixture
+def used(tmp_path: Path) -> types.ModuleType:
+    module = types.ModuleType("used")
+    module.__file__ = str(tmp_path / "used.py")
+    exec(compile(USED, module.__file__, "exec"), module.__dict__)  # noqa: S102
+    return module
+
+
+def _mutant(was: str, now: str) -> Mutant:
+    return next(each for each in mutants(USED) if (each.was, each.now) == (was, now))
+
+
+def test_a_mutant_is_in_effect_for_whoever_has_imported_it(used: types.ModuleType) -> None:
+    """Functions, methods, properties, what they are wrapped in, and closures made before."""
+    least, above, part = used._least, used.above, used.Range()
+    beyond = above(10)
+    transplant = Transplant(used)
+    for was, now, value, before, after in (
+        ("return 1", "return 2", least, 1, 2),
+        ("return self.high - self.low", "return self.high + self.low", lambda: part.width, 1, 5),
+        ("return value / 2", "return value * 2", lambda: part.half(8), 4, 16),
+        ("return 5", "return 6", lambda: used.Range().whole, 5, 6),
+        ("return other > value", "return other >= value", lambda: beyond(10), False, True),
+        ("return other > value", "return other >= value", lambda: above(9)(9), False, True),
+    ):
+        assert value() == before
+        transplant(_mutant(was, now))
+        assert value() == after
+        transplant(original(USED))
+        assert value() == before
+
+
+def test_a_mutant_that_shows_only_when_imported_anew_is_told(used: types.ModuleType) -> None:
+    """A line of a class, and one that changes what a function closes over."""
+    transplant = Transplant(used)
+    for was, now in (("low = 2", "low = 3"), ("super().__init__()", "")):
+        with pytest.raises(Imported):
+            transplant(_mutant(was, now))
+
+
+def test_constants_of_another_type_are_another_function(used: types.ModuleType) -> None:
+    changed = USED.replace("return 1\n", "return 1.0\n")
+    transplant = Transplant(used)
+    transplant(Mutant("_least", 8, 8, "", "", 1, changed, (0, 0), None))
+    assert isinstance(used._least(), float)
+
+
+def test_kernels_of_one_module_stay_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And whoever calls them, in whatever module; the others are compiled."""
+    monkeypatch.setattr(numba, "njit", numba.njit)
+    interpret("one")
+    one, other = types.ModuleType("one"), types.ModuleType("other")
+    text = "from numba import njit\n@njit(cache=False)\ndef twice(x):\n    return 2 * x\n"
+    exec(text, one.__dict__)  # noqa: S102
+    other.__dict__.update(twice=one.twice, njit=numba.njit)
+    text = "@njit\ndef four(x):\n    return twice(twice(x))\n@njit\ndef six(x):\n    return 6 * x\n"
+    exec(text, other.__dict__)  # noqa: S102
+    assert type(one.twice) is types.FunctionType
+    assert type(other.four) is types.FunctionType
+    assert type(other.six) is not types.FunctionType
+    assert other.four(3) == 12
+
+
+# --- the plan and what was found -----------------------------------------------------------------
+
+
+@pytest.mark.wide
 def test_a_sample_of_the_judge_is_killed() -> None:
-    """In a process of its own: here the supervisor has been imported already."""
     file = "runtime/supervisor/judge.py"
     words = ["-m", "tests.mutation", "--file", file, "--sample", "3", "--seed", "3"]
     done = subprocess.run(
@@ -77,17 +214,32 @@ def test_a_sample_of_the_judge_is_killed() -> None:
     assert "-1 equivalent" not in done.stdout
 
 
+def _read(name: str) -> dict[str, dict[str, str]]:
+    return yaml.safe_load((HERE / f"{name}.yaml").read_text()) or {}
+
+
 def test_every_file_of_the_plan_has_its_tests() -> None:
     plan = yaml.safe_load((HERE / "plan.yaml").read_text())
-    for file, tests in plan.items():
+    for file, each in plan.items():
         assert (ROOT / file).is_file()
-        assert all((ROOT / test).is_file() for test in tests)
-    assert set(yaml.safe_load((HERE / "equivalent.yaml").read_text())) <= set(plan)
+        assert all(list(ROOT.glob(test)) for test in each["tests"])
+    assert set(_read("equivalent")) | set(_read("survivors")) <= set(plan)
     ours = {str(p.relative_to(ROOT)) for p in (ROOT / "runtime/supervisor").glob("*.py")}
     assert ours - {"runtime/supervisor/__init__.py"} <= set(plan)
 
 
-def test_every_equivalent_mutant_is_there() -> None:
-    for file, explained in yaml.safe_load((HERE / "equivalent.yaml").read_text()).items():
-        keys = {each.key for each in mutants((ROOT / file).read_text())}
-        assert set(explained) <= keys
+def test_every_mutant_that_is_explained_is_there() -> None:
+    for name in ("equivalent", "survivors"):
+        for file, explained in _read(name).items():
+            keys = {each.key for each in mutants((ROOT / file).read_text())}
+            assert set(explained) <= keys
+            assert all(explained.values())
+
+
+def test_the_page_has_what_was_found() -> None:
+    assert printed(kept(), _read("survivors")) in PAGE.read_text()
+
+
+def test_a_share_of_a_sample_has_an_interval() -> None:
+    assert Found("a.py", mutants=40, tried=40, equivalent=2, killed=38).share == "100.0 %"
+    assert Found("a.py", mutants=400, tried=100, killed=95).share == "95.0 % (89 to 98 %)"

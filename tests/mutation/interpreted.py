@@ -1,0 +1,38 @@
+"""Kernels of one module as plain Python: a changed kernel need not be compiled, and is changed for
+whoever calls it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from types import CodeType, FunctionType
+from typing import Any
+
+import numba
+
+
+def interpret(module: str) -> None:
+    """From now on `numba.njit` leaves the functions of ``module`` as they are, and every kernel
+    that calls one of them; the others are compiled. Call it before ``module`` is imported."""
+    compiling: Callable[..., Any] = numba.njit
+    plain: set[int] = set()
+
+    def decorate(function: FunctionType, options: dict[str, Any]) -> Any:
+        called = {id(function.__globals__.get(name)) for name in _names(function.__code__)}
+        if function.__module__ == module or called & plain:
+            plain.add(id(function))
+            return function
+        return compiling(**options)(function)
+
+    def njit(function: FunctionType | None = None, **options: Any) -> Any:
+        if function is None:
+            return lambda each: decorate(each, options)
+        return decorate(function, options)
+
+    numba.njit = njit
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for each in code.co_consts:
+        if isinstance(each, CodeType):
+            yield from _names(each)
