@@ -67,9 +67,7 @@ class Heard:
     def powered(self) -> bool:
         """By the newest statusword: in quick stop a drive brakes, and may be enabled again. What
         it does in a reaction to a fault is its own, and ends by itself."""
-        if self.statusword is None or not self.count:
-            return False
-        return _powered(self.word, self.statusword)
+        return self.statusword is not None and _powered(self.word, self.statusword)
 
     @property
     def reports_error(self) -> bool:

@@ -13,6 +13,7 @@ pytestmark = pytest.mark.wide
 
 TESTS = ("tests/unit/test_supervisor.py", "tests/unit/test_supervisor_recorded.py")
 ROOT = Path(__file__).parents[2]
+TESTS = sorted(map(str, Path(__file__).parent.glob("test_supervisor_[!c]*.py")))
 
 
 def test_every_branch_of_the_supervisor_is_tried(tmp_path: Path) -> None:

@@ -1,0 +1,191 @@
+"""What the tests of the supervisor share: records and observations that are in order, buses, the
+frames of every axis and cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import can
+import numpy as np
+
+from tonus.config import Config
+from tonus.runtime.signals import cycle_dtype
+from tonus.runtime.states import State
+from tonus.runtime.supervisor.judge import Judge, Violation
+from tonus.runtime.supervisor.listener import Heard
+from tonus.runtime.supervisor.observation import Observation, Observer
+from tonus.runtime.supervisor.record import Claim
+from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.runtime.supervisor.wiring import Wiring
+
+MS = 1_000_000
+
+
+N = 8
+
+
+STRICT = {
+    "supervisor.period_ms": 2,
+    "supervisor.timeout_ms": 22,
+    "supervisor.patience_ms": 5,
+    "supervisor.policy": "require",
+}
+
+
+def claim(state: State = State.ACTIVE, at_ms: float = 100.0, **given: Any) -> Claim:
+    tension = np.full(N, 45.0)
+    zero = np.zeros(N)
+    tare, given_up = np.zeros(N + 1), np.zeros(N, bool)
+    found = Claim(round(at_ms * MS), state, zero, tension, tension, tare, 0.0, 3210.0, given_up)
+    return replace(found, **given)
+
+
+def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Observation:
+    """Everything in order at ``at_ms``, but for what is given."""
+    said = claim(at_ms=at_ms) if said is None else said
+    found = Observation(
+        now_ns=round(at_ms * MS),
+        axes=np.arange(N),
+        enabled=np.ones(N, bool),
+        rested=False,
+        measured_age=np.zeros(N),
+        torque_age=np.zeros(N),
+        same=np.zeros(N, np.int64),
+        mille=np.full(N, 100),
+        torque=np.full(N, 45.0),
+        rate=np.zeros(N),
+        tension=np.full(N, 45.0),
+        contact=0.0,
+        cell_age=np.zeros(N),
+        contact_age=0.0,
+        defective=np.zeros(N, bool),
+        contact_defective=False,
+        unexplained=np.zeros(N),
+        mean_torque=np.full(N, 45.0),
+        swing=np.full(N, 0.2),
+        jolt=np.zeros(N),
+        claims=[said],
+        claim=said,
+        unlogged=np.zeros(N, bool),
+    )
+    return replace(found, **given)
+
+
+def at(row: int, value: float, others: float = 0.0) -> Any:
+    found = np.full(N, others)
+    found[row] = value
+    return found
+
+
+def judged(config: Config, *looks: Observation) -> list[Violation | None]:
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    return [judge(look) for look in looks]
+
+
+def lasting(config: Config, for_ms: float, state: State = State.ACTIVE, **given: Any) -> Any:
+    """The verdict at the end of a condition that lasts."""
+    first = seen(100.0, claim(state, 100.0), **given)
+    last = seen(100.0 + for_ms, claim(state, 100.0 + for_ms), **given)
+    return judged(config, first, last)[-1]
+
+
+class FakeBus(can.BusABC):
+    """Gives what it is told, and keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.waiting: list[can.Message] = []
+        self.sent: list[can.Message] = []
+        self.broken = False
+        super().__init__("fake")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        assert timeout == 0, "it has no time to wait"
+        if self.broken:
+            raise can.CanOperationError("gone")
+        return (self.waiting.pop(0) if self.waiting else None), True
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        del timeout
+        if self.broken:
+            raise can.CanOperationError("gone")
+        self.sent.append(msg)
+
+
+class Stage:
+    """The frames of every axis and cell, at times of the test's own."""
+
+    def __init__(self, config: Config) -> None:
+        assert config.supervisor is not None
+        self.wiring = Wiring(config)
+        self.heard: dict[tuple[str, int], Heard] = {}
+        for axis in self.wiring.axes:
+            self.heard[axis.channel, axis.sent] = Heard(4, (axis.torque,))
+            self.heard[axis.channel, axis.received] = Heard(8, (axis.position,), axis.statusword)
+        for cell in self.wiring.cells:
+            self.heard[cell.channel, cell.received] = Heard(4, (cell.force,))
+            self.heard[cell.channel, cell.emergency] = Heard(8, ())
+        self.observe = Observer(self.wiring, config.supervisor, config.robot.contact_cell, MS)
+
+    def tick(self, now_ns: int, *, newton: float, metre: float, force: float) -> None:
+        for axis in self.wiring.axes:
+            assert axis.newton is not None
+            mille = round(newton / axis.newton) & 0xFFFF
+            self.heard[axis.channel, axis.sent].take([mille << axis.torque.shift | 0xF], now_ns)
+            place = round(metre / axis.metre) & 0xFFFFFFFF
+            word = place << axis.position.shift | 0x0237
+            self.heard[axis.channel, axis.received].take([word], now_ns)
+        for cell in self.wiring.cells:
+            self.heard[cell.channel, cell.received].take([round(force / cell.newton)], now_ns)
+
+
+class Watchdog:
+    """A supervisor with a bus for each channel, and what it is given."""
+
+    def __init__(self, config: Config) -> None:
+        self.buses: list[FakeBus] = []
+        self.records: list[tuple[int, Any]] = []
+        self.state = State.SAFE_STOP
+        self.supervisor = Supervisor(config, self._new, self._open)
+        self.wiring = Wiring(config)
+
+    def _open(self, *_: Any) -> can.BusABC:
+        self.buses.append(FakeBus())
+        return self.buses[-1]
+
+    def _new(self) -> list[tuple[int, Any]]:
+        new, self.records = self.records, []
+        return new
+
+    def step(
+        self, now_ms: int, *, enabled: bool, tick: bool = True, deaf: Any = ()
+    ) -> list[tuple[int, bytes]]:
+        """What the first channel was sent in this step. Identifiers in ``deaf`` do not arrive; on
+        the other channels no drive is enabled."""
+        place = {channel: number for number, (_, channel, _) in enumerate(self.wiring.channels)}
+        frames = {
+            (cell.channel, cell.received): bytes(cell.received_bytes) for cell in self.wiring.cells
+        }
+        for axis in self.wiring.axes:
+            word = 0x0237 if enabled and place[axis.channel] == 0 else 0x0240
+            data = word.to_bytes(2, "little") + bytes(axis.received_bytes - 2)
+            frames[axis.channel, axis.received] = data
+            frames[axis.channel, axis.sent] = bytes(axis.sent_bytes)
+        for (channel, identifier), data in frames.items():
+            if (channel, identifier) not in deaf:
+                self.buses[place[channel]].waiting.append(
+                    can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
+                )
+        if tick:
+            record = np.zeros(1, cycle_dtype(N))
+            record["state"]["state"] = self.state
+            self.records.append((now_ms * MS, record[0]))
+        before = len(self.buses[0].sent)
+        self.supervisor.step(now_ms * MS)
+        return [(m.arbitration_id, bytes(m.data)) for m in self.buses[0].sent[before:]]
+
+    def steps(self, start: int, stop: int, **given: Any) -> Iterator[list[tuple[int, bytes]]]:
+        for now in range(start, stop, 2):
+            yield self.step(now, **given)

@@ -1,0 +1,214 @@
+"""What the supervisor reads of frames and records, by the wiring of the configuration."""
+
+from __future__ import annotations
+
+import struct
+from types import SimpleNamespace
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from can.interfaces.socketcan import SocketcanBus
+
+from tests.unit.supervisor_setup import (
+    STRICT,
+    FakeBus,
+    N,
+)
+from tonus.config import Config, load
+from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.bus.canopen import CellNode
+from tonus.drivers.fieldbus import RAW_FRAME
+from tonus.runtime.recording.ring import RingReader, RingWriter
+from tonus.runtime.signals import cycle_dtype
+from tonus.runtime.states import State
+from tonus.runtime.supervisor.listener import Heard, Listener, Watched
+from tonus.runtime.supervisor.record import claims, of_ring
+from tonus.runtime.supervisor.wiring import Value, Wiring
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+def test_numbers_of_a_frame() -> None:
+    assert Value(16, 16).number(0xFFFE_0001) == -2
+    assert Value(0, 16).unsigned(0xFFFE_8001) == 0x8001
+    word = int.from_bytes(b"\0\0" + struct.pack("<f", -1.5), "little")
+    assert Value(16, 32, real=True).number(word) == -1.5
+
+
+WATCHED = [Watched(0x201, 4, (Value(16, 16),))]
+
+
+def test_what_has_no_statusword_is_not_powered() -> None:
+    """Whatever is in it; nor is a drive that has not answered yet."""
+    heard = Heard(4, (Value(16, 16),))
+    heard.take([0x0237], 1)
+    assert not heard.powered
+    assert not Heard(8, (), Value(0, 16)).powered
+
+
+def test_a_listener_on_messages() -> None:
+    bus = FakeBus()
+    listener = Listener(bus, WATCHED)
+    good = can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x0f\0\5\0")
+    bus.waiting = [
+        good,
+        good,
+        can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x0f\0\7\0"),
+        can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x0f\0\7"),
+        can.Message(arbitration_id=0x201, is_extended_id=True, data=b"\x0f\0\x09\0"),
+        can.Message(arbitration_id=0x202, is_extended_id=False, data=b"\x0f\0\x09\0"),
+        can.Message(arbitration_id=0x201, is_extended_id=False, is_remote_frame=True, dlc=4),
+        can.Message(arbitration_id=0x201, is_extended_id=False, is_error_frame=True, dlc=4),
+    ]
+    listener.read(7)
+    heard = listener.heard[0x201]
+    assert (heard.count, heard.same, heard.at_ns, heard.totals) == (3, 0, 7, [17.0])
+    bus.waiting = [good] * 3
+    listener.read(8)
+    assert (heard.count, heard.same) == (6, 2)
+
+
+def test_a_listener_on_arrays_of_frames() -> None:
+    word = -1 << 32 | 0x0005_000F
+    bus = FakeBus()
+    bus.receive_frames = lambda _: np.array([(1, 0x201, 4, 0, 0, word)], RAW_FRAME)  # type: ignore[attr-defined]
+    listener = Listener(bus, WATCHED)
+    listener.read(9)
+    assert listener.heard[0x201].totals == [5.0]
+    assert listener.heard[0x201].word == 0xFFFF_FFFF_0005_000F
+
+
+def test_frames_of_one_look_count_as_if_each_had_its_own() -> None:
+    state = Value(0, 16)
+    words = [
+        off_or_on | number << 16
+        for off_or_on, number in zip(
+            (0x27, 0x27, 0x07, 0x40, 0x27, 0x27, 0x27), (1, 1, -2 & 0xFFFF, 3, 3, 3, 3), strict=True
+        )
+    ]
+    together, apart = (Heard(4, (Value(16, 16),), state) for _ in range(2))
+    together.take(words[:2], 1)
+    together.take(words[2:], 2)
+    for at, word in enumerate(words):
+        apart.take([word], 1 + (at > 1))
+    for name in Heard.__slots__:
+        assert getattr(together, name) == getattr(apart, name)
+    assert (together.count, together.same, together.off, together.totals) == (7, 2, 1, [12.0])
+
+
+def test_a_channel_that_fails_in_mid_look_gives_what_came_before() -> None:
+    bus = FakeBus()
+
+    def fail(timeout: float | None = None) -> can.Message:
+        if bus.waiting:
+            return bus.waiting.pop()
+        raise can.CanOperationError("gone")
+
+    bus.waiting = [can.Message(arbitration_id=0x201, is_extended_id=False, data=bytes(4))]
+    bus.recv = fail  # type: ignore[method-assign]
+    listener = Listener(bus, WATCHED)
+    with pytest.raises(can.CanOperationError):
+        listener.read(7)
+    assert (listener.heard[0x201].count, listener.heard[0x201].at_ns) == (1, 7)
+
+
+def test_a_listener_takes_no_more_than_its_share_of_a_flood() -> None:
+    bus = FakeBus()
+    listener = Listener(bus, WATCHED)
+    frame = can.Message(arbitration_id=0x201, is_extended_id=False, data=bytes(4))
+    bus.waiting = [frame] * 5000
+    listener.read(1)
+    assert listener.heard[0x201].count == 4096
+
+
+def test_a_listener_on_the_kernels_frames() -> None:
+    frames = [struct.pack("<IB3x8s", 0x201, 4, b"\x0f\0\5\0")] * 5000
+
+    def receive(_: int) -> bytes:
+        assert blocking
+        assert not blocking[-1]
+        if not frames:
+            raise BlockingIOError
+        return frames.pop()
+
+    bus = SocketcanBus.__new__(SocketcanBus)
+    bus._is_shutdown = True
+    blocking: list[bool] = []
+    bus.socket = SimpleNamespace(setblocking=blocking.append, recv=receive)  # type: ignore[assignment]
+    listener = Listener(bus, WATCHED)
+    listener.read(1)
+    assert listener.heard[0x201].count == 4096
+    listener.read(2)
+    assert listener.heard[0x201].count == 5000
+
+
+def test_records_of_a_ring(tmp_path: Any) -> None:
+    dtype = cycle_dtype(N)
+    writer = RingWriter.create(tmp_path / "ring", dtype.itemsize, 16, {"kind": "record"})
+    records = of_ring(RingReader.look(tmp_path / "ring"), N)
+    record = np.zeros(1, dtype)
+    for tick in range(3):
+        record["stiffness"]["k_eq"] = 1000.0 + tick
+        record["state"]["state"] = State.HOLD
+        writer.publish(record.view(np.uint8), tick)
+    assert [each.stiffness for each in claims(records())] == [1000.0, 1001.0, 1002.0]
+    assert claims(records()) == []
+    writer.close()
+
+
+def test_wiring_of_an_axis_and_a_cell() -> None:
+    """Identifiers, sizes and scales, by hand from the configuration: unlike axes, two signs."""
+    robot = load("config/unlike_axes.yaml")[0].robot
+    config = load("config/can.yaml")[0].model_copy(update={"robot": robot})
+    assert isinstance(config.fieldbus, CanopenBus)
+    wiring = Wiring(config)
+    assert {config.robot.signs[axis.number] for axis in wiring.axes} == {1, -1}
+    for axis in wiring.axes:
+        train = config.robot.drive_trains[axis.number]
+        node, sign = axis.number + 1, config.robot.signs[axis.number]
+        assert (axis.sent, axis.received) == (0x200 + node, 0x180 + node)
+        assert (axis.sent_bytes, axis.received_bytes) == (4, 8)
+        turns = 1.0 / train.motor.increments_per_revolution / train.gearbox.ratio
+        assert axis.metre == pytest.approx(sign * 3.14159265 * 2.0 * train.drum.radius * turns)
+        motor = 1e-3 * train.motor.rated_torque
+        assert axis.newton == pytest.approx(sign * motor * train.gearbox.ratio / train.drum.radius)
+        assert axis.per_newton_metre == pytest.approx(sign / (motor * train.gearbox.ratio))
+        assert axis.mass * train.drum.radius**2 == pytest.approx(train.drum.inertia)
+        assert axis.damping * train.drum.radius**2 == pytest.approx(train.drum.viscous_friction)
+    for cell in wiring.cells:
+        assert (cell.received, cell.received_bytes) == (0x180 + 17 + cell.number, 4)
+        assert cell.newton == 10.0**-config.fieldbus.force_cell.decimal_digits
+
+
+def test_wiring_of_other_devices(config: Config) -> None:
+    """A float for a force, an amplifier of several cells, a drive that alone knows its scale."""
+    assert isinstance(config.fieldbus, CanopenBus)
+    amplifier = CellNode(cells=(1, 0), node_id=17)
+    channel = config.fieldbus.channels[0].model_copy(update={"force_cells": (amplifier,)})
+    bus = config.fieldbus.model_copy(update={"channels": (channel,)})
+    cells = Wiring(config.model_copy(update={"fieldbus": bus})).cells
+    assert [(cell.number, cell.received, cell.force) for cell in cells] == [
+        (1, 0x191, Value(0, 16)),
+        (0, 0x191, Value(16, 16)),
+    ]
+    floats = config.fieldbus.force_cell.model_copy(update={"tpdo": (0x61300120,)})
+    bus = config.fieldbus.model_copy(update={"force_cell": floats})
+    real = Wiring(config.model_copy(update={"fieldbus": bus})).cells[0]
+    assert (real.force.real, real.newton, real.received_bytes) == (True, 1.0, 4)
+    mixed, _ = load("config/mixed_drives.yaml")
+    assert any(axis.newton is None for axis in Wiring(mixed).axes)
+    assert Wiring(load("config/ethercat.yaml")[0]).channels == []
+    drive = config.fieldbus.every_profile["fieldbus.drive"].model_copy(
+        update={"tpdo": (0x60410010,)}
+    )
+    with pytest.raises(ValueError, match="no PDO maps 0x6064"):
+        Wiring(
+            config.model_copy(
+                update={"fieldbus": config.fieldbus.model_copy(update={"drive": drive})}
+            )
+        )

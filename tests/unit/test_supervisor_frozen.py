@@ -1,0 +1,95 @@
+"""The judge: torques that do not change (SUP-3)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.unit.supervisor_setup import (
+    STRICT,
+    N,
+    at,
+    claim,
+    judged,
+    seen,
+)
+from tonus.config import Config, load
+from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.states import State
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+def test_frozen_torques_outside_of_control(config: Config) -> None:
+    same = {"same": np.full(N, 6)}
+    assert judged(config, seen(said=claim(State.REFERENCING), **same)) == [None]
+    for state in (State.REFERENCING, State.SAFE_STOP):
+        found = judged(config, seen(said=claim(state), jolt=at(3, 0.031), **same))[0]
+        assert found is not None
+        assert found.requirement is Requirement.FROZEN
+    silent = replace(seen(**same), claim=None, claims=[])
+    assert [found and found.requirement for found in judged(config, silent)] == [Requirement.TICK]
+
+
+def test_torques_that_have_no_reason_to_change(config: Config) -> None:
+    """With cells that have no noise, on a platform at rest."""
+    for swing, frozen in ((0.05, False), (0.051, True)):
+        found = judged(config, seen(same=np.full(N, 6), swing=at(4, swing)))[0]
+        assert (found is not None) is frozen
+
+
+def test_a_cable_that_is_given_up_may_move_while_the_others_stand(config: Config) -> None:
+    """In a slow stop equal torques are right; what moves meanwhile is a drum without torque."""
+    given_up, without = np.arange(N) == 3, at(3, 0.0, 20.0)
+    for failed, mille, moves, found in (
+        (given_up, without, 3, False),
+        (given_up, without, 4, True),
+        (~given_up, without, 3, True),
+        (given_up, at(3, 1.0, 20.0), 3, True),
+        (given_up | True, np.zeros(N), 3, True),
+    ):
+        given = {"same": np.full(N, 6), "mille": mille, "jolt": at(moves, 0.04)}
+        stop = claim(State.SAFE_STOP, failed=failed)
+        assert (judged(config, seen(said=stop, **given))[0] is not None) is found
+        control = seen(said=claim(State.ACTIVE, failed=failed), swing=np.zeros(N), **given)
+        assert judged(config, control)[0] is not None
+
+
+def test_which_torques_are_frozen(config: Config) -> None:
+    """All, or more than half of them that pull; what changed has to be at one of those."""
+    half, most = np.arange(N) < 4, np.arange(N) < 5
+    for frozen, mille, swing, found in (
+        (most, 100, 0, True),
+        (half, 100, 0, False),
+        (most, 100, 7, False),
+        (most, 0, 0, False),
+        (np.ones(N, bool), 0, 0, True),
+    ):
+        given = np.where(frozen, mille, 100)
+        look = seen(
+            same=np.where(frozen, 6, 0),
+            mille=given,
+            swing=at(swing, 1.0),
+        )
+        assert (judged(config, look)[0] is not None) is found
+        stopping = replace(look, claim=claim(State.SAFE_STOP), jolt=np.full(N, 0.04))
+        assert (judged(config, stopping)[0] is not None) is bool(frozen.all())
+
+
+def test_frozen_torques_in_each_controlled_state(config: Config) -> None:
+    for state in (State.PRETENSION, State.HOLD, State.ACTIVE):
+        found = judged(config, seen(said=claim(state), same=np.full(N, 6)))[0]
+        assert found is not None
+        assert found.requirement is Requirement.FROZEN
+
+
+def test_how_many_torques_have_been_equal(config: Config) -> None:
+    """The value is the least over the drives: so many are equal at each of them."""
+    found = judged(config, seen(same=np.array([9, 6, 7, 8, 9, 9, 9, 9])))[0]
+    assert found is not None
+    assert (found.requirement, found.value) == (Requirement.FROZEN, 6)

@@ -1,0 +1,209 @@
+"""When the supervisor's heartbeat begins and ends."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tests.unit.supervisor_setup import (
+    STRICT,
+    FakeBus,
+    Watchdog,
+)
+from tonus.config import Config, load
+from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
+from tonus.runtime.states import State
+from tonus.runtime.supervisor.judge import Violation
+from tonus.runtime.supervisor.supervisor import Supervisor, _error, told
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+BEAT = [(0x77E, b"\5")]
+
+
+@pytest.fixture
+def watchdog(config: Config) -> Iterator[Watchdog]:
+    made = Watchdog(config)
+    yield made
+    made.supervisor.close()
+
+
+def test_the_heartbeat_begins_when_nothing_was_enabled_for_a_while(watchdog: Watchdog) -> None:
+    assert all(sent == [] for sent in watchdog.steps(0, 300, enabled=False))
+    assert watchdog.step(300, enabled=False) == BEAT
+    assert watchdog.step(302, enabled=True) == BEAT
+
+
+def test_a_supervisor_that_finds_the_robot_armed_stays_silent(watchdog: Watchdog) -> None:
+    assert all(sent == [] for sent in watchdog.steps(0, 2000, enabled=True))
+    assert not watchdog.supervisor.beating
+
+
+def test_a_violation_ends_it_and_quiet_begins_it_again(watchdog: Watchdog) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    assert watchdog.step(310, enabled=True) == BEAT
+    assert watchdog.step(312, enabled=True, tick=False) == BEAT
+    sent = list(watchdog.steps(314, 700, enabled=True, tick=False))
+    number = sent.index([]) - 1
+    identifier, data = sent[number][0]
+    code, register, place, value = struct.unpack("<HBBf", data)
+    assert (identifier, code, register, place) == (0x0FE, 0xFF01, 0x81, 0xFF)
+    assert value == pytest.approx(6.0)
+    assert sent[number + 1 :] == [[]] * (len(sent) - number - 1)
+    violation = watchdog.supervisor.violation
+    assert violation is not None
+    assert told(violation).startswith("SUP-1, 6: broken is: ")
+    assert all(quiet == [] for quiet in watchdog.steps(700, 1000, enabled=False))
+    assert watchdog.step(1000, enabled=False) == BEAT
+    assert watchdog.supervisor.violation is None
+
+
+def everything(watchdog: Watchdog) -> set[tuple[str, int]]:
+    axes, cells = watchdog.wiring.axes, watchdog.wiring.cells
+    heard = {(axis.channel, axis.received) for axis in axes}
+    heard |= {(axis.channel, axis.sent) for axis in axes}
+    return heard | {(cell.channel, cell.received) for cell in cells}
+
+
+def test_it_does_not_begin_where_anything_does_not_arrive(config: Config) -> None:
+    for missing in sorted(everything(Watchdog(config))):
+        watchdog = Watchdog(config)
+        silent = watchdog.steps(0, 400, enabled=False, deaf={missing})
+        assert all(sent == [] for sent in silent), missing
+        assert watchdog.step(400, enabled=False) == BEAT
+
+
+def test_one_that_goes_deaf_while_the_robot_is_armed_falls_silent(watchdog: Watchdog) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    assert watchdog.step(310, enabled=True) == BEAT
+    deaf = everything(watchdog)
+    sent = list(watchdog.steps(312, 1000, enabled=True, deaf=deaf))
+    assert BEAT not in sent[11:], "20 ms without a drive, then at once"
+    assert watchdog.supervisor.violation is not None
+    assert watchdog.supervisor.violation.requirement is Requirement.TORQUE
+
+
+def test_one_that_goes_deaf_while_nothing_is_enabled_falls_silent(watchdog: Watchdog) -> None:
+    """Later than while the robot is armed: a daemon that begins anew takes its time."""
+    list(watchdog.steps(0, 310, enabled=False))
+    deaf = everything(watchdog)
+    sent = list(watchdog.steps(310, 700, enabled=False, deaf=deaf))
+    assert sent == [BEAT] * 150 + [[]] * 45, "0.3 s"
+    assert watchdog.step(700, enabled=True, deaf=deaf) == []
+    assert list(watchdog.steps(702, 1004, enabled=False))[-1] == BEAT
+
+
+def on(watchdog: Watchdog, channel: str) -> set[tuple[str, int]]:
+    """What the devices of a channel send."""
+    wiring = watchdog.wiring
+    return {
+        (each.channel, each.received)
+        for each in (*wiring.axes, *wiring.cells)
+        if each.channel == channel
+    }
+
+
+@pytest.mark.parametrize(("enabled", "beats"), [(False, 150), (True, 9)])
+def test_a_channel_on_which_nothing_answers_gets_no_heartbeat(
+    watchdog: Watchdog, enabled: bool, beats: int
+) -> None:
+    """Its drives are to stop; those of the other channels belong to the daemon's stop. What the
+    daemon sends is heard still: a host receives its own frames."""
+    list(watchdog.steps(0, 310, enabled=False))
+    _, channel, _ = watchdog.wiring.channels[1]
+    before = [len(bus.sent) for bus in watchdog.buses]
+    list(watchdog.steps(310, 700, enabled=enabled, deaf=on(watchdog, channel)))
+    sent = [len(bus.sent) - count for bus, count in zip(watchdog.buses, before, strict=True)]
+    assert sent == [195, beats, 195, 195]
+    if enabled:
+        list(watchdog.steps(700, 1000, enabled=True))
+        assert len(watchdog.buses[1].sent) == before[1] + beats, "not while a drive is enabled"
+    list(watchdog.steps(1000, 1304, enabled=False))
+    assert len(watchdog.buses[1].sent) > before[1] + beats
+
+
+def test_a_drive_that_was_enabled_and_is_silent_is_enabled_still(watchdog: Watchdog) -> None:
+    axis = watchdog.wiring.axes[0]
+    list(watchdog.steps(0, 310, enabled=False))
+    assert watchdog.step(310, enabled=True) == BEAT
+    alone = {(axis.channel, axis.received)}
+    assert all(sent == BEAT for sent in watchdog.steps(312, 400, enabled=False, deaf=alone))
+    sent = list(watchdog.steps(400, 800, enabled=False, deaf=alone, tick=False))
+    assert sent[-1] == []
+    violation = watchdog.supervisor.violation
+    assert violation is not None
+    assert violation.requirement is Requirement.TICK
+    assert list(watchdog.steps(800, 1104, enabled=False))[-1] == BEAT
+    assert watchdog.step(1104, enabled=True) == BEAT
+    watchdog.state = State.FAULT
+    pulled = watchdog.steps(1106, 2000, enabled=False, deaf=alone)
+    assert all(sent == BEAT for sent in pulled), "the daemon is disarmed, and so are the others"
+
+
+def test_what_held_is_over_when_the_drives_are_disabled(watchdog: Watchdog) -> None:
+    """Twice 40 ms in a state in which no drive may be enabled for 50."""
+    list(watchdog.steps(0, 310, enabled=False))
+    watchdog.state = State.FAULT
+    for start in (310, 352):
+        assert all(sent == BEAT for sent in watchdog.steps(start, start + 40, enabled=True))
+        assert watchdog.step(start + 40, enabled=False) == BEAT
+
+
+def test_a_bus_that_is_gone_raises_nothing(watchdog: Watchdog) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    watchdog.buses[1].broken = True
+    assert watchdog.step(310, enabled=False) == BEAT
+    assert watchdog.buses[2].sent
+
+
+def test_where_there_is_none(config: Config) -> None:
+    for settings in (None, config.supervisor.model_copy(update={"policy": "off"})):  # type: ignore[union-attr]
+        with pytest.raises(ValueError, match="no supervisor"):
+            Supervisor(
+                config.model_copy(update={"supervisor": settings}), list, lambda *_: FakeBus()
+            )
+
+
+def test_an_axis_is_told() -> None:
+    text = told(Violation(Requirement.TENSION, 3, 261.0))
+    assert text == f"SUP-6 at axis 3, 261: broken is: {REQUIREMENT_TEXTS[Requirement.TENSION]}"
+
+
+def test_one_that_looks_too_late_itself(config: Config) -> None:
+    for late_ms, found in ((9, False), (10, True)):
+        watchdog = Watchdog(config)
+        list(watchdog.steps(0, 310, enabled=False))
+        list(watchdog.steps(310, 330, enabled=True))
+        sent = watchdog.step(328 + late_ms, enabled=True)
+        assert (sent != BEAT) is found
+        if found:
+            code, _, _, value = struct.unpack("<HBBf", sent[0][1])
+            assert (code, value) == (0xFF18, 10.0)
+            assert watchdog.step(340, enabled=True) == []
+        watchdog.supervisor.close()
+
+
+@pytest.mark.parametrize(
+    ("value", "sent"), [(3.0, 3.0), (1e39, np.inf), (-1e39, -np.inf), (np.inf, np.inf)]
+)
+def test_a_value_that_is_too_large_for_its_frame(value: float, sent: float) -> None:
+    frame = _error(Violation(Requirement.TENSION, 3, value))
+    assert struct.unpack("<HBBf", frame) == (0xFF06, 0x81, 3, sent)
+    assert np.isinf(struct.unpack("<f", _error(Violation(Requirement.TENSION, 3, np.nan))[4:])[0])
+
+
+def test_a_violation_at_an_axis_names_it(watchdog: Watchdog) -> None:
+    axis = watchdog.wiring.axes[1]
+    list(watchdog.steps(0, 310, enabled=False))
+    steps = watchdog.steps(310, 600, enabled=True, deaf={(axis.channel, axis.sent)})
+    sent = [frame for step in steps for frame in step]
+    _, data = next(each for each in sent if each[0] == 0x0FE)
+    code, _, place, _ = struct.unpack("<HBBf", data)
+    assert (code, place) == (0xFF02, 1)

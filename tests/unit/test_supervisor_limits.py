@@ -1,0 +1,180 @@
+"""The judge: at the limits themselves, and what is sent against what is recorded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.unit.supervisor_setup import (
+    MS,
+    STRICT,
+    N,
+    Stage,
+    at,
+    claim,
+    judged,
+    lasting,
+    seen,
+)
+from tonus.config import Config, load
+from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.states import State
+from tonus.runtime.supervisor.judge import NOWHERE, Judge
+from tonus.runtime.supervisor.record import Claim
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+AT_A_LIMIT = [
+    {"said": claim(at_ms=95.0)},
+    {"said": claim(stiffness=1.1 * 4879.2)},
+    {"contact": 1.1 * 25.0, "said": claim(contact=1.1 * 25.0)},
+    {"contact": -1.1 * 25.0, "said": claim(contact=-1.1 * 25.0)},
+    {"contact": 20.0, "said": claim(contact=5.0)},
+    {"said": claim(at_ms=105.0)},
+    {"said": claim(stiffness=420.0 / 1.1)},
+    {"tension": at(6, 1.1 * 200.0, 45.0), "torque": at(6, 1.1 * 200.0, 45.0)},
+    {
+        "torque": at(1, -15.0, 45.0),
+        "said": claim(reference=np.full(N, 50.0)),
+    },
+    {"torque": at(1, -20.0, 45.0), "tension": at(1, 43.0, 45.0)},
+    {"torque_age": np.full(N, 5.0)},
+    {"torque_age": at(3, 150.0)},
+    {"measured_age": at(3, 20.0)},
+    {"cell_age": at(3, 20.0)},
+    {"contact_age": 20.0},
+    {"contact": 35.0, "said": claim(State.SAFE_STOP)},
+    {"unexplained": at(4, 91.25)},
+    {"jolt": np.full(N, 0.03), "same": np.full(N, 6), "said": claim(State.REFERENCING)},
+]
+
+
+@pytest.mark.parametrize("given", AT_A_LIMIT, ids=range(len(AT_A_LIMIT)))
+def test_what_is_at_its_limit_is_within(config: Config, given: dict[str, Any]) -> None:
+    said = given.get("said", claim())
+    rest = {key: value for key, value in given.items() if key != "said"}
+    age = 100 * MS - said.at_ns
+    if "tension" in rest:
+        said = replace(said, tension=rest["tension"])
+    looks = []
+    for k in range(0, 150, 5):
+        now = replace(said, at_ns=(100 + k) * MS - age)
+        looks.append(replace(seen(100.0 + k, now, **rest), claims=[]))
+    looks[0] = replace(looks[0], claims=[said])
+    assert judged(config, *looks) == [None] * 30
+
+
+def test_a_torque_in_any_of_the_newest_records_is_logged(config: Config) -> None:
+    for state in (State.ACTIVE, State.SAFE_STOP):
+        broken = {"unlogged": at(7, 1, 0) > 0}
+        assert lasting(config, 2.9, state, **broken) is None
+        found = lasting(config, 3.0, state, **broken)
+        assert found is not None, "it compares what is a look old"
+        assert (found.requirement, found.where) == (Requirement.COMMAND_LOGGED, 7)
+
+
+def test_a_torque_that_is_not_logged_where_nothing_may_last(config: Config) -> None:
+    """With a patience no longer than the time between two looks, it is found in the first."""
+    assert config.supervisor is not None
+    for patience_ms in (2.0, 1.0):
+        settings = config.supervisor.model_copy(update={"patience_ms": patience_ms})
+        found = Judge(config, settings)(seen(unlogged=at(7, 1, 0) > 0))
+        assert found is not None
+        assert found.requirement is Requirement.COMMAND_LOGGED
+
+
+def test_a_condition_that_wanders_from_axis_to_axis(config: Config) -> None:
+    looks = [seen(100.0 + 2 * k, unlogged=np.arange(N) == k) for k in range(3)]
+    found = judged(config, *looks)
+    assert found[1] is None
+    assert found[2] is not None
+    assert found[2].where == 2
+
+
+def test_every_torque_is_compared_with_the_records(config: Config) -> None:
+    """Those of the look before, since a tick is recorded after its torques were sent; of a drive
+    that was sent none, the last."""
+    stage = Stage(config)
+    axis, other = stage.wiring.axes[2], stage.wiring.axes[5]
+    assert config.supervisor is not None
+    tick = 0
+
+    def told(mille: int) -> Claim:
+        torque = np.array([mille / each.per_newton_metre for each in stage.wiring.axes])
+        return claim(at_ms=float(tick), torque=torque)
+
+    def look(sent: list[int], recorded: list[int], *, to: Any = (axis,)) -> list[int]:
+        nonlocal tick
+        tick += 1
+        for each in stage.wiring.axes:
+            for mille in sent if each in to else recorded:
+                word = (mille & 0xFFFF) << each.torque.shift
+                stage.heard[each.channel, each.sent].take([word], tick * MS)
+        found = stage.observe(tick * MS, stage.heard, [told(mille) for mille in recorded])
+        return np.flatnonzero(found.unlogged).tolist()
+
+    for _ in range(5):
+        assert look([100, 101], [100, 101]) == []
+    assert look([100, -101], [100, 101]) == []
+    assert look([100, 101], [100, 101]) == [2], "one of two"
+    assert look([100, 101], [100, 101]) == []
+    assert look([102, 99], [100, 101]) == []
+    assert look([103], [104, 104]) == [], "by one it may differ: rounding"
+    assert look([], [104, 104], to=(axis, other)) == [], "recorded a look later"
+    for _ in range(4):
+        look([], [200, 200], to=(axis, other))
+    assert look([], [200, 200], to=(axis, other)) == [2, 5], "what stays is not what is recorded"
+    many = [300 + 10 * k for k in range(40)]
+    assert look(many, many) == []
+    assert look(many, many) == [], "however many there are between two looks"
+
+
+@pytest.mark.parametrize("mille", [1, -1, 100])
+def test_what_is_sent_to_a_drive_without_measurements(config: Config, mille: int) -> None:
+    old = {"measured_age": at(5, 21.0)}
+    sent = {"mille": at(5, mille, 100)}
+    found = judged(config, seen(**old, **sent))[0]
+    assert found is not None
+    assert (found.requirement, found.where) == (Requirement.STALE, 5)
+    none = {"mille": at(5, 0, 100)}
+    assert judged(config, seen(**old, **none)) == [None]
+    for age in (20.0, 21.0):
+        assert judged(config, seen(**old, **sent, torque_age=at(5, age))) == [None]
+
+
+def test_a_cell_that_is_not_heard_any_more(config: Config) -> None:
+    for given, where in (({"cell_age": at(3, 20.5)}, 3), ({"contact_age": 20.5}, NOWHERE)):
+        found = judged(config, seen(**given))[0]
+        assert found is not None
+        assert (found.requirement, found.where) == (Requirement.STALE, where)
+        assert judged(config, seen(said=claim(State.SAFE_STOP), **given)) == [None]
+
+
+@pytest.mark.parametrize(
+    ("pull", "error", "opposed"),
+    [
+        (61.0, 2.1, False),
+        (61.0, -2.1, True),
+        (-61.0, 2.1, True),
+        (-61.0, -2.1, False),
+        (60.0, -2.1, False),
+        (61.0, -2.0, False),
+    ],
+)
+def test_a_torque_against_the_reference(
+    config: Config, pull: float, error: float, opposed: bool
+) -> None:
+    tension = 70.0
+    said = claim(reference=np.full(N, tension + error), tension=np.full(N, tension))
+    given = {"torque": np.full(N, tension + pull), "tension": np.full(N, tension)}
+    looks = [seen(100.0 + k, replace(said, at_ns=(100 + k) * MS), **given) for k in (0, 50)]
+    found = judged(config, *looks)[1]
+    assert (found is not None) is opposed
+    assert found is None or found.requirement is Requirement.OPPOSED

@@ -1,0 +1,271 @@
+"""What the supervisor makes of frames and records before it judges."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.unit.supervisor_setup import (
+    MS,
+    STRICT,
+    N,
+    Stage,
+    claim,
+    judged,
+    seen,
+)
+from tonus.config import Config, load
+from tonus.runtime.supervisor.listener import Heard
+from tonus.runtime.supervisor.observation import Observer
+from tonus.runtime.supervisor.wiring import Value
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+def test_what_neither_tension_nor_motion_explain(config: Config) -> None:
+    """A drum that accelerates as its torque, its cable and its bearings have it is explained; the
+    same with 100 N more torque is not, by 100 N."""
+    stage, extra = Stage(config), Stage(config)
+    axis = stage.wiring.axes[0]
+    acceleration, force = 2.0, 45.0
+    for k in range(40):
+        t = k * 1e-3
+        metre, rate = 0.5 * acceleration * t * t, acceleration * t
+        pull = force + axis.mass * acceleration + axis.damping * rate
+        for each, more in ((stage, 0.0), (extra, 100.0)):
+            each.tick(k * MS, newton=pull + more, metre=metre, force=force)
+        if k % 2 == 0:
+            found = stage.observe(k * MS, stage.heard, [claim(at_ms=k)])
+            other = extra.observe(k * MS, extra.heard, [claim(at_ms=k)])
+            if k < 16:
+                assert np.isnan(found.unexplained).all()
+    assert found.rate == pytest.approx(acceleration * 0.037, rel=0.02)
+    assert np.abs(found.unexplained).max() < 2.0
+    assert other.unexplained == pytest.approx(100.0, abs=2.5)
+    assert found.tension == pytest.approx(force)
+    assert found.enabled.all()
+
+
+@pytest.mark.parametrize("phase_ns", [-50_000, 0, 50_000])
+def test_the_rate_does_not_depend_on_when_it_looks(config: Config, phase_ns: int) -> None:
+    """Where PDOs arrive just when it looks, one look has one more of them than another."""
+    stage = Stage(config)
+    ticks = iter(range(200))
+    tick = next(ticks)
+    random = np.random.default_rng(3)
+    for look in range(60):
+        now_ns = look * 2 * MS + phase_ns + int(random.integers(-60_000, 60_000))
+        while tick * MS <= now_ns:
+            stage.tick(tick * MS, newton=45.0, metre=0.226e-3 * tick, force=45.0)
+            tick = next(ticks)
+        found = stage.observe(now_ns, stage.heard, [claim(at_ms=2.0 * look)])
+        if look >= 10:
+            assert found.rate == pytest.approx(0.226, rel=0.01)
+            assert np.abs(found.unexplained).max() < 10.0
+
+
+@pytest.mark.parametrize(("lost", "looks"), [(20, 2), (21, 2)])
+def test_a_frame_that_is_lost_shows_in_single_looks(config: Config, lost: int, looks: int) -> None:
+    """At either end of the window, so never in two looks in a row."""
+    stage, beyond = Stage(config), []
+    axis = stage.wiring.axes[0]
+    for tick in range(60):
+        before = stage.heard[axis.channel, axis.received]
+        if tick == lost:
+            stage.heard[axis.channel, axis.received] = Heard(8, (axis.position,), axis.statusword)
+        stage.tick(tick * MS, newton=45.0, metre=0.226e-3 * tick, force=45.0)
+        stage.heard[axis.channel, axis.received] = before
+        if tick % 2 == 1:
+            found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+            beyond.append(abs(found.unexplained[0]) > 40.0)
+    assert 0 < sum(beyond) <= looks
+    assert not any(first and second for first, second in pairwise(beyond))
+
+
+def test_answers_that_come_too_often_do_not_slow_a_drum(config: Config) -> None:
+    """Two SYNCs a tick, or a drive that sends each of its PDOs twice."""
+    stage = Stage(config)
+    for tick in range(40):
+        for half in (0.0, 0.5):
+            stage.tick(tick * MS, newton=45.0, metre=0.5e-3 * (tick + half), force=45.0)
+        if tick % 2:
+            found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+    assert found.rate == pytest.approx(0.5, rel=0.02)
+
+
+def test_a_tick_as_long_as_the_time_between_two_looks(config: Config) -> None:
+    """Some looks find no new answer, and others two."""
+    stage, random = Stage(config), np.random.default_rng(2)
+    assert config.supervisor is not None
+    stage.observe = Observer(stage.wiring, config.supervisor, config.robot.contact_cell, 2 * MS)
+    tick = 0
+    for look in range(60):
+        now_ns = 2 * MS * look + int(random.integers(-60_000, 60_000))
+        while 2 * MS * tick <= now_ns:
+            stage.tick(now_ns, newton=45.0, metre=0.4e-3 * tick, force=45.0)
+            tick += 1
+        found = stage.observe(now_ns, stage.heard, [claim(at_ms=2.0 * look)])
+        if look >= 10:
+            assert found.rate == pytest.approx(0.2, rel=0.02)
+            assert np.abs(found.unexplained).max() < 10.0
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_a_drive_in_quick_stop_is_powered(config: Config, quick: bool) -> None:
+    """In a reaction to a fault it is not the daemon's any more, and that ends by itself."""
+    stage = Stage(config)
+    axis = stage.wiring.axes[2]
+    heard = stage.heard[axis.channel, axis.received]
+    assert not heard.powered
+    heard.take([(0x0207 if quick else 0x020F) << axis.statusword.shift], 1)
+    assert heard.powered is quick
+    heard.take([0x0237 << axis.statusword.shift], 2)
+    assert heard.powered
+    heard.take([0x0233 << axis.statusword.shift], 3)
+    assert not heard.powered
+    assert heard.off == 2 - quick
+
+
+def test_drives_that_were_without_power_between_two_looks(config: Config) -> None:
+    """However short: every one of them, and not only some."""
+    stage = Stage(config)
+
+    def send(word: int, axes: Any) -> None:
+        for axis in axes:
+            received = stage.heard[axis.channel, axis.received]
+            received.take([word << axis.statusword.shift], 1)
+
+    axes = stage.wiring.axes
+    send(0x0237, axes)
+    assert not stage.observe(MS, stage.heard, [claim()]).rested
+    send(0x0240, axes[:7])
+    send(0x0237, axes)
+    assert not stage.observe(2 * MS, stage.heard, [claim()]).rested
+    send(0x0240, axes)
+    send(0x0237, axes)
+    found = stage.observe(3 * MS, stage.heard, [claim()])
+    assert found.rested
+    assert found.enabled.all()
+    assert not stage.observe(4 * MS, stage.heard, [claim()]).rested
+
+
+def test_positions_that_stop_to_arrive(config: Config) -> None:
+    """No division by nothing: the drum is taken to rest once an answer is missing."""
+    stage = Stage(config)
+    for tick in range(20):
+        stage.tick(tick * MS, newton=45.0, metre=0.1e-3 * tick, force=45.0)
+        found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+    assert found.rate == pytest.approx(0.1, rel=0.02)
+    for tick in range(20, 30, 2):
+        found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+    assert found.rate.tolist() == [0.0] * N
+
+
+def test_how_far_a_force_and_a_drum_go_while_the_torques_stay(config: Config) -> None:
+    stage = Stage(config)
+    metre, swings, jolts = 0.0, [], []
+    for tick in range(60):
+        speed = 0.1 + 0.002 * tick
+        metre += speed * 1e-3
+        newton = 45.0 + min(tick, 30)
+        stage.tick(tick * MS, newton=newton, metre=metre, force=45.0 + 0.1 * tick)
+        found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+        swings.append(found.swing.max())
+        jolts.append(found.jolt.max())
+    assert max(swings[:31]) == 0.0
+    assert max(jolts[:31]) == 0.0
+    assert swings[31:] == pytest.approx(0.1 * np.arange(1, 30), abs=0.02)
+    assert jolts[31:] == pytest.approx(0.002 * np.arange(1, 30), abs=0.003), "an encoder's count"
+
+
+def test_a_drive_that_alone_knows_its_scale(config: Config) -> None:
+    """Neither its torque nor its drum's rate is judged."""
+    stage = Stage(config)
+    stage.wiring.axes = [replace(axis, newton=None, metre=None) for axis in stage.wiring.axes]
+    assert config.supervisor is not None
+    stage.observe = Observer(stage.wiring, config.supervisor, config.robot.contact_cell, MS)
+    for tick in range(40):
+        for axis in stage.wiring.axes:
+            stage.heard[axis.channel, axis.sent].take([100 << axis.torque.shift], tick * MS)
+            stage.heard[axis.channel, axis.received].take([tick << axis.position.shift], tick * MS)
+        found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+    assert np.isnan(found.rate).all()
+    assert np.isnan(found.torque).all()
+    assert judged(config, seen(rate=found.rate, same=np.full(N, 6), swing=np.zeros(N))) == [None]
+
+
+def test_before_anything_was_heard(config: Config) -> None:
+    stage = Stage(config)
+    found = stage.observe(MS, stage.heard, [])
+    assert not found.enabled.any()
+    assert np.isinf(found.torque_age).all()
+    assert np.isnan(found.tension).all()
+    assert np.isnan(found.contact)
+    again = stage.observe(2 * MS, stage.heard, [claim()])
+    assert np.isnan(again.tension).all()
+
+
+@pytest.mark.parametrize("force", [float("nan"), float("inf"), float("-inf")])
+def test_a_force_that_is_no_number_is_beyond_every_bound(config: Config, force: float) -> None:
+    stage = Stage(config)
+    assert config.supervisor is not None
+    sound = stage.wiring.cells
+    stage.wiring.cells = [
+        replace(cell, force=Value(cell.force.shift, 32, real=True), newton=1.0) for cell in sound
+    ]
+    stage.observe = Observer(stage.wiring, config.supervisor, config.robot.contact_cell, MS)
+    word = int.from_bytes(struct.pack("<f", force), "little")
+    for cell in stage.wiring.cells:
+        stage.heard[cell.channel, cell.received] = Heard(8, (cell.force,))
+        stage.heard[cell.channel, cell.received].take([word << cell.force.shift], 0)
+    found = stage.observe(MS, stage.heard, [claim()])
+    assert (found.tension == np.inf).all()
+    assert found.contact == np.inf
+    assert found.cell_age.tolist() == [1.0] * N
+    assert found.contact_age == 1.0
+
+
+def test_a_cell_is_defective_until_its_amplifier_takes_the_error_back(config: Config) -> None:
+    stage = Stage(config)
+    cells = {cell.number: cell for cell in stage.wiring.cells}
+    assert cells[2].emergency == 0x080 + 17 + 2
+    for number in (2, config.robot.contact_cell):
+        emergency = stage.heard[cells[number].channel, cells[number].emergency]
+        for code, bad in ((0, False), (0x5010, True), (0x1000, True), (0, False)):
+            emergency.take([code | 0x81 << 16], MS)
+            found = stage.observe(MS, stage.heard, [claim()])
+            assert found.contact_defective is (bad and number != 2)
+            assert found.defective.tolist() == [bad and number == axis for axis in range(N)]
+
+
+@pytest.mark.parametrize("force", [float("nan"), float("inf")])
+def test_a_force_that_is_no_number_once_is_in_no_sum(force: float) -> None:
+    value = Value(0, 32, real=True)
+    heard = Heard(4, (value,))
+    for each in (1.5, force, 2.5):
+        heard.take([int.from_bytes(struct.pack("<f", each), "little")], 1)
+    assert heard.totals == [4.0]
+    assert heard.count == 3
+
+
+def test_cells_on_another_bus(config: Config) -> None:
+    stage = Stage(config)
+    assert config.supervisor is not None
+    stage.wiring.cells = []
+    stage.observe = Observer(stage.wiring, config.supervisor, config.robot.contact_cell, MS)
+    for k in range(30):
+        stage.tick(k * MS, newton=45.0, metre=0.0, force=45.0)
+        found = stage.observe(k * MS, stage.heard, [claim()])
+    assert np.isnan(found.tension).all()
+    assert np.isnan(found.unexplained).all()
+    assert np.isnan(found.contact)
+    assert not found.cell_age.any()
+    assert found.contact_age == 0.0

@@ -1,0 +1,108 @@
+"""The judge: what the drums tell of the speed of the platform (SUP-8)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.unit.supervisor_setup import (
+    STRICT,
+    N,
+    lasting,
+)
+from tonus.config import Config, load
+from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.states import State
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+def test_rotation_of_the_platform(config: Config) -> None:
+    """Rates made from a rotation about each axis in the middle."""
+    geometry = config.robot.geometry
+    frame, platform = np.array(geometry.frame), np.array(geometry.platform)
+    along = (frame - platform) / np.linalg.norm(frame - platform, axis=1, keepdims=True)
+    for state, after, slow, fast in (
+        (State.ACTIVE, 5.0, 1.2, 2.2),
+        (State.SAFE_STOP, 110.0, 6.0, 15.0),
+    ):
+        for axis in np.eye(3):
+            arms = np.cross(platform, along) @ axis
+            assert lasting(config, after, state, rate=slow * arms) is None
+            found = lasting(config, after, state, rate=fast * arms)
+            assert found is not None
+            assert found.requirement is Requirement.SPEED
+
+
+def test_the_speed_of_the_drums_bounds_that_of_the_platform(config: Config) -> None:
+    """Rates made from a motion of the platform in the middle: just within, and just beyond."""
+    geometry = config.robot.geometry
+    frame, platform = np.array(geometry.frame), np.array(geometry.platform)
+    for speed, expected in ((0.274, None), (0.6, Requirement.SPEED)):
+        for direction in np.eye(3):
+            along = frame - platform
+            rates = along @ (speed * direction) / np.linalg.norm(along, axis=1)
+            found = lasting(config, 5.0, rate=rates, mille=np.full(N, 100))
+            assert (found and found.requirement) == expected
+    some = lasting(config, 5.0, rate=np.full(N - 1, 9.0))
+    assert some is None, "some axes on another bus: not judged"
+
+
+def test_the_speed_does_not_depend_on_the_order_of_the_drives(config: Config) -> None:
+    geometry = config.robot.geometry
+    along = np.array(geometry.frame) - np.array(geometry.platform)
+    rates = along @ np.array([0.0, 0.0, 0.6]) / np.linalg.norm(along, axis=1)
+    order = np.array([0, 4, 1, 5, 2, 6, 3, 7])
+    found = [lasting(config, 200.0, rate=rates[axes], axes=axes) for axes in (np.arange(N), order)]
+    assert found[0] is not None
+    assert found[1] is not None
+    assert found[1].value == pytest.approx(found[0].value)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.12])
+def test_the_bound_of_the_platforms_speed_is_the_least_over_the_poses(
+    config: Config, shift: float
+) -> None:
+    """Against least squares at each of 27 poses, for motions with rotation and without; in a
+    workspace whose middle is the frame's, and in another."""
+    space = config.robot.workspace
+    moved = {key: tuple(end + shift for end in getattr(space, key)) for key in ("x", "y", "z")}
+    there = config.robot.model_copy(update={"workspace": space.model_copy(update=moved)})
+    config = config.model_copy(update={"robot": there})
+    geometry, space, settings = config.robot.geometry, config.robot.workspace, config.supervisor
+    assert settings is not None
+    turning = settings.model_copy(update={"rotation": 1e9, "rotation_stopping": 1e9})
+    calm = config.model_copy(update={"supervisor": turning})
+    frame, platform = np.array(geometry.frame), np.array(geometry.platform)
+    middle = [0.5 * (low + high) for low, high in (space.x, space.y, space.z)]
+
+    def rows(position: Any) -> Any:
+        found = np.empty((N, 6))
+        for cable in range(N):
+            arm = frame[cable] - (position + platform[cable])
+            found[cable, :3] = arm / np.linalg.norm(arm)
+            found[cable, 3:] = np.cross(platform[cable], found[cable, :3])
+        return found
+
+    random = np.random.default_rng(4)
+    for _ in range(20):
+        twist = np.concatenate([random.normal(0.0, 2.0, 3), random.normal(0.0, 4.0, 3)])
+        at_pose = np.array(middle) + random.uniform(-0.1, 0.1, 3)
+        rates = rows(at_pose) @ twist
+        least = np.inf
+        for x in (-settings.spread, 0.0, settings.spread):
+            for y in (-settings.spread, 0.0, settings.spread):
+                for z in (-settings.spread, 0.0, settings.spread):
+                    matrix = rows(np.add(middle, (x, y, z)))
+                    solved = np.linalg.lstsq(matrix, rates, rcond=None)[0]
+                    least = min(least, float(np.linalg.norm(solved[:3])))
+        given = {"rate": rates, "unexplained": np.zeros(N)}
+        found = lasting(calm, 200.0, **given)
+        limit = 1.1 * config.control.envelope.speed_limit
+        assert (found is not None) is (least > limit)
+        assert found is None or found.value == pytest.approx(least, rel=1e-9)
