@@ -16,17 +16,17 @@ def interpret(module: str) -> None:
     compiling: Callable[..., Any] = numba.njit
     plain: set[int] = set()
 
-    def decorate(function: FunctionType, options: dict[str, Any]) -> Any:
+    def decorate(function: FunctionType, signatures: Any, options: dict[str, Any]) -> Any:
         called = {id(function.__globals__.get(name)) for name in _names(function.__code__)}
         if function.__module__ == module or called & plain:
             plain.add(id(function))
             return function
-        return compiling(**options)(function)
+        return compiling(*signatures, **options)(function)
 
-    def njit(function: FunctionType | None = None, **options: Any) -> Any:
-        if function is None:
-            return lambda each: decorate(each, options)
-        return decorate(function, options)
+    def njit(*arguments: Any, **options: Any) -> Any:
+        if arguments and isinstance(arguments[0], FunctionType):
+            return decorate(arguments[0], (), options)
+        return lambda each: decorate(each, arguments, options)
 
     numba.njit = njit
 

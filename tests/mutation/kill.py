@@ -35,7 +35,7 @@ from tonus.tools.forked_work import Tell, forked
 
 _OPTIONS = ["-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist"]
 _OPTIONS += ["-m", "not realtime and not wide and not long"]  # those of `make test`
-_HANG_S, _HANG_TIMES, _START_S, _WAITING = 3, 5, 30, 20
+_HANG_S, _HANG_TIMES, _START_S, _WAITING = 2, 3, 30, 20
 """A mutant hangs that takes so many seconds of the processor and so many times longer than the
 original, or so many times these without using it."""
 _ROOM = 1 << 30

@@ -20,7 +20,7 @@ class Recorded:
     """Of the unchanged file."""
 
     seconds: dict[str, float] = field(default_factory=dict)
-    """by test that executes any line"""
+    """of the processor, by test that executes any line"""
     tests: dict[int, set[str]] = field(default_factory=dict)
     """by line"""
     imported: set[int] = field(default_factory=set)
@@ -67,9 +67,9 @@ class Recorder:
         self._test = item.nodeid
         self._users[item.nodeid].add(item.nodeid)
         self._coverage.switch_context(item.nodeid)
-        begin = time.perf_counter()
+        begin = time.process_time()
         result = yield
-        self.recorded.seconds[item.nodeid] = time.perf_counter() - begin
+        self.recorded.seconds[item.nodeid] = time.process_time() - begin
         return result
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -182,16 +182,34 @@ def test_constants_of_another_type_are_another_function(used: types.ModuleType) 
     assert isinstance(used._least(), float)
 
 
+ONE = """
+from numba import njit
+
+@njit("int64(int64)", cache=False)
+def twice(x):
+    return 2 * x
+"""
+OTHER = """
+from numba import njit
+
+@njit
+def four(x):
+    return twice(twice(x))
+
+@njit("int64(int64)")
+def six(x):
+    return 6 * x
+"""
+
+
 def test_kernels_of_one_module_stay_python(monkeypatch: pytest.MonkeyPatch) -> None:
     """And whoever calls them, in whatever module; the others are compiled."""
     monkeypatch.setattr(numba, "njit", numba.njit)
     interpret("one")
     one, other = types.ModuleType("one"), types.ModuleType("other")
-    text = "from numba import njit\n@njit(cache=False)\ndef twice(x):\n    return 2 * x\n"
-    exec(text, one.__dict__)  # noqa: S102
-    other.__dict__.update(twice=one.twice, njit=numba.njit)
-    text = "@njit\ndef four(x):\n    return twice(twice(x))\n@njit\ndef six(x):\n    return 6 * x\n"
-    exec(text, other.__dict__)  # noqa: S102
+    exec(ONE, one.__dict__)  # noqa: S102
+    other.__dict__.update(twice=one.twice)
+    exec(OTHER, other.__dict__)  # noqa: S102
     assert type(one.twice) is types.FunctionType
     assert type(other.four) is types.FunctionType
     assert type(other.six) is not types.FunctionType
