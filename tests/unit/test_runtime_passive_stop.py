@@ -1,0 +1,127 @@
+"""A passive stop tick by tick: which drums it waits for, and when it releases them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.unit.sequence_setup import (
+    CONTROL,
+    PASSIVE_TICKS,
+    RELEASE_TICKS,
+    REST_TICKS,
+    ROBOT,
+    N,
+    Way,
+    descent,
+    enabled,
+    passive,
+)
+from tonus.drivers.process_image import AxisCommand
+from tonus.runtime.states import Fault, Operator, State, StopMode
+
+STOP = CONTROL.stop
+
+
+def test_a_passive_stop_releases_the_drums_once_they_stand() -> None:
+    """All of them, for 8 ms; the tensions then take 16 ms to go."""
+    way = passive()
+    way.steps(30)
+    assert way.sequence.passive_share == 1.0
+    way.sensing.rate = 0.99 * STOP.rest_speed / ROBOT.drum_radius
+    way.steps(REST_TICKS - 1)
+    assert way.sequence.passive_share == 1.0
+    shares = []
+    for _ in range(3):
+        way.steps(1)
+        shares.append(way.sequence.passive_share)
+    assert shares == pytest.approx([1.0, 1.0 - 1 / RELEASE_TICKS, 1.0 - 2 / RELEASE_TICKS])
+    assert not way.sequence.regulating
+    assert enabled(way) == RELEASE_TICKS - 2
+    assert way.sequence.passive_share == 0.0
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_drum_that_turns_is_waited_for(sign: float) -> None:
+    """Any of them, to both sides; it then has to stand for the whole time again."""
+    way = passive()
+    way.sensing.rate = np.zeros(N)
+    way.steps(REST_TICKS - 2)
+    way.sensing.rate[N - 1] = sign * 1.01 * STOP.rest_speed / ROBOT.drum_radius[N - 1]
+    way.steps(1)
+    way.sensing.rate[N - 1] = 0.0
+    assert enabled(way) == REST_TICKS + RELEASE_TICKS
+
+
+def test_drums_that_never_stand_are_released_in_the_end() -> None:
+    assert enabled(passive()) == PASSIVE_TICKS + RELEASE_TICKS
+
+
+def test_drums_that_are_torn_or_not_believed_are_not_waited_for() -> None:
+    for fault in (Fault.CABLE_TORN, Fault.DRUM_STUCK):
+        way = passive()
+        way.disobedient = (fault, 3)
+        way.sensing.rate = np.where(np.arange(N) == 3, 9.0, 0.0)
+        assert enabled(way) == REST_TICKS + RELEASE_TICKS
+    way = passive()
+    way.disobedient = (Fault.DRUM_TORQUE, 3)
+    way.sensing.rate = np.where(np.arange(N) == 3, 9.0, 0.0)
+    assert enabled(way) > REST_TICKS + RELEASE_TICKS
+
+
+def test_a_stop_that_becomes_passive_counts_from_there() -> None:
+    way = descent()
+    way.sensing.rate = np.full(N, 1.0)
+    way.steps(20)
+    way.step(finite=False)
+    assert way.sequence.stop_mode is StopMode.PASSIVE
+    assert enabled(way) == PASSIVE_TICKS + RELEASE_TICKS
+
+
+def test_standing_in_a_descent_is_no_standing_in_a_passive_stop() -> None:
+    way = descent()
+    way.steps(30)
+    way.step(finite=False)
+    assert enabled(way) == REST_TICKS + RELEASE_TICKS
+
+
+def test_bounds_and_contradictions_are_not_looked_at_in_a_passive_stop() -> None:
+    way = passive()
+    way.contradiction = (Fault.LENGTH_JUMP, 1)
+    way.envelope.fault = Fault.SPEED_LIMIT
+    way.steps(2)
+    assert not way.sequence.faults.has(Fault.LENGTH_JUMP)
+    assert not way.sequence.faults.has(Fault.SPEED_LIMIT)
+
+
+def test_another_passive_stop_is_released_anew() -> None:
+    way = passive()
+    enabled(way)
+    way.steps(1, after=State.FAULT)
+    way.step(Operator.RESET)
+    way.to(State.ACTIVE)
+    way.sensing.rate = np.full(N, 1.0)
+    way.step(finite=False)
+    assert way.sequence.passive_share == 1.0
+    assert enabled(way) == PASSIVE_TICKS + RELEASE_TICKS
+
+
+def test_before_references_the_cables_are_slackened_from_what_they_were() -> None:
+    way = Way().to(State.REFERENCING)
+    while way.sequence.straightening < 0.5:
+        way.step()
+    share = way.sequence.straightening
+    way.step(Operator.STOP)
+    assert way.sequence.passive_share == pytest.approx(share)
+    way.steps(4)
+    assert way.sequence.passive_share == pytest.approx(0.75 * share)
+    assert enabled(way) == RELEASE_TICKS - 4
+
+
+def test_a_robot_whose_drives_were_never_enabled_is_not_enabled_by_its_stop() -> None:
+    way = Way().to(State.STANDBY)
+    way.obeying = False
+    way.step(Operator.ARM)
+    way.step(Operator.STOP)
+    assert way.state is State.SAFE_STOP
+    assert way.sequence.axis_command is AxisCommand.DISABLE
