@@ -3,6 +3,7 @@
     python -m tests.mutation                   every file
     python -m tests.mutation --file runtime/supervisor/judge.py --sample 50
     python -m tests.mutation --write DATE      the table in docs/mutation.md
+    python -m tests.mutation --again --write DATE      survivors alone, after tests were added
 
 Exit code 1: a mutant survived that neither equivalent.yaml nor survivors.yaml explains; 2: the
 tests of a file fail without a mutant.
@@ -57,8 +58,15 @@ def reasons(name: str) -> Reasons:
     return found
 
 
-def examine(file: str, tests: list[str], sample: int | None, seed: int, workers: int) -> Found:
-    """Every mutant of a file, or some drawn at random."""
+def examine(
+    file: str,
+    tests: list[str],
+    sample: int | None,
+    seed: int,
+    workers: int,
+    before: Found | None = None,
+) -> Found:
+    """Every mutant of a file, or some drawn at random; or those that survived ``before``."""
     begin = time.perf_counter()
     todo = list(mutants((ROOT / file).read_text()))
     found, equivalent = Found(file, mutants=len(todo)), reasons("equivalent").get(file, {})
@@ -68,6 +76,8 @@ def examine(file: str, tests: list[str], sample: int | None, seed: int, workers:
             raise SystemExit(f"{name}.yaml: {file}: there is no mutant {min(unknown)!r}; remove it")
     if sample is not None and sample < len(todo):
         todo = sorted(random.Random(seed).sample(todo, sample), key=lambda each: each.line)
+    if before is not None:
+        todo = [each for each in todo if each.key in before.survivors]
     found.tried = len(todo)
     left = [each for each in todo if each.key not in equivalent]
     found.equivalent = len(todo) - len(left)
@@ -83,6 +93,10 @@ def examine(file: str, tests: list[str], sample: int | None, seed: int, workers:
         raise SystemExit(2) from None
     found.survivors = sorted(lines, key=lambda key: lines[key])
     found.seconds = time.perf_counter() - begin
+    if before is not None:
+        found.tried, found.seconds = before.tried, before.seconds
+        found.equivalent += before.equivalent
+        found.killed = found.tried - found.equivalent - len(found.survivors)
     print(found.line, flush=True)
     for key in found.survivors:
         print(f"    survived, line {lines[key]}: {key}", flush=True)
@@ -103,6 +117,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--write", metavar="DATE", help="the table in docs/mutation.md")
+    parser.add_argument("--again", action="store_true", help="only what has survived before")
     asked = parser.parse_args()
     planned = plan()
     for file in asked.file or ():
@@ -117,7 +132,8 @@ def main() -> int:
             continue
         sample = asked.sample or each.get("sample")
         tests = [str(path.relative_to(ROOT)) for name in each["tests"] for path in _files(name)]
-        found = examine(file, tests, sample, asked.seed, asked.workers)
+        before = kept().get(file) if asked.again else None
+        found = examine(file, tests, sample, asked.seed, asked.workers, before)
         unexplained += len(set(found.survivors) - set(explained.get(file, {})))
         if asked.write:
             found.date = asked.write

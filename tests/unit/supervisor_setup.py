@@ -98,8 +98,12 @@ class FakeBus(can.BusABC):
     def __init__(self) -> None:
         self.waiting: list[can.Message] = []
         self.sent: list[can.Message] = []
-        self.broken = False
+        self.broken = self.closed = False
         super().__init__("fake")
+
+    def shutdown(self) -> None:
+        self.closed = True
+        super().shutdown()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         assert timeout == 0, "it has no time to wait"
@@ -160,10 +164,16 @@ class Watchdog:
         return new
 
     def step(
-        self, now_ms: int, *, enabled: bool, tick: bool = True, deaf: Any = ()
+        self,
+        now_ms: float,
+        *,
+        enabled: bool,
+        tick: bool = True,
+        deaf: Any = (),
+        interrupted: bool = False,
     ) -> list[tuple[int, bytes]]:
         """What the first channel was sent in this step. Identifiers in ``deaf`` do not arrive; on
-        the other channels no drive is enabled."""
+        the other channels no drive is enabled. ``interrupted``: all drives were off before."""
         place = {channel: number for number, (_, channel, _) in enumerate(self.wiring.channels)}
         frames = {
             (cell.channel, cell.received): bytes(cell.received_bytes) for cell in self.wiring.cells
@@ -173,7 +183,11 @@ class Watchdog:
             data = word.to_bytes(2, "little") + bytes(axis.received_bytes - 2)
             frames[axis.channel, axis.received] = data
             frames[axis.channel, axis.sent] = bytes(axis.sent_bytes)
-        for (channel, identifier), data in frames.items():
+        off = {
+            (axis.channel, axis.received): (0x0240).to_bytes(axis.received_bytes, "little")
+            for axis in self.wiring.axes
+        }
+        for (channel, identifier), data in [*(off.items() if interrupted else ()), *frames.items()]:
             if (channel, identifier) not in deaf:
                 self.buses[place[channel]].waiting.append(
                     can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
@@ -181,9 +195,10 @@ class Watchdog:
         if tick:
             record = np.zeros(1, cycle_dtype(N))
             record["state"]["state"] = self.state
-            self.records.append((now_ms * MS, record[0]))
+            self.records.append((round(now_ms * MS), record[0]))
         before = len(self.buses[0].sent)
-        self.supervisor.step(now_ms * MS)
+        self.supervisor.step(round(now_ms * MS))
+        assert not any(message.is_extended_id for bus in self.buses for message in bus.sent)
         return [(m.arbitration_id, bytes(m.data)) for m in self.buses[0].sent[before:]]
 
     def steps(self, start: int, stop: int, **given: Any) -> Iterator[list[tuple[int, bytes]]]:

@@ -14,10 +14,12 @@ from tests.unit.supervisor_setup import (
     Watchdog,
 )
 from tonus.config import Config, load
+from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.judge import Violation
-from tonus.runtime.supervisor.supervisor import Supervisor, _error, told
+from tonus.runtime.supervisor.supervisor import Supervisor, _error, _watched, told
+from tonus.runtime.supervisor.wiring import Wiring
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +39,13 @@ def watchdog(config: Config) -> Iterator[Watchdog]:
 
 def test_the_heartbeat_begins_when_nothing_was_enabled_for_a_while(watchdog: Watchdog) -> None:
     assert all(sent == [] for sent in watchdog.steps(0, 300, enabled=False))
+    assert not watchdog.supervisor.beating
     assert watchdog.step(300, enabled=False) == BEAT
     assert watchdog.step(302, enabled=True) == BEAT
+    assert watchdog.supervisor.beating
+    assert not any(bus.closed for bus in watchdog.buses)
+    watchdog.supervisor.close()
+    assert all(bus.closed for bus in watchdog.buses)
 
 
 def test_a_supervisor_that_finds_the_robot_armed_stays_silent(watchdog: Watchdog) -> None:
@@ -122,6 +129,7 @@ def test_a_channel_on_which_nothing_answers_gets_no_heartbeat(
     list(watchdog.steps(310, 700, enabled=enabled, deaf=on(watchdog, channel)))
     sent = [len(bus.sent) - count for bus, count in zip(watchdog.buses, before, strict=True)]
     assert sent == [195, beats, 195, 195]
+    assert watchdog.supervisor.beating, "on the others"
     if enabled:
         list(watchdog.steps(700, 1000, enabled=True))
         assert len(watchdog.buses[1].sent) == before[1] + beats, "not while a drive is enabled"
@@ -191,7 +199,8 @@ def test_one_that_looks_too_late_itself(config: Config) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "sent"), [(3.0, 3.0), (1e39, np.inf), (-1e39, -np.inf), (np.inf, np.inf)]
+    ("value", "sent"),
+    [(3.0, 3.0), (3.4e38, np.inf), (1e39, np.inf), (-1e39, -np.inf), (np.inf, np.inf)],
 )
 def test_a_value_that_is_too_large_for_its_frame(value: float, sent: float) -> None:
     frame = _error(Violation(Requirement.TENSION, 3, value))
@@ -207,3 +216,69 @@ def test_a_violation_at_an_axis_names_it(watchdog: Watchdog) -> None:
     _, data = next(each for each in sent if each[0] == 0x0FE)
     code, _, place, _ = struct.unpack("<HBBf", data)
     assert (code, place) == (0xFF02, 1)
+
+
+def test_what_lasts_too_long_ends_it(watchdog: Watchdog) -> None:
+    """A condition that may hold for 50 ms: a drive is enabled in a state that forbids it. Once no
+    drive had power it begins anew, also if that was too short for a look."""
+    list(watchdog.steps(0, 310, enabled=False))
+    watchdog.state = State.FAULT
+    assert all(sent == BEAT for sent in watchdog.steps(310, 350, enabled=True))
+    assert watchdog.step(350, enabled=True, interrupted=True) == BEAT
+    assert all(sent == BEAT for sent in watchdog.steps(352, 400, enabled=True))
+    assert watchdog.step(400, enabled=True) != BEAT
+    violation = watchdog.supervisor.violation
+    assert violation is not None
+    assert violation.requirement is Requirement.DISARMED
+
+
+def test_drives_that_do_not_answer_are_none_that_go_off(watchdog: Watchdog) -> None:
+    """One of two is silent and the other goes off; the silent one counts as off as well, 20 ms
+    after its last answer. What held of them is over then."""
+    first = watchdog.wiring.axes[0]
+    list(watchdog.steps(0, 310, enabled=False))
+    watchdog.state = State.FAULT
+    assert all(sent == BEAT for sent in watchdog.steps(310, 340, enabled=True))
+    alone = {(first.channel, first.received)}
+    assert all(sent == BEAT for sent in watchdog.steps(340, 362, enabled=False, deaf=alone))
+    assert all(sent == BEAT for sent in watchdog.steps(362, 410, enabled=True, deaf=alone))
+
+
+def test_a_silent_drive_is_off_when_its_answer_is_as_old_as_it_may_be(watchdog: Watchdog) -> None:
+    """And from then on it is quiet, so that the heartbeat begins 0.3 s later."""
+    watchdog.state = State.FAULT
+    watchdog.step(0, enabled=True)
+    channel = watchdog.wiring.axes[0].channel
+    list(watchdog.steps(2, 22, enabled=True, deaf=on(watchdog, channel)))
+    assert all(sent == [] for sent in watchdog.steps(22, 320, enabled=False))
+    assert watchdog.step(320, enabled=False) == BEAT
+
+
+def test_what_is_as_old_as_it_may_be_does_not_arrive(watchdog: Watchdog) -> None:
+    cell = watchdog.wiring.cells[0]
+    list(watchdog.steps(0, 282, enabled=False))
+    silent = watchdog.steps(282, 302, enabled=False, deaf={(cell.channel, cell.received)})
+    assert all(sent == [] for sent in silent)
+    assert watchdog.step(302, enabled=False) == BEAT
+
+
+@pytest.mark.parametrize(("at_ms", "sent"), [(608.0, BEAT), (608.0001, [])])
+def test_how_long_it_may_be_deaf_while_nothing_is_enabled(
+    watchdog: Watchdog, at_ms: float, sent: list[tuple[int, bytes]]
+) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    deaf = everything(watchdog)
+    list(watchdog.steps(310, 608, enabled=False, deaf=deaf))
+    assert watchdog.step(at_ms, enabled=False, deaf=deaf) == sent
+
+
+def test_on_each_channel_it_listens_to_the_devices_of_that_channel(config: Config) -> None:
+    """To a drive's PDOs, both ways, and to a cell's PDO and emergency."""
+    assert isinstance(config.fieldbus, CanopenBus)
+    for channel in config.fieldbus.channels:
+        drives = [drive.node_id for drive in channel.drives]
+        cells = [node.node_id for node in channel.force_cells]
+        wanted = [base + node for node in drives for base in (0x180, 0x200)]
+        wanted += [base + node for node in cells for base in (0x080, 0x180)]
+        found = [each.identifier for each in _watched(Wiring(config), channel.name)]
+        assert sorted(found) == sorted(wanted)
