@@ -93,7 +93,7 @@ def test_drums_at_rest_are_disabled_after_a_while() -> None:
 
 
 def test_a_drum_that_turns_has_to_come_to_rest_first() -> None:
-    """Whichever it is, and to both sides; within 2 mm it rests."""
+    """Whichever it is, and to both sides; at 2 mm it rests."""
     for drum, way in ((0, 1.001), (N - 1, -1.001)):
         robot = Robot().begin()
         for _ in range(6):
@@ -103,7 +103,7 @@ def test_a_drum_that_turns_has_to_come_to_rest_first() -> None:
     robot = Robot().begin()
     for _ in range(6):
         assert robot.step()
-    robot.image.axes["angle"][3] = 0.999 * TURN
+    robot.image.axes["angle"][3] = TURN
     assert robot.ticks() == 4
 
 
