@@ -3,11 +3,13 @@ whoever calls it."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from types import CodeType, FunctionType
 from typing import Any
 
 import numba
+import numpy as np
 
 
 def interpret(module: str) -> None:
@@ -19,8 +21,9 @@ def interpret(module: str) -> None:
     def decorate(function: FunctionType, signatures: Any, options: dict[str, Any]) -> Any:
         called = {id(function.__globals__.get(name)) for name in _names(function.__code__)}
         if function.__module__ == module or called & plain:
-            plain.add(id(function))
-            return function
+            made = _with_records(function)
+            plain.add(id(made))
+            return made
         return compiling(*signatures, **options)(function)
 
     def njit(*arguments: Any, **options: Any) -> Any:
@@ -29,6 +32,22 @@ def interpret(module: str) -> None:
         return lambda each: decorate(each, arguments, options)
 
     numba.njit = njit
+
+
+def _with_records(function: FunctionType) -> Callable[..., Any]:
+    """Compiled code has the fields of a structured array as attributes; NumPy has them only of a
+    record array."""
+
+    @functools.wraps(function)
+    def called(*arguments: Any) -> Any:
+        return function(*map(_record, arguments))
+
+    return called
+
+
+def _record(argument: Any) -> Any:
+    structured = isinstance(argument, np.ndarray) and argument.dtype.names is not None
+    return argument.view(np.recarray) if structured else argument
 
 
 def _names(code: CodeType) -> Iterator[str]:

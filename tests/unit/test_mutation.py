@@ -10,6 +10,7 @@ import types
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 import yaml
 
@@ -188,6 +189,10 @@ from numba import njit
 @njit("int64(int64)", cache=False)
 def twice(x):
     return 2 * x
+
+@njit
+def aged(table):
+    table[1].age = 7
 """
 OTHER = """
 from numba import njit
@@ -214,6 +219,9 @@ def test_kernels_of_one_module_stay_python(monkeypatch: pytest.MonkeyPatch) -> N
     assert type(other.four) is types.FunctionType
     assert type(other.six) is not types.FunctionType
     assert other.four(3) == 12
+    table = np.zeros(2, [("age", "u2"), ("force", "f8")])
+    one.aged(table)
+    assert table["age"].tolist() == [0, 7]
 
 
 # --- the plan and what was found -----------------------------------------------------------------
