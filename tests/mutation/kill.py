@@ -33,7 +33,7 @@ from tests.mutation.recording import Recorded, record
 from tests.mutation.transplant import Imported, Transplant
 from tonus.tools.forked_work import Tell, forked
 
-_OPTIONS = ["-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist"]
+_OPTIONS = ["-q", "--tb=native", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist"]
 _OPTIONS += ["-m", "not realtime and not wide and not long"]  # those of `make test`
 _HANG_S, _HANG_TIMES, _START_S, _WAITING = 2, 3, 30, 20
 """A mutant hangs that takes so many seconds of the processor and so many times longer than the
@@ -99,6 +99,8 @@ class Killing:
 
     def __call__(self, todo: Sequence[Mutant]) -> Iterator[Verdict]:
         """Raises `Failed`."""
+        if not todo:
+            return
         self.recorded = self._record()
         quick, anew = [], []
         for mutant in todo:

@@ -55,6 +55,7 @@ HELD_TICKS = 20
 
 
 def _next(places: set[int], start: int) -> int:
+    assert start >= 0
     return min((each for each in places if each >= start), default=-1)
 
 

@@ -130,3 +130,11 @@ def test_a_lost_drive_keeps_the_word_it_had_but_not_a_reset() -> None:
     axis.controlword(S.FAULT, AxisCommand.RESET_FAULT)
     axis.controlword(S.FAULT, AxisCommand.RESET_FAULT)
     assert axis.controlword(S.LOST, AxisCommand.ENABLE) == 0x00
+
+
+@pytest.mark.parametrize("command", [len(AxisCommand), 200, 255])
+def test_a_number_that_is_no_command_disables(command: int) -> None:
+    for state in AxisState:
+        for last in (0x00, 0x0F, 0x80):
+            wanted = controlword(state, AxisCommand.DISABLE, last)
+            assert controlword(state, command, last) == wanted

@@ -66,6 +66,9 @@ def test_a_success_begins_the_count_anew() -> None:
     assert not part.off
     assert not part.failing
     assert part.failures == 10 * (LIMIT - 1)
+    for _ in range(LIMIT):
+        part(bad)
+    assert part.off
 
 
 def test_a_lasting_part_is_called_however_often_it_fails() -> None:

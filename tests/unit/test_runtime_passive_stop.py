@@ -125,3 +125,17 @@ def test_a_robot_whose_drives_were_never_enabled_is_not_enabled_by_its_stop() ->
     way.step(Operator.STOP)
     assert way.state is State.SAFE_STOP
     assert way.sequence.axis_command is AxisCommand.DISABLE
+    assert way.sequence.passive_share == 0.0
+
+
+def test_the_share_stays_at_nothing() -> None:
+    """While drives do not say that they are off: after references, and before them."""
+    after = passive()
+    after.obeying = False
+    before = Way().to(State.REFERENCING)
+    before.steps(3)
+    before.step(Operator.STOP)
+    before.obeying = False
+    for way in (after, before):
+        way.steps(PASSIVE_TICKS + RELEASE_TICKS + 10)
+        assert way.sequence.passive_share == 0.0

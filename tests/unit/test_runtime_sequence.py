@@ -33,6 +33,14 @@ def found(way: Way) -> list[tuple[Fault, int]]:
     return [(Fault(int(fault)), int(place) - 1) for fault, place in rows]
 
 
+def test_before_the_first_tick_nothing_is_known(way: Way) -> None:
+    sequence = way.sequence
+    assert (sequence.state, sequence.stop_mode) == (State.OFF, StopMode.NONE)
+    assert (sequence.enabled, sequence.referenced) == (False, False)
+    assert (sequence.elapsed, sequence.stop_time, sequence.reason) == (0.0, 0.0, "")
+    assert (sequence.load, sequence.height) == (0.0, 0.0)
+
+
 def test_the_cells_are_zeroed_before_anything_else(way: Way) -> None:
     way.sensing.tare_time = 0.249
     way.steps(3)
@@ -63,6 +71,7 @@ def test_every_drive_has_to_be_enabled_in_time(way: Way) -> None:
     way.image.axes["state"][[2, 6]] = AxisState.SWITCHED_ON
     way.steps(8)
     assert not way.sequence.enabled
+    assert way.collected == 0
     way.steps(1, after=State.SAFE_STOP)
     assert (way.sequence.fault, way.sequence.where) == (Fault.ENABLE_TIMEOUT, 2)
 
@@ -119,6 +128,7 @@ def test_tensions_grow_and_the_platform_is_lifted(way: Way) -> None:
         assert (levels.low, levels.level) == pytest.approx((tension.min, tension.pre))
     way.steps(PRETENSION_TICKS - 25)
     way.steps(1, after=State.HOLD)
+    way.steps(100)
     levels = way.sequence.levels
     assert (levels.low, levels.high, levels.level) == pytest.approx(
         (tension.min, tension.max, tension.pre)
@@ -148,6 +158,8 @@ def test_what_begins_anew_with_referencing(way: Way) -> None:
 def test_which_states_enable_the_drives_and_which_regulate() -> None:
     for state in UP:
         way = Way().to(state)
+        way.steps(3)
+        assert way.sequence.stop_mode is StopMode.NONE
         wanted = AxisCommand.DISABLE if state is State.STANDBY else AxisCommand.ENABLE
         assert way.sequence.axis_command is wanted
         assert way.sequence.regulating is (state in MOVING)
@@ -169,6 +181,13 @@ def test_an_emergency_stop_in_every_state() -> None:
         assert way.sequence.axis_command is AxisCommand.DISABLE
         assert not way.sequence.enabled
         assert way.sequence.stop_mode is StopMode.NONE
+
+
+def test_in_an_emergency_stop_nothing_else_is_looked_for(way: Way) -> None:
+    way.to(State.ACTIVE)
+    way.image.cells["status"][2] = 1
+    way.step(Operator.ESTOP)
+    assert found(way) == [(Fault.EMERGENCY_STOP, -1)]
 
 
 def test_only_a_reset_ends_a_fault_and_drives_are_reset_until_arming(way: Way) -> None:

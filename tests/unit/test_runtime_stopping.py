@@ -164,6 +164,24 @@ def test_the_drives_have_to_be_off_before_it_ends(way: Way) -> None:
     way.steps(1, after=State.STANDBY)
 
 
+def test_drives_that_are_off_too_early_do_not_end_it(way: Way) -> None:
+    """Nor count as faults, where their statuswords are old."""
+    way.obeying = False
+    way.image.axes["state"] = AxisState.SWITCH_ON_DISABLED
+    way.image.axes["age"] = CONTROL.freshness.measurement_ticks + 1
+    way.steps(STOP_TICKS - 1)
+    way.steps(1, after=State.STANDBY)
+
+
+def test_after_its_end_tensions_and_stiffness_stay_at_their_least(way: Way) -> None:
+    way.obeying = False
+    way.steps(STOP_TICKS + 10)
+    levels = way.sequence.levels
+    assert (levels.low, levels.level) == (TENSION.slack, TENSION.referencing)
+    assert levels.high == TENSION.referencing
+    assert way.sequence.stiffness_cap == STIFFNESS.minimum
+
+
 def test_a_stop_by_a_fault_ends_in_fault() -> None:
     way = Way().to(State.ACTIVE)
     way.envelope.fault = Fault.SPEED_LIMIT
@@ -275,12 +293,31 @@ def test_a_descent_that_rises_becomes_passive() -> None:
     way.steps(2)
     way.sequence.height = 0.16
     way.steps(2)
-    way.sequence.height = 0.1699
+    way.sequence.height = 0.15 + STOP.rise
     way.steps(2)
     assert way.sequence.stop_mode is StopMode.DESCENT
     way.sequence.height = 0.1701
     way.steps(1)
     assert way.sequence.stop_mode is StopMode.PASSIVE
+
+
+def test_the_least_height_counts_from_the_tick_in_which_it_has_settled() -> None:
+    way = descent()
+    way.sensing.rate = np.full(N, 1.0)
+    way.steps(REST_TICKS - 1)
+    way.sequence.height = 0.1
+    way.steps(1)
+    way.sequence.height = 0.125
+    way.steps(1)
+    assert way.sequence.stop_mode is StopMode.PASSIVE
+
+
+def test_drums_that_have_just_stood_for_long_enough_in_a_descent() -> None:
+    way = descent()
+    way.sensing.rate = np.full(N, 1.0)
+    way.steps(STOP_TICKS - REST_TICKS)
+    way.sensing.rate = np.zeros(N)
+    assert until(way, StopMode.PASSIVE) == REST_TICKS
 
 
 def test_settling_counts_from_the_beginning_of_the_descent(way: Way) -> None:
