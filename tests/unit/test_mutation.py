@@ -207,6 +207,7 @@ def six(x):
 """
 
 
+@pytest.mark.wide
 def test_kernels_of_one_module_stay_python(monkeypatch: pytest.MonkeyPatch) -> None:
     """And whoever calls them, in whatever module; the others are compiled."""
     monkeypatch.setattr(numba, "njit", numba.njit)
@@ -254,6 +255,7 @@ def test_every_file_of_the_plan_has_its_tests() -> None:
     assert ours - {"runtime/supervisor/__init__.py"} <= set(plan)
 
 
+@pytest.mark.wide
 def test_every_mutant_that_is_explained_is_there() -> None:
     for name in ("equivalent", "survivors"):
         for file, explained in _read(name).items():
