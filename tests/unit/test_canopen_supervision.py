@@ -42,12 +42,12 @@ class Errors:
 class Robot:
     """A drive, axis 1, and an amplifier of two cells, 3 and 4; both are operational."""
 
-    def __init__(self) -> None:
+    def __init__(self, period_us: int = PERIOD_US) -> None:
         self.exchange: Any = SimpleNamespace(
             untrusted=[0] * 4, error_codes=[0] * 4, cell_emergency=[0] * 6, cell_status=[0] * 6
         )
         self.events = EventLog()
-        self.supervision = Supervision(self.exchange, self.events, MASTER, TOLERANCE, PERIOD_US)
+        self.supervision = Supervision(self.exchange, self.events, MASTER, TOLERANCE, period_us)
         self.drive = self._watched("drive of axis 1", 2, axis=1)
         self.amplifier = self._watched("cells 3 and 4", 17, cells=(3, 4))
         for each in (self.drive, self.amplifier):
@@ -129,6 +129,28 @@ def test_silence_is_told_once_when_it_has_lasted_too_long(robot: Robot) -> None:
     assert not drive.silent
 
 
+def test_how_long_a_silence_may_be_to_the_microsecond() -> None:
+    robot = Robot(period_us=1)
+    for tick in (1000 * ALLOWED, 1000 * ALLOWED):
+        robot.supervision.look_for_silence(tick)
+    assert robot.told() == []
+    for _ in range(2):
+        robot.supervision.look_for_silence(1000 * ALLOWED + 1)
+    assert sorted(robot.told()) == ["heartbeat_lost can1/17", "heartbeat_lost can1/2"]
+
+
+def test_a_node_is_neither_silent_nor_restarted_at_first(robot: Robot) -> None:
+    new = Watched(robot.drive.node, robot.drive.arrival)
+    assert new.trusted
+
+
+def test_a_node_that_is_restored_before_the_next_tick_is_heard_in_this_one(robot: Robot) -> None:
+    robot.supervision.begin(500)
+    robot.drive.heard_at = 3
+    robot.supervision.restored(robot.drive)
+    assert robot.drive.heard_at == 500
+
+
 def test_a_heartbeat_counts_from_the_tick_in_which_it_is_seen(robot: Robot) -> None:
     robot.drive.node.monitor.heard = True
     robot.look(1, 2, alive=robot.amplifier)
@@ -155,7 +177,7 @@ def test_a_silent_amplifier_makes_no_axis_untrusted(robot: Robot) -> None:
 def test_nobody_to_look_at() -> None:
     robot = Robot()
     robot.supervision.clear()
-    assert robot.look(1, 5) == []
+    assert robot.look(1, 3 * ALLOWED) == []
 
 
 def test_a_node_without_answers_to_its_syncs_is_told_once_an_episode(robot: Robot) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 
 import numpy as np
@@ -65,7 +66,10 @@ def test_before_the_first_sample_nothing_is_known(bus: Bus) -> None:
 def test_how_old_a_sample_is(bus: Bus, tick: int, age: int) -> None:
     """One of the last tick is as fresh as can be; one of a tick yet to come is none."""
     bus.exchange.axis_tick[2] = bus.exchange.cell_tick[3] = tick
+    bus.exchange.statuswords[:] = ENABLED
     bus.exchange.fill(10)
+    lost = AxisState.LOST if age > FRESH else AxisState.OPERATION_ENABLED
+    assert bus.image.axes["state"][2] == lost
     assert bus.image.axes["age"][2] == age
     assert bus.image.cells["age"][3] == age
     assert bus.image.axes["age"][1] == bus.image.cells["age"][2] == NEVER
@@ -150,14 +154,17 @@ def test_a_torque_that_is_no_number_is_none_and_is_told_once(bus: Bus, value: fl
     assert bus.told() == [("non_finite_torque", "can1/3"), ("non_finite_torque", "can1/6")]
     bus.image.commands["torque"][2] = 5.0
     bus.exchange.commands()
+    bus.image.commands["torque"][2] = value
+    bus.exchange.commands()
+    assert bus.told() == [("non_finite_torque", "can1/3")], "its own episode was over"
     assert bus.torques(5.0) == good
     assert bus.told() == []
     for _ in range(2):
-        bus.image.commands["torque"][2] = value
+        bus.image.commands["torque"][5] = value
         bus.exchange.commands()
     (event,) = bus.events.take()
-    assert (event.name, event.where) == ("non_finite_torque", "can1/3")
-    assert event.text.startswith("axis 2 was commanded a torque that is no number; it gets 0")
+    assert (event.name, event.where) == ("non_finite_torque", "can1/6")
+    assert "axis 5 was commanded a torque that is no number; it gets 0" in event.text
 
 
 def test_a_controlword_goes_on_from_the_one_before(bus: Bus) -> None:
@@ -168,6 +175,37 @@ def test_a_controlword_goes_on_from_the_one_before(bus: Bus) -> None:
     words = [bus.exchange.commands()[0] for _ in range(4)]
     assert [word[1] for word in words] == [0x80, DISABLE_VOLTAGE, 0x80, DISABLE_VOLTAGE]
     assert all(word[0] == ENABLE_OPERATION for word in words)
+
+
+def test_beginning_anew_is_no_edge_of_a_reset(bus: Bus) -> None:
+    bus.enable()
+    for axis in (0, N - 2):
+        bus.image.axes["state"][axis] = AxisState.FAULT
+        bus.image.commands["command"][axis] = AxisCommand.RESET_FAULT
+    assert bus.exchange.commands()[0][0] == 0x80
+    bus.exchange.forget()
+    bus.image.axes["state"] = AxisState.FAULT
+    words = bus.exchange.commands()[0]
+    assert (words[0], words[N - 2]) == (DISABLE_VOLTAGE, DISABLE_VOLTAGE)
+
+
+def test_what_a_drive_counts_in_is_taken_over(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the axis that was asked, with its own train and sign."""
+    asked = []
+
+    async def read(*given: object) -> Scale:
+        asked.append(given)
+        return Scale(0.5, 0.25, 4.0, 100)
+
+    monkeypatch.setattr("tonus.drivers.exchange.read_scale", read)
+    asyncio.run(bus.exchange.read_scale(3, "access", "profile"))  # type: ignore[arg-type]
+    assert asked == [("access", "profile", ROBOT.drive_trains[3], ROBOT.signs[3])]
+    bus.exchange.positions[:] = 8
+    bus.exchange.torques[:] = 8
+    bus.enable()
+    assert (bus.image.axes["angle"][3], bus.image.axes["torque"][3]) == (4.0, 2.0)
+    assert bus.image.axes["angle"][2] == pytest.approx(8 * SCALES[2].radian_per_increment)
+    assert (bus.torques(2.0)[3], bus.torques(1e9)[3]) == (8, 100)
 
 
 def test_beginning_anew_forgets_all_but_the_scales(bus: Bus) -> None:
