@@ -35,6 +35,7 @@ from tonus.runtime.safety.descent import Descent
 from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.isolation import Isolation
 from tonus.runtime.safety.sequence import Sequence
+from tonus.runtime.safety.witness import Witness
 from tonus.runtime.signals import CycleRecord
 from tonus.runtime.states import ARMED, Operator, State
 
@@ -73,12 +74,15 @@ class ControlCycle:
         )
         self._referencing = Referencing(robot, control.sequence, Kinematics(robot.geometry))
         self._isolation = Isolation(robot, control.isolation, control.stop, period)
+        taut = control.stop.taut_tension
+        self._witness = Witness(robot, control.isolation, tracker, taut, period)
         self.sequence = Sequence(
             control,
             self._sensing,
             self._referencing,
             self._envelope,
             self._isolation,
+            self._witness,
             robot,
         )
         self._guide = Guide(robot, control.sequence, control.envelope, reference, period, others)
@@ -204,16 +208,21 @@ class ControlCycle:
         image.torque[:] = self._descent.guard.passive(self._sensing.rate, trusted)
 
     def _give_way(self, image: ProcessImage) -> None:
-        """A tick of a passive stop."""
-        sequence, stop = self.sequence, self._control.stop
+        """A tick of a passive stop, or of a descent that has landed and lets go."""
+        sequence, stop, sensing = self.sequence, self._control.stop, self._sensing
+        if sequence.referenced:
+            lengths = self._referencing.lengths(sensing.angle, sensing.tension)
+            self._witness.step(image, lengths, sensing.tension, sequence.faults.failed)
         fresh = image.axis.age <= self._control.freshness.measurement_ticks
         trusted = sequence.faults.drums_trusted & fresh
         share = sequence.passive_share
         if share < 0.0 or sequence.axis_command is not AxisCommand.ENABLE:
             trusted[:], share = False, 0.0
         shares = np.where(sequence.faults.torn, 0.0, share)
+        if sequence.descending:
+            shares *= self._descent.planned / stop.passive_tension
         self._allocation.reference[:] = shares * stop.passive_tension * trusted
-        torque = self._descent.guard.passive(self._sensing.rate, trusted, shares)
+        torque = self._descent.guard.passive(sensing.rate, trusted, shares)
         image.torque[:] = self._torque[:] = torque
 
     def write(
@@ -279,6 +288,7 @@ class ControlCycle:
             self._change_loop(descent.loop)
         lengths = self._referencing.lengths(sensing.angle, sensing.tension)
         faults = sequence.faults
+        self._witness.step(image, lengths, sensing.tension, faults.failed)
         believed = sensing.usable & ~faults.failed if faults.count else sensing.usable
         self._pulling = descent.pulling(sensing.tension, faults)
         estimator = self._estimator

@@ -72,6 +72,7 @@ _OF_A_DRIVE = {
     Fault.OVER_TENSION,
     Fault.SLACK_CABLE,
     Fault.IMPLAUSIBLE_DRIVE,
+    Fault.REFERENCING_FAILED,
     Fault.CABLE_TORN,
     Fault.LENGTH_JUMP,
     Fault.TENSION_ERROR,

@@ -15,12 +15,19 @@ class Stop(Section):
     """m by which moments are divided in a descent: long, so that forces come before level"""
     damping: Positive
     """N s/m against the platform's motion in a descent"""
+    load_free: Positive = 15.0
+    """N of a load from outside that a descent does not balance: errors of the estimate"""
+    load_most: NonNegative = 50.0
+    """N beyond that it balances at most"""
+    load_unrest: Positive = 1.5
+    """times the estimator's drift of a load in a descent, so that it ends soon with the load"""
     sink: Fraction
     """share of its weight by which the platform is let sink, once its path goes down"""
     landed: Positive
     """m above the cradle that counts as landed"""
     landing_s: NonNegative
-    """s that a descent waits for it, before it becomes a passive stop"""
+    """s that a descent waits for it, before it becomes a passive stop; and that a stop which lets
+    go waits for the drums to stand"""
     settle_s: Positive
     """s after the beginning of a descent in which the platform may rise"""
     rise: Positive
@@ -29,6 +36,9 @@ class Stop(Section):
     """times the estimator's process noise in a descent"""
     length_sigma: Positive
     """m, noise of a cable's length in a descent: its damping and the cell's lag are in it"""
+    tracker_leap: Positive = 0.75
+    """m/s by which the tracker may move faster than the estimate in a descent, from one pose to the
+    next; a faster one was moved itself, and is not believed until it is moved back"""
     least_tension: Positive
     """N: least that a taut cable is asked for in a descent"""
     most_tension: Positive
@@ -121,6 +131,17 @@ class Isolation(Section):
     """N that a tension's reference moves while its cell's reading does not"""
     frozen_ticks: Count
     """fresh samples in a row to the last bit equal: a load cell has noise"""
+    frozen_band: Positive = 0.4
+    """N that a reading stays within, although its reference moves by `frozen_step`, for as many
+    samples: the force is frozen, and its noise is not"""
+    frozen_step: Positive = 8.0
+    """N"""
+    witness: Positive = 4.0e-3
+    """m that a length changes by, less its distance as the tracker sees it, in `witness_s`"""
+    witness_s: Positive = 0.4
+    """s: longer than a slip lasts, shorter than calibration takes to change"""
+    witness_share: Fraction = 0.2
+    """and of the change of its elongation: compliance is known to that"""
 
 
 class Freshness(Section):

@@ -77,21 +77,28 @@ class Doubts:
     """process noise, in times the usual one"""
     length_sigma: float = 1.0e-3
     """m"""
+    leap: float = math.inf
+    """m/s by which the tracker may move faster than the estimate, else it was moved itself"""
+    load_unrest: float = 1.0
+    """drift of the load from outside, in times the usual one"""
 
     @classmethod
     def of(cls, control: Control) -> Doubts:
         """As configured."""
         stop, jump = control.stop, control.isolation.length_jump
-        return cls(stop.taut_tension, jump, stop.unrest, stop.length_sigma)
+        loose = (stop.unrest, stop.length_sigma, stop.tracker_leap, stop.load_unrest)
+        return cls(stop.taut_tension, jump, *loose)
 
 
-def _noise(settings: Settings, period: float, errors: int, unrest: float = 1.0) -> Array:
+def _noise(
+    settings: Settings, period: float, errors: int, unrest: float = 1.0, load_unrest: float = 1.0
+) -> Array:
     """Variances (``errors``,) that a tick adds to the error state; ``unrest``: times what the
-    accelerations usually miss."""
+    accelerations usually miss; ``load_unrest``: times how fast a load's force usually changes."""
     density = np.zeros(errors)
     density[TWIST : TWIST + 3] = settings.acceleration_sigma * unrest
     density[TWIST + 3 : EXTERNAL] = settings.angular_acceleration_sigma * unrest
-    density[EXTERNAL : EXTERNAL + 3] = settings.force_drift
+    density[EXTERNAL : EXTERNAL + 3] = settings.force_drift * load_unrest
     density[EXTERNAL + 3 : OFFSETS] = settings.moment_drift
     density[OFFSETS:-1] = settings.offset_drift
     density[-1] = settings.compliance_drift
@@ -113,6 +120,7 @@ class PoseEstimator:
     ) -> None:
         doubts = doubts or Doubts()
         self._settings, self._period = settings, period
+        self._tracker_period = 1.0 / tracker.rate_hz
         self._limits = self._usual_limits = (doubts.slack, doubts.jump)
         self._kinematics, self._cables = kinematics, Kinematics(robot.geometry)
         self._seen = Kinematics(robot.geometry)
@@ -125,7 +133,7 @@ class PoseEstimator:
         length, share = settings.length_sigma**2, period / settings.elongation_time
         self._usual_noise = (_noise(settings, period, errors), length, share)
         self._restless_noise = (
-            _noise(settings, period, errors, doubts.unrest),
+            _noise(settings, period, errors, doubts.unrest, doubts.load_unrest),
             doubts.length_sigma**2,
             share,
         )
@@ -172,6 +180,10 @@ class PoseEstimator:
         self.condition = 1.0
         """of the structure matrix"""
         self.disagreement = Disagreement(settings, tracker)
+        self._leap = doubts.leap
+        self._apart, self._moved = np.zeros(3), np.zeros(3)
+        """m (3,): of the last pose from the loose estimate, and by how much the tracker is moved"""
+        self._seen_at = 0
         self.estimate = Estimate(
             np.zeros(3), self._quaternion.copy(), np.zeros(3), np.zeros(3), np.zeros(6)
         )
@@ -282,6 +294,10 @@ class PoseEstimator:
         before, too few lengths may say where it is, and the tracker corrects the pose itself."""
         self._limits = (self._usual_limits[0], math.inf)
         self._noise = self._restless_noise
+        self._moved[:] = self.disagreement.shift[:3] if self.disagreement.poses else 0.0
+        if self.disagreement.distance <= self._leap * self._tracker_period:
+            self._moved[:] = 0.0
+        self._apart[:], self._seen_at = self._moved, self._count
 
     @property
     def _loose(self) -> bool:
@@ -365,7 +381,7 @@ class PoseEstimator:
         innovation = np.concatenate(
             [position - then, rotation_between(rotate(turns[newer], share * turn), quaternion)]
         )
-        if not np.isfinite(innovation).all():
+        if not np.isfinite(innovation).all() or self._has_leapt(innovation[:3]):
             return False
         spread = self.covariance[:TWIST, :TWIST].copy()
         spread[range(TWIST), range(TWIST)] += [self._variances[0]] * 3 + [self._variances[1]] * 3
@@ -380,8 +396,22 @@ class PoseEstimator:
         self._position += error[:3]
         self._quaternion[:] = rotate(self._quaternion, error[3:TWIST])
         self._rest += error[TWIST:]
+        self._apart -= error[:3]
         self._publish()
         return True
+
+    def _has_leapt(self, apart: Array) -> bool:
+        """Whether a pose (3,) m ``apart`` from the loose estimate is of a tracker that was moved:
+        from one pose to the next the difference changes by what the estimate's speed is wrong by,
+        and not by centimetres. It is believed again once it has leapt back."""
+        passed = max((self._count - self._seen_at) * self._period, self._tracker_period)
+        step, limit = apart - self._apart, self._leap * passed
+        if float(np.linalg.norm(step)) > limit:
+            self._moved += step
+            if float(np.linalg.norm(self._moved)) <= limit:
+                self._moved[:] = 0.0
+        self._apart[:], self._seen_at = apart, self._count
+        return bool(self._moved.any())
 
     def _doubt(self) -> None:
         """A pose beyond the gate. Where many agree, the pose and the offsets are made as uncertain,

@@ -49,6 +49,8 @@ class Referencing:
         self.reset()
 
     def reset(self) -> None:
+        self.astray: list[int] = []
+        """cables whose tension was not that which was asked for"""
         self._angle = np.zeros(self._robot.cables)
         self._tension = np.zeros(self._robot.cables)
         self._ticks = 0
@@ -83,8 +85,11 @@ class Referencing:
         if not distance <= sequence.referencing_distance:
             return f"the platform lies {distance * 1e3:.0f} mm from its cradle"
         angle, tension = self._angle / self._ticks, self._tension / self._ticks
-        error = float(np.abs(tension - wanted_tension).max())
+        errors = np.abs(tension - wanted_tension)
+        error = float(errors.max())
         if not error <= sequence.referencing_tension_error:
+            near = errors <= sequence.referencing_tension_error
+            self.astray = np.flatnonzero(~near).tolist()
             return f"a cable's tension is {error:.1f} N away from {wanted_tension:.0f} N"
         self._kinematics.evaluate(self.position, self.quaternion)
         stretch = 1.0 + tension / self._axial_stiffness

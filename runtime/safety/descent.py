@@ -38,6 +38,8 @@ class Descent:
         """(n,) cables that pull; a slack one has to come back above `taut_tension`"""
         self.centre = np.zeros(robot.cables)
         """N (n,), what tensions are drawn towards: from what they were to the passive tension"""
+        self.planned = np.zeros(robot.cables)
+        """N (n,), the last tension references"""
         self._most = np.zeros(robot.cables)
         self._release = math.exp(-period / control.stop.release_s)
         self._low, self._high = np.zeros(robot.cables), np.zeros(robot.cables)
@@ -87,6 +89,7 @@ class Descent:
         drawn = np.clip(self.centre, least, most) * able
         planned = self.distribution(matrix * able, wrench, drawn, self._low, self._high)
         planned[carrying & ~self.taut] = stop.passive_tension
+        self.planned[:] = planned
         return planned
 
     def bound(self, torque: Array, rate: Array, following: Array, usable: Mask) -> None:

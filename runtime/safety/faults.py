@@ -29,15 +29,17 @@ CABLE_GONE = frozenset(
 """Faults after which the cable they name is asked for nothing."""
 PASSIVE = frozenset({Fault.NOT_FINITE})
 """Faults after which nothing that is computed may be relied on."""
-_BY_CONTRADICTION = [
-    Fault.SLACK_CABLE,
-    Fault.LENGTH_JUMP,
-    Fault.TENSION_ERROR,
-    Fault.LENGTH_DRIFT,
-    Fault.CELL_FROZEN,
-    Fault.DRUM_TORQUE,
-    Fault.DRUM_STUCK,
-]
+_BY_CONTRADICTION = frozenset(
+    {
+        Fault.SLACK_CABLE,
+        Fault.LENGTH_JUMP,
+        Fault.TENSION_ERROR,
+        Fault.LENGTH_DRIFT,
+        Fault.CELL_FROZEN,
+        Fault.DRUM_TORQUE,
+        Fault.DRUM_STUCK,
+    }
+)
 """What is concluded from several measurements that do not agree."""
 _CELL_UNKNOWN = frozenset(
     {Fault.CELL_LOST, Fault.CELL_BAD, Fault.IMPLAUSIBLE_CELL, Fault.CELL_FROZEN}
@@ -62,6 +64,10 @@ class Faults:
         self.count = 0
         self.found[:] = False
         self.failed[:] = False
+        self.contradicted = False
+        """a cable is excluded because measurements contradict each other: which of them is wrong,
+        and whether another cable's is too, is less certain than of a torn cable or a silent drive
+        """
 
     def add(self, fault: Fault, where: int, *, exclude: bool = True) -> bool:
         """Returns whether it is new. Without ``exclude`` the cable goes on pulling."""
@@ -72,6 +78,7 @@ class Faults:
         if self.first is Fault.NONE:
             self.first, self.where = fault, where
         if exclude and fault in CABLE_GONE and 0 <= where < len(self.failed):
+            self.contradicted |= fault in _BY_CONTRADICTION and not self.failed[where]
             self.failed[where] = True
         return True
 
@@ -82,13 +89,6 @@ class Faults:
     def has(self, fault: Fault) -> bool:
         """Anywhere."""
         return bool(self.found[fault].any())
-
-    @property
-    def contradicted(self) -> bool:
-        """A cable is excluded because measurements contradict each other: which of them is wrong,
-        and whether another cable's is too, is less certain than of a torn cable or a silent drive.
-        """
-        return bool((self.found[_BY_CONTRADICTION, 1 : len(self.failed) + 1] & self.failed).any())
 
     def without(self, causes: frozenset[Fault]) -> NDArray[np.bool_]:
         """(n,) cables none of the ``causes`` was found at."""

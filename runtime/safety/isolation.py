@@ -21,7 +21,8 @@ its cell still measures its tension, and the estimate is loose enough not to fol
 
 In a descent a slack cable's drum reels in towards the platform: if it has reeled in more than the
 distance to the platform, the cable is torn. A load cell whose reading repeats to the last bit while
-its reference moves is frozen.
+its reference moves is frozen; so is, in a descent, one whose reading stays within its noise while
+its reference moves far.
 """
 
 from __future__ import annotations
@@ -77,18 +78,19 @@ def _repeat(
     tension: Array,
     reference: Array,
     limits: tuple[float, float],
+    loaded: float,
     last: Array,
     then: Array,
     same: Counts,
 ) -> None:
-    """``limits``: tension of a cable with a load (N), change (N). ``then``: the tension references
-    when the readings last changed; a reading counts as repeated once its reference has moved by the
-    change from there."""
-    taut, change = limits
+    """``loaded``: tension of a cable with a load (N). ``then``: the tension references when the
+    readings last changed by more than a band; a reading counts as repeated once its reference has
+    moved far enough from there. ``limits``: band and change of the reference, N."""
+    band, change = limits
     for i in range(reference.shape[0]):
         if age[i] != 0:
             continue
-        if raw[i] != last[i] or not tension[i] > taut:
+        if not abs(raw[i] - last[i]) <= band or not tension[i] > loaded:
             last[i], then[i], same[i] = raw[i], reference[i], 0
         elif abs(reference[i] - then[i]) > change:
             same[i] += 1
@@ -122,6 +124,8 @@ def _residuals(
     share: float,
     taut: float,
     change: float,
+    band: float,
+    step: float,
     astray_ticks: int,
     mean: float,
     frozen_ticks: int,
@@ -131,10 +135,17 @@ def _residuals(
     last: Array,
     then: Array,
     same: Counts,
+    level: Array,
+    asked: Array,
+    still: Counts,
+    repeated: Counts,
 ) -> bool:
     """All of a tick; returns whether no residual can be a fault."""
     _count(innovation, reference, filtered, watched, (jump, error, share), jumped, astray, drift)
-    _repeat(raw, age, tension, reference, (taut, change), last, then, same)
+    _repeat(raw, age, tension, reference, (0.0, change), taut, last, then, same)
+    _repeat(raw, age, tension, reference, (band, step), taut, level, asked, still)
+    for i in range(same.shape[0]):
+        repeated[i] = max(same[i], still[i])
     return _quiet(jumped, astray, drift, same, (astray_ticks, mean, frozen_ticks))
 
 
@@ -155,6 +166,10 @@ class Isolation:
         self._strayed, self._straying = 0, -1
         self._last, self._then = np.full(robot.cables, np.nan), np.zeros(robot.cables)
         self._same = np.zeros(robot.cables, dtype=np.int64)
+        self._level, self._asked = np.full(robot.cables, np.nan), np.zeros(robot.cables)
+        self._still = np.zeros(robot.cables, dtype=np.int64)
+        self._repeated = np.zeros(robot.cables, dtype=np.int64)
+        """of a descent: a cell is frozen whether its noise is, too, or not"""
         self._overwound = np.zeros(robot.cables, dtype=bool)
         self._kept = (
             settings.length_jump,
@@ -162,6 +177,8 @@ class Isolation:
             self._share,
             stop.taut_tension,
             settings.frozen_change,
+            settings.frozen_band,
+            settings.frozen_step,
             self._astray_ticks,
             settings.innovation,
             settings.frozen_ticks,
@@ -171,12 +188,17 @@ class Isolation:
             self._last,
             self._then,
             self._same,
+            self._level,
+            self._asked,
+            self._still,
+            self._repeated,
         )
         self._quiet = True
         """no residual of the lengths and cells can be a fault"""
 
     def reset(self) -> None:
-        self._jumped[:] = self._astray[:] = self._same[:] = 0
+        self._jumped[:] = self._astray[:] = self._same[:] = self._still[:] = 0
+        self._repeated[:] = 0
         self.drift[:] = self._stray[:] = 0.0
         self._overwound[:] = False
         self._quiet = True
@@ -247,8 +269,8 @@ class Isolation:
             return Fault.NONE, -1
         if descending and self._overwound.any():
             return Fault.CABLE_TORN, int(self._overwound.argmax())
-        if descending and (self._same >= s.frozen_ticks).any():
-            return Fault.CELL_FROZEN, int((self._same >= s.frozen_ticks).argmax())
+        if descending and (self._repeated >= s.frozen_ticks).any():
+            return Fault.CELL_FROZEN, int((self._repeated >= s.frozen_ticks).argmax())
         if self.drums.most_misled < (s.torque_descent_ticks if descending else s.torque_ticks):
             return Fault.NONE, -1
         return Fault.DRUM_TORQUE, int(self.drums.misled.argmax())

@@ -18,6 +18,7 @@ from tonus.runtime.control.sensing import FAULT_STATES, NOT_ENABLED, Sensing
 from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.faults import PASSIVE, Faults
 from tonus.runtime.safety.isolation import Isolation
+from tonus.runtime.safety.witness import Witness
 from tonus.runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State, StopMode
 
 FEWEST = 5
@@ -75,11 +76,13 @@ class Sequence:
         referencing: Referencing,
         envelope: Envelope,
         isolation: Isolation,
+        witness: Witness,
         robot: Robot,
     ) -> None:
         self._control, self._settings = control, control.sequence
         self._sensing, self._referencing, self._envelope = sensing, referencing, envelope
-        self._isolation, self._radius = isolation, robot.drum_radius
+        self._isolation, self._witness = isolation, witness
+        self._radius = robot.drum_radius
         self._period = control.rates.period
         self._entered = 0
         self._ready_at = 0.0
@@ -91,8 +94,9 @@ class Sequence:
         """since the last reset"""
         self.stop_mode = StopMode.NONE
         self._mode_at, self._released_at = 0.0, -1.0
-        """s into the state at which the mode began, and a passive stop let go; -1 for not"""
-        self._standing = 0.0
+        """s into the state at which the mode began, and the stop let go; -1 for not"""
+        self._standing, self._loose = 0.0, False
+        """s for which all drums have stood; whether they have been let go entirely"""
         self._lowest = math.inf
         """m, least height above the cradle since a descent has settled"""
         self.reason = ""
@@ -133,12 +137,13 @@ class Sequence:
         self._mode_at = 0.0
         if self.state is not State.SAFE_STOP:
             self.stop_mode = StopMode.NONE
-            self._released_at = -1.0
+            self._released_at, self._loose = -1.0, False
         if self.state is State.REFERENCING:
             self._resetting = self.referenced = False
             self._referencing.reset()
             self._envelope.reset()
             self._isolation.reset()
+            self._witness.reset()
         elif self.state is State.PRETENSION:
             self.referenced = True
         elif self.state is State.FAULT:
@@ -190,9 +195,9 @@ class Sequence:
 
     @property
     def passive_share(self) -> float:
-        """Share of the passive tension, 1 down to 0 once all drums stand; negative outside a
-        passive stop."""
-        if self.stop_mode is not StopMode.PASSIVE:
+        """Share of the passive tension, 1 down to 0 once all drums stand, or of a descent's last
+        tensions once it has landed; negative before that, and on the path."""
+        if self.stop_mode is not StopMode.PASSIVE and not self.releasing:
             return -1.0
         if not self.referenced:
             return self._straightness * max(0.0, 1.0 - self.elapsed / self._settings.stop_s)
@@ -200,17 +205,31 @@ class Sequence:
             return 1.0
         return max(0.0, 1.0 - (self.elapsed - self._released_at) / self._settings.stop_s)
 
+    @property
+    def releasing(self) -> bool:
+        """A stop without a path lets go: tensions ease off, and each drum damps by itself until
+        the platform lies, since cables at once without a torque would throw it or let it fall."""
+        return self.state is State.SAFE_STOP and self._released_at >= 0.0
+
     def _stand(self) -> None:
         """Count how long all drums have stood; a passive stop releases them when that is long
-        enough."""
+        enough, a descent when it has landed."""
         stop = self._control.stop
         pulling = self.faults.drums_trusted & ~self.faults.torn
         fastest = float((np.abs(self._sensing.rate * pulling) * self._radius).max())
         self._standing = self._standing + self._period if fastest < stop.rest_speed else 0.0
+        if self.releasing:
+            if not self._loose and self.passive_share <= 0.0:
+                self._loose, self._standing = True, 0.0
+            return
         if self.stop_mode is not StopMode.PASSIVE:
+            late = self.stop_time - self.stop_ends
+            pushed = self.load > self._settings.release_load and late < self._settings.hold_s
+            if self.height <= stop.landed and late >= 0.0 and not pushed:
+                self._released_at = self.elapsed
             return
         late = self.elapsed - self._mode_at >= stop.passive_s
-        if self._released_at < 0.0 and (self._standing >= stop.rest_s or late):
+        if self.referenced and (self._standing >= stop.rest_s or late):
             self._released_at = self.elapsed
 
     def plan_stop(self, lower_s: float) -> None:
@@ -269,7 +288,9 @@ class Sequence:
     def regulating(self) -> bool:
         """In control of the platform, and not only of single cables."""
         if self.state is State.SAFE_STOP:
-            return self.stop_mode is not StopMode.PASSIVE and not self._given_up
+            if self.stop_mode is StopMode.PASSIVE or self.releasing:
+                return False
+            return not self._given_up
         return self.state in MOVING
 
     @property
@@ -323,18 +344,20 @@ class Sequence:
     @property
     def _given_up(self) -> bool:
         """A stop disables the drives at its end, or early when there was no reference."""
-        if self.stop_mode is StopMode.PASSIVE:
+        if self.stop_mode <= StopMode.ON_PATH:
+            return self.stop_time >= self.stop_ends
+        if not self.referenced:
             return self.passive_share <= 0.0
-        if self.stop_mode is StopMode.DESCENT and self.height > self._control.stop.landed:
-            return False
-        return self.stop_time >= self.stop_ends
+        stop = self._control.stop
+        late = self.elapsed - self._released_at >= self._settings.stop_s + stop.landing_s
+        return self._loose and (self._standing >= stop.rest_s or late)
 
     @property
     def _hangs(self) -> bool:
         """A descent that does not come down, or rises: something it relies on is wrong. Let go from
         up there, the platform would fall."""
         stop = self._control.stop
-        if self.stop_mode is not StopMode.DESCENT or self.height <= stop.landed:
+        if self.stop_mode is not StopMode.DESCENT or self.releasing or self.height <= stop.landed:
             return False
         if self.height > self._lowest + stop.rise:
             return True
@@ -354,8 +377,13 @@ class Sequence:
         self._examine_devices(image)
         if self.enabled and self.state is not State.STANDBY:
             self.faults.add(*self._isolation.disobedient(descending=self.descending))
-        if self.state in MOVING and self.stop_mode is not StopMode.PASSIVE:
-            self._examine_motion()
+        if self.state in MOVING:
+            # Without excluding the cable: what a stop needs of it, it knows already.
+            cable = self._witness.misread
+            if cable >= 0:
+                self.faults.add(Fault.LENGTH_DRIFT, cable, exclude=False)
+            if self.stop_mode is not StopMode.PASSIVE:
+                self._examine_motion()
         if clean and self.faults.first is not Fault.NONE:
             return Event.FAULT
         return Event(operator) if operator is not Operator.NONE else None
@@ -447,6 +475,7 @@ class Sequence:
             return None
         self.reason = self._referencing.conclude(self._control.tension.referencing)
         if self.reason:
-            self.faults.add(Fault.REFERENCING_FAILED, -1)
+            for cable in self._referencing.astray or [-1]:
+                self.faults.add(Fault.REFERENCING_FAILED, cable)
             return Event.FAULT
         return Event.REFERENCED

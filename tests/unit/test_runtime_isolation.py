@@ -23,6 +23,8 @@ ALL = np.ones(CABLES, dtype=bool)
 FRESH = np.zeros(CELLS, dtype=np.uint16)
 INTERVAL = np.full(CABLES, PERIOD)
 PULL = 45.0
+NOISE = 0.05
+"""N, of a load cell, as in the lab"""
 
 
 class Watched:
@@ -49,7 +51,7 @@ class Watched:
     def tick(self, count: int = 1) -> tuple[Fault, int]:
         given = self.given
         for _ in range(count):
-            raw = self._random.normal(PULL, 0.1, CELLS)
+            raw = self._random.normal(PULL, NOISE, CELLS)
             if self.repeats is not None:
                 raw[self.repeats] = self._raw[self.repeats]
             self._raw = raw
@@ -221,6 +223,23 @@ def test_a_cell_under_load_that_repeats_itself_is_frozen(cables: Watched) -> Non
     cables.given["reference"][2] += 1.5 * SETTINGS.frozen_change
     fault, place, tick = cables.found_after(200)
     assert (fault, place, tick) == (Fault.CELL_FROZEN, 2, SETTINGS.frozen_ticks)
+
+
+@pytest.mark.parametrize("descending", [True, False])
+def test_a_force_that_is_frozen_under_its_noise_is_found_in_a_descent(
+    cables: Watched, descending: bool
+) -> None:
+    """Elsewhere the tension error or the drum's torque finds it: a drum may be what holds it."""
+    cables.descending = descending
+    cables.given["reference"][2] += 1.2 * SETTINGS.frozen_step
+    fault, place, _ = cables.found_after(2 * SETTINGS.frozen_ticks)
+    assert (fault, place) == ((Fault.CELL_FROZEN, 2) if descending else (Fault.NONE, -1))
+
+
+def test_a_force_that_moves_with_its_reference_is_not_frozen(cables: Watched) -> None:
+    cables.descending = True
+    cables.given["reference"][2] += 0.8 * SETTINGS.frozen_step
+    assert cables.tick(200) == (Fault.NONE, -1)
 
 
 def test_a_cell_without_load_may_repeat_itself(cables: Watched) -> None:

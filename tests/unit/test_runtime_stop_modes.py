@@ -12,6 +12,7 @@ from statue import CABLES, CONFIG, CONTROL, Statue
 
 from tonus.drivers.process_image import AxisCommand, ProcessImage
 from tonus.runtime.control.controllers.base import Controller
+from tonus.runtime.safety.faults import Faults
 from tonus.runtime.safety.sequence import FEWEST
 from tonus.runtime.states import Fault, Operator, State, StopMode
 
@@ -164,6 +165,68 @@ def test_a_passive_stop_lets_go_only_after_rest_and_then_disables() -> None:
     assert statue.state is State.FAULT
 
 
+def test_drums_go_on_damping_after_a_passive_stop_has_let_go() -> None:
+    """A platform that still hangs then sinks: without a torque it would fall."""
+    statue = go_on(Statue().until(State.HOLD), defective(*range(8)))
+    while not statue.cycle.sequence.releasing:
+        go_on(statue)
+    rounds = round(CONTROL.sequence.stop_s / CONTROL.rates.period)
+    angle, speed = statue.image.axes["angle"].copy(), -0.1  # m/s, reeling out
+    for n in range(1, rounds + 100):
+
+        def spoil(image: ProcessImage, turned: float = speed / RADIUS * n) -> None:
+            image.axes["angle"] = angle + turned * CONTROL.rates.period
+
+        go_on(statue, spoil)
+    assert statue.cycle.sequence.passive_share == 0.0
+    assert (statue.image.commands["command"] == AxisCommand.ENABLE).all()
+    wanted = -RADIUS * CONTROL.stop.passive_damping * speed
+    np.testing.assert_allclose(statue.image.commands["torque"], wanted, rtol=1e-2)
+    still = statue.image.axes["angle"].copy()
+
+    def stand(image: ProcessImage) -> None:
+        image.axes["angle"] = still
+
+    waited = round((CONTROL.stop.rest_s + 0.05) / CONTROL.rates.period)
+    assert go_on(statue, stand, waited).state is State.FAULT
+
+
+def test_a_descent_that_has_landed_eases_its_tensions_before_it_disables() -> None:
+    """Cables that lose all torque at once throw what still hangs in them."""
+    statue = go_on(Statue().until(State.HOLD), defective(0))
+    sequence = statue.cycle.sequence
+    shares: list[float] = []
+    enabled = 0
+    for _ in range(60_000):
+        if statue.state is not State.SAFE_STOP or mode(statue) is not StopMode.DESCENT:
+            break
+        # The statue stays where it is; its height is said to be that of the cradle.
+        sequence.height = 0.0
+        if sequence.releasing:
+            shares.append(sequence.passive_share)
+            enabled += int((statue.image.commands["command"] == AxisCommand.ENABLE).all())
+        go_on(statue)
+    assert statue.state is State.FAULT
+    steps = -np.diff(shares)
+    assert shares[0] > 0.99
+    assert shares[-1] == 0.0
+    assert (steps >= 0.0).all()
+    assert steps.max() < 2.0 * CONTROL.rates.period / CONTROL.sequence.stop_s
+    least = (CONTROL.stop.rest_s + CONTROL.sequence.stop_s) / CONTROL.rates.period
+    assert enabled >= round(least) - 2
+
+
+def test_a_report_is_no_contradiction_that_excludes() -> None:
+    faults = Faults(CONFIG.robot)
+    assert faults.add(Fault.LENGTH_DRIFT, 1, exclude=False)
+    assert faults.add(Fault.CABLE_TORN, 1)
+    assert not faults.contradicted, "known for certain"
+    assert faults.add(Fault.DRUM_TORQUE, 2)
+    assert faults.contradicted
+    faults.reset()
+    assert not faults.contradicted
+
+
 def test_drums_that_never_stand_are_let_go_in_the_end() -> None:
     statue = go_on(Statue().until(State.HOLD), defective(*range(8)))
     angle, ticks = statue.image.axes["angle"].copy(), 0
@@ -177,7 +240,7 @@ def test_drums_that_never_stand_are_let_go_in_the_end() -> None:
 
         go_on(statue, spoil)
         assert ticks < 20_000
-    stop = CONTROL.stop.passive_s + CONTROL.sequence.stop_s
+    stop = CONTROL.stop.passive_s + CONTROL.sequence.stop_s + CONTROL.stop.landing_s
     assert ticks == pytest.approx(stop / CONTROL.rates.period, abs=5)
 
 
