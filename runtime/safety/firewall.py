@@ -36,18 +36,16 @@ _LINE = 300
 class Part:
     """Calls the code of one part; gives None where it raised or is switched off."""
 
-    def __init__(
-        self, name: str, limit: int, events: list[BusEvent], *, lasting: bool = False
-    ) -> None:
+    def __init__(self, name: str, limit: int, *, lasting: bool = False) -> None:
         """``limit``: failures in a row after which it counts as ``failing``, and is switched off
-        unless it is ``lasting``; ``events`` of all parts go into one list."""
+        unless it is ``lasting``."""
         self.name = name
         self.failures = 0
         """in all"""
         self.failing = self.off = False
         self.first: Exception | None = None
         self._limit, self._lasting, self._row = limit, lasting, 0
-        self._events = events
+        self._events: list[BusEvent] = []
 
     def __call__(
         self,
@@ -81,6 +79,13 @@ class Part:
             text = f"switched off after {self._row} failures in a row: {in_one_line(error)}"
             self._events.append(BusEvent("part_off", self.name, text))
 
+    def take_events(self) -> list[BusEvent]:
+        """Events since the last call."""
+        if not self._events:
+            return []
+        events, self._events = self._events, []
+        return events
+
 
 class Firewall:
     """Every part of one daemon."""
@@ -89,21 +94,16 @@ class Firewall:
         """``failures`` in a row switch a part off."""
         self._failures = failures
         self._parts: list[Part] = []
-        self._events: list[BusEvent] = []
 
     def part(self, name: str, *, lasting: bool = False) -> Part:
         """A new part; a ``lasting`` one is called again however often it fails."""
-        part = Part(name, self._failures, self._events, lasting=lasting)
+        part = Part(name, self._failures, lasting=lasting)
         self._parts.append(part)
         return part
 
     def take_events(self) -> list[BusEvent]:
-        """Of every part since the last call; empty almost always."""
-        if not self._events:
-            return []
-        events = self._events.copy()
-        self._events.clear()
-        return events
+        """Of every part; empty almost always."""
+        return [event for part in self._parts for event in part.take_events()]
 
     def tracebacks(self) -> str:
         """Of the first failure of each part, for the process' log; empty: nothing failed."""

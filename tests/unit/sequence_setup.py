@@ -11,6 +11,7 @@ import numpy as np
 
 from tonus.config import load
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.control.sensing import DEFECT, FAULTED, NOT_ENABLED, SILENT
 from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.states import Fault, Operator, State, StopMode
 
@@ -47,9 +48,10 @@ REST_TICKS = 8
 """rest_s, settle_s"""
 PASSIVE_TICKS = 64
 """passive_s"""
+LANDING_TICKS = 16
+"""landing_s, for which drums that were let go may go on moving"""
 RELEASE_TICKS = 16
 """stop_s"""
-LANDING_TICKS = 16
 HELD_TICKS = 20
 """hold_s"""
 
@@ -76,6 +78,8 @@ class Way:
         self.obeying = True
         self.sensing: Any = SimpleNamespace(
             present=np.ones(N, bool),
+            sound=np.ones(N, bool),
+            alarm=SILENT | FAULTED | NOT_ENABLED | DEFECT,
             rate=np.zeros(N),
             tension=np.full(N, 30.0),
             angle=np.full(N, 0.5),
@@ -92,6 +96,7 @@ class Way:
             reset=lambda: self.resets.append("referencing"),
             collect=self._collect,
             conclude=self._conclude,
+            astray=[],
         )
         self.envelope: Any = SimpleNamespace(
             reset=lambda: self.resets.append("envelope"), fault=Fault.NONE, where=-1
@@ -102,12 +107,19 @@ class Way:
             found=self._found,
             misread=-1,
         )
+        self.witness: Any = SimpleNamespace(reset=lambda: self.resets.append("witness"), misread=-1)
         self.image = ProcessImage(N)
         self.image.axes["age"] = self.image.cells["age"] = 0
         self.image.axes["state"] = AxisState.SWITCH_ON_DISABLED
         self.tick = 0
         self.sequence = Sequence(
-            CONTROL, self.sensing, referencing, self.envelope, self.isolation, ROBOT
+            CONTROL,
+            self.sensing,
+            referencing,
+            self.envelope,
+            self.isolation,
+            self.witness,
+            ROBOT,
         )
 
     def _collect_tare(self, image: ProcessImage) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from tests.unit.sequence_setup import (
     CONTROL,
+    LANDING_TICKS,
     PASSIVE_TICKS,
     RELEASE_TICKS,
     REST_TICKS,
@@ -24,7 +25,8 @@ STOP = CONTROL.stop
 
 
 def test_a_passive_stop_releases_the_drums_once_they_stand() -> None:
-    """All of them, for 8 ms; the tensions then take 16 ms to go."""
+    """All of them, for 8 ms; the tensions then take 16 ms to go, and the drums have to stand for
+    8 ms once more before the drives are disabled."""
     way = passive()
     way.steps(30)
     assert way.sequence.passive_share == 1.0
@@ -37,7 +39,7 @@ def test_a_passive_stop_releases_the_drums_once_they_stand() -> None:
         shares.append(way.sequence.passive_share)
     assert shares == pytest.approx([1.0, 1.0 - 1 / RELEASE_TICKS, 1.0 - 2 / RELEASE_TICKS])
     assert not way.sequence.regulating
-    assert enabled(way) == RELEASE_TICKS - 2
+    assert enabled(way) == RELEASE_TICKS - 2 + REST_TICKS
     assert way.sequence.passive_share == 0.0
 
 
@@ -50,11 +52,11 @@ def test_a_drum_that_turns_is_waited_for(sign: float) -> None:
     way.sensing.rate[N - 1] = sign * 1.01 * STOP.rest_speed / ROBOT.drum_radius[N - 1]
     way.steps(1)
     way.sensing.rate[N - 1] = 0.0
-    assert enabled(way) == REST_TICKS + RELEASE_TICKS
+    assert enabled(way) == REST_TICKS + RELEASE_TICKS + REST_TICKS
 
 
 def test_drums_that_never_stand_are_released_in_the_end() -> None:
-    assert enabled(passive()) == PASSIVE_TICKS + RELEASE_TICKS
+    assert enabled(passive()) == PASSIVE_TICKS + RELEASE_TICKS + LANDING_TICKS
 
 
 def test_drums_that_are_torn_or_not_believed_are_not_waited_for() -> None:
@@ -62,11 +64,11 @@ def test_drums_that_are_torn_or_not_believed_are_not_waited_for() -> None:
         way = passive()
         way.disobedient = (fault, 3)
         way.sensing.rate = np.where(np.arange(N) == 3, 9.0, 0.0)
-        assert enabled(way) == REST_TICKS + RELEASE_TICKS
+        assert enabled(way) == REST_TICKS + RELEASE_TICKS + REST_TICKS
     way = passive()
     way.disobedient = (Fault.DRUM_TORQUE, 3)
     way.sensing.rate = np.where(np.arange(N) == 3, 9.0, 0.0)
-    assert enabled(way) > REST_TICKS + RELEASE_TICKS
+    assert enabled(way) > REST_TICKS + RELEASE_TICKS + REST_TICKS
 
 
 def test_a_stop_that_becomes_passive_counts_from_there() -> None:
@@ -75,14 +77,14 @@ def test_a_stop_that_becomes_passive_counts_from_there() -> None:
     way.steps(20)
     way.step(finite=False)
     assert way.sequence.stop_mode is StopMode.PASSIVE
-    assert enabled(way) == PASSIVE_TICKS + RELEASE_TICKS
+    assert enabled(way) == PASSIVE_TICKS + RELEASE_TICKS + LANDING_TICKS
 
 
 def test_standing_in_a_descent_is_no_standing_in_a_passive_stop() -> None:
     way = descent()
     way.steps(30)
     way.step(finite=False)
-    assert enabled(way) == REST_TICKS + RELEASE_TICKS
+    assert enabled(way) == REST_TICKS + RELEASE_TICKS + REST_TICKS
 
 
 def test_bounds_and_contradictions_are_not_looked_at_in_a_passive_stop() -> None:
@@ -103,7 +105,7 @@ def test_another_passive_stop_is_released_anew() -> None:
     way.sensing.rate = np.full(N, 1.0)
     way.step(finite=False)
     assert way.sequence.passive_share == 1.0
-    assert enabled(way) == PASSIVE_TICKS + RELEASE_TICKS
+    assert enabled(way) == PASSIVE_TICKS + RELEASE_TICKS + LANDING_TICKS
 
 
 def test_before_references_the_cables_are_slackened_from_what_they_were() -> None:

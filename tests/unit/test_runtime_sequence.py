@@ -150,9 +150,9 @@ def test_what_begins_anew_with_referencing(way: Way) -> None:
     way.to(State.STANDBY)
     assert way.resets == []
     way.to(State.REFERENCING)
-    assert sorted(way.resets) == ["envelope", "isolation", "referencing"]
+    assert sorted(way.resets) == ["envelope", "isolation", "referencing", "witness"]
     way.to(State.ACTIVE)
-    assert len(way.resets) == 3
+    assert len(way.resets) == 4
 
 
 def test_which_states_enable_the_drives_and_which_regulate() -> None:

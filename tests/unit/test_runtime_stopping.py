@@ -9,6 +9,7 @@ from tests.unit.sequence_setup import (
     CONTROL,
     HELD_TICKS,
     LANDING_TICKS,
+    RELEASE_TICKS,
     REST_TICKS,
     STOP_TICKS,
     N,
@@ -222,7 +223,7 @@ def test_a_load_while_the_platform_comes_to_rest_is_nothing_to_wait_for(way: Way
     assert enabled(way) == STOP_TICKS - 15
 
 
-def test_with_contact_or_without_a_cable_nothing_is_waited_for() -> None:
+def test_with_contact_nothing_is_waited_for_and_a_descent_holds_a_load_once_it_has_landed() -> None:
     touching = Way().to(State.ACTIVE)
     touching.envelope.fault = Fault.CONTACT_LIMIT
     touching.step()
@@ -230,7 +231,7 @@ def test_with_contact_or_without_a_cable_nothing_is_waited_for() -> None:
     assert enabled(touching) == STOP_TICKS
     down = descent()
     down.sequence.load, down.sequence.height = 100.0, 0.0
-    assert enabled(down) == STOP_TICKS
+    assert enabled(down) == STOP_TICKS + HELD_TICKS + RELEASE_TICKS + REST_TICKS
 
 
 def test_another_stop_waits_anew(way: Way) -> None:
@@ -254,17 +255,20 @@ def test_the_tensions_of_a_descent() -> None:
     assert way.sequence.passive_share == -1.0
 
 
-def test_a_descent_ends_when_the_platform_has_landed_and_its_time_is_over() -> None:
+def test_a_descent_lets_go_when_the_platform_has_landed_and_its_time_is_over() -> None:
+    """The tensions take 16 ms to go, and the drums have to stand for 8 ms."""
     way = descent()
     way.sequence.height = STOP.landed
-    assert enabled(way) == STOP_TICKS
+    assert enabled(way) == STOP_TICKS + RELEASE_TICKS + REST_TICKS
     high = descent()
     high.sensing.rate = np.full(N, 1.0)
     high.steps(STOP_TICKS + 5)
     assert high.sequence.axis_command is AxisCommand.ENABLE
+    assert not high.sequence.releasing
     high.sequence.height = STOP.landed
     high.steps(1)
-    assert high.sequence.axis_command is AxisCommand.DISABLE
+    assert high.sequence.releasing
+    assert enabled(high) == RELEASE_TICKS + LANDING_TICKS
 
 
 def test_a_descent_that_never_lands_becomes_passive() -> None:
