@@ -50,9 +50,9 @@ DAMAGES: tuple[Damage, ...] = (cut, flipped, overwritten, torn, foreign)
 
 
 def readers(first: Path) -> dict[str, list[str]]:
-    """The arguments of every command that reads a log."""
+    """The arguments of every command that reads a log, by what it does."""
     out = first.parent / "out"
-    return {
+    found = {
         "info": [str(first)],
         "report": [str(first), "--out", str(out / "report.html")],
         "recover": [str(first), "--out", str(out / "recovered.mcap")],
@@ -62,6 +62,8 @@ def readers(first: Path) -> dict[str, list[str]]:
         "identify": [str(first), "--out", str(out / "identify")],
         "export": [str(first), "--format", "csv", "--out", str(out / "tables")],
     }
+    merge = ["export", str(first), "--format", "mat", "--merge", "--out", str(out / "merged")]
+    return {name: [name, *arguments] for name, arguments in found.items()} | {"merge": merge}
 
 
 def read(files: dict[str, bytes], folder: Path, names: tuple[str, ...]) -> dict[str, str]:
@@ -75,7 +77,7 @@ def read(files: dict[str, bytes], folder: Path, names: tuple[str, ...]) -> dict[
     for name, arguments in readers(folder / SEGMENTS[0]).items():
         if name not in names:
             continue
-        result = CliRunner().invoke(command, [name, *arguments])
+        result = CliRunner().invoke(command, arguments)
         if isinstance(result.exception, ToolError | ConfigError):
             text = str(result.exception)
             assert "\n" not in text, f"{name}: more than one line: {text}"

@@ -15,11 +15,14 @@ from click.testing import CliRunner
 from pyarrow import parquet
 from synthetic_run import MS, record
 
+from tonus.runtime.signals import TABLE
+from tonus.runtime.states import Fault, State
 from tonus.tools.cli.log import log as command
 from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.log.export import export
+from tonus.tools.log.names import ENUMERATIONS, named
 from tonus.tools.log.tables import to_arrow, to_pandas
 
 TICKS = 300
@@ -113,6 +116,76 @@ def test_parquet_gives_the_numbers_back(log: Log, tmp_path: Path) -> None:
     assert events["text"].to_pylist() == [event.text for event in log.events()]
 
 
+def test_names_stand_beside_the_numbers(log: Log, tmp_path: Path) -> None:
+    export(log, tmp_path, "csv", ["/tonus/state", "/tonus/drives", "/tonus/envelope"])
+    rows = rows_of(tmp_path / "tonus_state.csv")
+    assert [row["state_name"] for row in rows] == [State(int(row["state"])).name for row in rows]
+    assert {(row["fault"], row["fault_name"]) for row in rows} == {
+        ("0", "none"),
+        (str(int(Fault.CONTACT_LIMIT)), "contact_limit"),
+    }
+    titles = list(rows[0])
+    assert titles.index("stop_mode_name") == titles.index("stop_mode") + 1
+    drives = rows_of(tmp_path / "tonus_drives.csv")[0]
+    assert [drives[f"state_name_{axis}"] for axis in range(8)] == ["lost"] * 8
+    assert [drives[f"command_name_{axis}"] for axis in range(8)] == ["disable"] * 8
+    assert {row["grade_name"] for row in rows_of(tmp_path / "tonus_envelope.csv")} == {"green"}
+
+
+def test_names_are_text_in_parquet_and_categories_in_pandas(log: Log, tmp_path: Path) -> None:
+    export(log, tmp_path, "parquet", ["/tonus/state", "/tonus/events"])
+    table = parquet.read_table(tmp_path / "tonus_state.parquet")
+    expected = [State(int(number)).name for number in log["/tonus/state"]["state"]]
+    assert table["state_name"].to_pylist() == expected
+    levels = parquet.read_table(tmp_path / "tonus_events.parquet")["level_name"]
+    assert set(levels.to_pylist()) == {"info"}
+    frame = to_pandas(log, "/tonus/state")
+    assert frame["state_name"].tolist() == expected
+    assert str(frame["state_name"].dtype) == "category"
+
+
+def test_a_number_without_a_name_is_named_by_its_digits() -> None:
+    """A log of another version may hold one."""
+    places, names = named(State, np.array([[5, 77], [77, 0]], np.uint8))
+    assert [[names[place] for place in row] for row in places] == [["ACTIVE", "77"], ["77", "OFF"]]
+
+
+def test_every_enumeration_of_the_table_of_signals_has_names() -> None:
+    """The signals' meanings name their enumerations, and what else counts has a reason here."""
+    classes = {each.__name__: each for each in ENUMERATIONS.values()}
+    for topic in TABLE:
+        for field in topic.fields:
+            first = field.doc.replace(",", " ").split()[0]
+            if first in classes:
+                assert ENUMERATIONS[topic.name, field.name] is classes[first], field
+    named_fields = {(topic.name, field.name) for topic in TABLE for field in topic.fields}
+    assert {each for each in ENUMERATIONS if each[0] != "/tonus/events"} <= named_fields
+    small = {
+        (topic.name, field.name)
+        for topic in TABLE
+        for field in topic.fields
+        if field.type == "uint8" and (topic.name, field.name) not in ENUMERATIONS
+    }
+    assert small == {
+        ("/tonus/state", "failed"),  # 0 or 1
+        ("/tonus/state", "select"),  # numbers of the run's own scenarios
+        ("/tonus/state", "scenario"),
+        ("/tonus/force_cells", "status"),  # CiA 404's bits
+        ("/tonus/tracker", "fresh"),
+        ("/tonus/tracker", "accepted"),
+        ("/tonus/tension", "iterations"),
+        ("/tonus/tuning", "parameter"),  # numbers of operation.tunable
+    }
+
+
+def test_parquet_has_groups_of_rows_worth_reading(tmp_path: Path) -> None:
+    """A chunk of the log is no group: each would cost every reader memory for each column."""
+    log = open_log(record(tmp_path, TICKS, chunk_ms=20))
+    assert log.chunk_count > 10
+    export(log, tmp_path / "out", "parquet", ["/tonus/pose"])
+    assert parquet.ParquetFile(tmp_path / "out/tonus_pose.parquet").num_row_groups == 1
+
+
 def test_a_topic_is_a_data_frame(log: Log) -> None:
     frame, rows = to_pandas(log, "/tonus/tension"), log["/tonus/tension"]
     assert len(frame) == TICKS
@@ -144,7 +217,7 @@ def test_a_topic_that_is_not_there_is_named(log: Log) -> None:
     assert "there is no topic /tonus/tensions" in str(told.exception)
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet", "asc", "blf"])
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mat", "asc", "blf"])
 def test_an_export_that_fails_leaves_nothing(
     log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:

@@ -54,10 +54,11 @@ def column(schema: Schema | None, encoding: str, parts: Sequence[Run]) -> Column
         messages[:] = each
     times = _joined([part.log_time for part in parts])
     sequence = _joined([part.sequence for part in parts])
-    return _in_order(Column(messages, times, sequence))
+    return in_order(Column(messages, times, sequence))
 
 
-def _in_order(found: Column) -> Column:
+def in_order(found: Column) -> Column:
+    """By time; those of one time as they came."""
     backwards = (found.times[1:] < found.times[:-1]).any()
     return found.chosen(np.argsort(found.times, kind="stable")) if backwards else found
 
@@ -100,7 +101,7 @@ class Collector:
             return column(self._schema, self._encoding, [*self._as_run(), *self._others])
         end = self._count
         rows = self._rows[:end].view(self._dtype)
-        return _in_order(Column(rows, self._times[:end], self._sequence[:end]))
+        return in_order(Column(rows, self._times[:end], self._sequence[:end]))
 
     def _fixed(self, run: Run) -> np.dtype[np.void] | None:
         sample = column(self._schema, self._encoding, [Run(run.channel, run.rows[:1])])

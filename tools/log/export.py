@@ -1,47 +1,68 @@
-"""A log in the formats of others: tables as CSV or Parquet, bus frames as .asc or .blf."""
+"""A log in the formats of others: tables as CSV, Parquet or .mat, bus frames as .asc or .blf."""
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
-
-import can
-import numpy as np
-from can.io import ASCWriter, BLFWriter
+from typing import Any, TypeVar
 
 from tonus.tools.draft import drafted
 from tonus.tools.errors import ToolError
-from tonus.tools.log.decode import Column
+from tonus.tools.log.bus_frames import BUS, write_frames
 from tonus.tools.log.log import Log
-from tonus.tools.log.tables import TableColumn, arrow_table, parquet_writer, table
+from tonus.tools.log.matlab import Matlab
+from tonus.tools.log.merged import merge, mergeable
+from tonus.tools.log.table_files import MAKERS, TableFile
+from tonus.tools.log.tables import Signal, signals, table, time_of
 
-BUS = "/can/"
-_NS = 1e-9
-_SECOND = 1_000_000_000
-FORMATS = ("csv", "parquet", "asc", "blf")
+TABLES, FRAMES = ("csv", "parquet", "mat"), ("asc", "blf")
+FORMATS = (*TABLES, *FRAMES)
+Written = dict[str, Path | None]
+T = TypeVar("T")
 
 
-def export(log: Log, out: Path, kind: str, topics: Sequence[str] = ()) -> dict[str, Path | None]:
+@dataclass(frozen=True)
+class Merged:
+    """What became of the ticks of a log."""
+
+    path: Path
+    rows: int
+    left_out: int
+    """before the first message of a topic"""
+
+
+def export(log: Log, out: Path, kind: str, topics: Sequence[str] = ()) -> Written:
     """Write ``topics`` (all, if none are named) to the folder ``out``; gives the file of each
     topic, None for one that makes no table. Raises ToolError, also where a file exists."""
     chosen = list(topics) or list(log.topics)
-    if kind in ("asc", "blf"):
+    if kind in FRAMES:
         chosen = [topic for topic in chosen if topic.startswith(BUS)]
         if not chosen:
             raise ToolError(f"{log.path}: no bus frames in it, so there is nothing for .{kind}")
+        return _into(out, lambda: _frames(log, chosen, out, kind))
+    if kind == "mat":
+        return _into(out, lambda: _matlab(log, chosen, out))
+    return _into(out, lambda: _tables(log, chosen, out, kind))
+
+
+def export_merged(log: Log, out: Path, kind: str, topics: Sequence[str] = ()) -> Merged:
+    """Write one table of ``topics`` with a row a tick (`merge`) to the folder ``out``. Raises
+    ToolError, also where the file exists or no tick has a value of every topic."""
+    if kind not in TABLES:
+        raise ToolError(f"--merge makes a table, and .{kind} holds none; choose another --format")
+    chosen = mergeable(log, topics)
+    return _into(out, lambda: _merged(log, chosen, out, kind))
+
+
+def _into(out: Path, write: Callable[[], T]) -> T:
+    """Write into a folder, of which nothing is left if that fails."""
     made = not out.exists()
     try:
         out.mkdir(parents=True, exist_ok=True)
         try:
-            if kind in ("asc", "blf"):
-                path = _new(out / f"{log.path.stem}.{kind}")
-                with drafted(path) as beside:
-                    _frames(log, chosen, beside, kind)
-                return dict.fromkeys(chosen, path)
-            return _tables(log, chosen, out, kind)
+            return write()
         finally:
             if made and not any(out.iterdir()):
                 out.rmdir()
@@ -49,96 +70,83 @@ def export(log: Log, out: Path, kind: str, topics: Sequence[str] = ()) -> dict[s
         raise ToolError(f"{out}: {error.strerror}; choose another folder with --out") from error
 
 
-def _tables(log: Log, topics: Sequence[str], out: Path, kind: str) -> dict[str, Path | None]:
-    make: type[_Csv | _Parquet] = _Csv if kind == "csv" else _Parquet
-    written: dict[str, Path | None] = dict.fromkeys(topics)
+def _frames(log: Log, topics: Sequence[str], out: Path, kind: str) -> Written:
+    path = _new(out / f"{log.path.stem}.{kind}")
+    with drafted(path) as beside:
+        write_frames(log, topics, beside, kind)
+    return dict.fromkeys(topics, path)
+
+
+def _tables(log: Log, topics: Sequence[str], out: Path, kind: str) -> Written:
+    written: Written = dict.fromkeys(topics)
     # All tables appear together, once each of them is whole.
     with ExitStack() as drafts, ExitStack() as files:
-        writers: dict[str, _Csv | _Parquet] = {}
+        writers: dict[str, TableFile] = {}
         for batch in log.batches(topics):
             for topic, column in batch.items():
                 columns = table(topic, column, log.start_ns) if len(column.times) else None
                 if columns is None:
                     continue
                 if topic not in writers:
-                    name = topic.strip("/").replace("/", "_")
-                    path = written[topic] = _new(out / f"{name}.{kind}")
+                    path = written[topic] = _new(out / f"{_plain(topic)}.{kind}")
                     beside = drafts.enter_context(drafted(path))
-                    writers[topic] = files.enter_context(closing(make(beside, columns)))
+                    writers[topic] = files.enter_context(closing(MAKERS[kind](beside, columns)))
                 writers[topic].write(columns)
     return written
 
 
-class _Csv:
-    """Floats are written in as many digits as give them back exactly."""
-
-    def __init__(self, path: Path, columns: list[TableColumn]) -> None:
-        self._file: TextIO = path.open("w", newline="", encoding="utf-8")
-        self._writer = csv.writer(self._file)
-        self._writer.writerow(column.title for column in columns)
-
-    def close(self) -> None:
-        self._file.close()
-
-    def write(self, columns: list[TableColumn]) -> None:
-        values = [column.values.tolist() for column in columns]
-        self._writer.writerows(zip(*values, strict=True))
-
-
-class _Parquet:
-    def __init__(self, path: Path, columns: list[TableColumn]) -> None:
-        self._writer = parquet_writer(str(path), arrow_table(columns).schema)
-
-    def close(self) -> None:
-        self._writer.close()
-
-    def write(self, columns: list[TableColumn]) -> None:
-        self._writer.write_table(arrow_table(columns))
-
-
-def _frames(log: Log, topics: Sequence[str], path: Path, kind: str) -> None:
-    """All buses into one file; channel numbers count the topics."""
-    # Both formats keep the beginning to a millisecond only, and frames relative to it.
-    begin = log.start_ns // _SECOND
-    writer: ASCWriter | BLFWriter
-    if kind == "blf":
-        writer = BLFWriter(path)
-        writer.start_timestamp = float(begin)
-    else:
-        writer = ASCWriter(path)
-        writer.log_event("Start of log", float(begin))
-    with writer:
+def _matlab(log: Log, topics: Sequence[str], out: Path) -> Written:
+    written: Written = dict.fromkeys(topics)
+    path = _new(out / f"{log.path.stem}.mat")
+    with drafted(path) as beside, closing(Matlab(beside, log.path)) as file:
         for batch in log.batches(topics):
-            for message in _messages(batch, topics):
-                writer.on_message_received(message)
+            for topic, column in batch.items():
+                found = signals(topic, column) if len(column.times) else None
+                if found is not None:
+                    written[topic] = path
+                    file.add(_plain(topic), [time_of(column, log.start_ns), *found])
+        file.write(_about(log))
+    return written
 
 
-def _messages(batch: dict[str, Column], topics: Sequence[str]) -> Iterator[can.Message]:
-    """Frames of a batch in the order in which they were on the buses."""
-    parts = [(number, batch[topic]) for number, topic in enumerate(topics)]
-    usable = [(n, c) for n, c in parts if c.messages.dtype.names is not None and len(c.times)]
-    if not usable:
-        return
-    number = np.concatenate([np.full(len(c.times), n) for n, c in usable])
-    row = np.concatenate([np.arange(len(c.times)) for _, c in usable])
-    times = np.concatenate([c.times for _, c in usable])
-    sequence = np.concatenate([c.sequence for _, c in usable])
-    tables = {n: c.messages.tolist() for n, c in usable}
-    stamps = (times * _NS).tolist()
-    for index in np.lexsort((sequence, times)).tolist():
-        _, _, identifier, remote, extended, error, dlc, data = tables[int(number[index])][
-            int(row[index])
-        ]
-        yield can.Message(
-            timestamp=stamps[index],
-            arbitration_id=identifier,
-            is_extended_id=extended,
-            is_remote_frame=remote,
-            is_error_frame=error,
-            channel=int(number[index]),
-            dlc=dlc,
-            data=None if remote else bytes(data[:dlc]),
-        )
+def _merged(log: Log, topics: Sequence[str], out: Path, kind: str) -> Merged:
+    path = _new(out / f"merged.{kind}")
+    rows = left_out = 0
+    with drafted(path) as beside, ExitStack() as files:
+        matlab = files.enter_context(closing(Matlab(beside, log.path))) if kind == "mat" else None
+        writer: TableFile | None = None
+        for part in merge(log, topics):
+            left_out += part.left_out
+            rows += part.count
+            if not part.count:
+                continue
+            if matlab is not None:
+                _add(matlab, part.base, part.topics)
+                continue
+            if writer is None:
+                writer = files.enter_context(closing(MAKERS[kind](beside, part.columns())))
+            writer.write(part.columns())
+        if not rows:
+            raise ToolError(f"{log.path}: no tick has a value of every topic; name fewer --topics")
+        if matlab is not None:
+            matlab.write(_about(log))
+    return Merged(path, rows, left_out)
+
+
+def _add(file: Matlab, base: Sequence[Signal], topics: dict[str, list[Signal]]) -> None:
+    file.add("ticks", base)
+    for topic, fields in topics.items():
+        file.add(topic, fields)
+
+
+def _about(log: Log) -> dict[str, Any]:
+    """Where the numbers come from; ``start_ns`` is the log_time of time 0."""
+    return {"file": log.path.name, "start_ns": log.start_ns, **log.metadata}
+
+
+def _plain(topic: str) -> str:
+    """As part of a file's name, or of a variable's."""
+    return topic.strip("/").replace("/", "_")
 
 
 def _new(path: Path) -> Path:

@@ -27,6 +27,8 @@ from tonus.tools.log.decode import Collector, Column, column
 from tonus.tools.log.memory import memory_for_logs
 
 EVENTS, TUNING = "/tonus/events", "/tonus/tuning"
+AFTER_ALL = int(np.iinfo(np.int64).max)
+"""ns, a log_time later than any"""
 _CONFIG_NAMES = ("config.yaml", "config.json")
 _NS = 1_000_000_000
 
@@ -174,6 +176,12 @@ class Log:
         names = self._known(topics)
         for parts in self._runs(names):
             yield {name: self._decode(name, parts.get(name, [])) for name in names}
+
+    def batches_in_time(self, topics: Sequence[str]) -> Iterator[tuple[int, dict[str, Column]]]:
+        """The same, each with the log_time in ns before which no later one holds a message."""
+        starts = [place.start_ns for place in self._places()]
+        later = np.minimum.accumulate([*starts[1:], AFTER_ALL][::-1])[::-1].tolist()
+        yield from zip(later, self.batches(topics), strict=False)
 
     def between(self, start_s: float, end_s: float) -> Log:
         """The messages with start_s <= time < end_s, in s since the log's first message."""

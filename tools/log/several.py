@@ -100,6 +100,14 @@ class SeveralLogs(Log):
         for log in self._logs:
             yield from log.batches([name for name in names if name in log])
 
+    def batches_in_time(self, topics: Sequence[str]) -> Iterator[tuple[int, dict[str, Column]]]:
+        names = self._known(topics)
+        for number, log in enumerate(self._logs):
+            spans = [later.span_ns for later in self._logs[number + 1 :]]
+            starts = [span[0] for span in spans if span is not None]
+            for until, batch in log.batches_in_time([name for name in names if name in log]):
+                yield min([until, *starts]), batch
+
     @property
     def chunk_count(self) -> int:
         return sum(log.chunk_count for log in self._logs)

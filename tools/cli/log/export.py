@@ -10,7 +10,7 @@ import click
 from tonus.tools.cli.damage import tell_damage
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
-from tonus.tools.log.export import FORMATS
+from tonus.tools.log.export import FORMATS, export_merged
 from tonus.tools.log.export import export as carry_out
 
 
@@ -18,6 +18,11 @@ from tonus.tools.log.export import export as carry_out
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--format", "kind", type=click.Choice(FORMATS), required=True)
 @click.option("--topics", help="Topics, separated by commas. Default: all.")
+@click.option(
+    "--merge",
+    is_flag=True,
+    help="One table with a row a tick: of each topic its latest message.",
+)
 @click.option("--from", "start", type=float, help="s since the log's beginning.")
 @click.option("--to", "end", type=float, help="s since the log's beginning.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder. Default: FILE.export.")
@@ -25,12 +30,16 @@ def export(
     files: tuple[Path, ...],
     kind: str,
     topics: str | None,
+    *,
+    merge: bool,
     start: float | None,
     end: float | None,
     out: Path | None,
 ) -> None:
-    """Write FILES, the segments of one run, as a table for each topic, or all bus frames as one
-    .asc or .blf. Exit code 1 where a damaged file was exported in part."""
+    """Write FILES, the segments of one run, as a table for each topic (csv, parquet), as one file
+    for MATLAB with a struct for each (mat), or all bus frames as one .asc or .blf. Names of states,
+    faults and commands stand beside their numbers. Exit code 1 where a damaged file was exported in
+    part."""
     _window(start, end)
     log = open_log(files)
     if start is not None or end is not None:
@@ -40,9 +49,14 @@ def export(
             raise ToolError(f"{files[0]}: holds no message there; choose another --from or --to")
     out = files[0].with_name(f"{files[0].stem}.export") if out is None else out
     names = [name.strip() for name in topics.split(",")] if topics else []
-    written = carry_out(log, out, kind, names)
-    for topic, path in written.items():
-        click.echo(f"  {topic:<24} {path or '- cannot be written as a table'}")
+    if merge:
+        merged = export_merged(log, out, kind, names)
+        click.echo(f"  {merged.rows} rows  {merged.path}")
+        if merged.left_out:
+            click.echo(f"  {merged.left_out} ticks before the first message of a topic left out")
+    else:
+        for topic, path in carry_out(log, out, kind, names).items():
+            click.echo(f"  {topic:<24} {path or '- cannot be written as a table'}")
     tell_damage([log])
 
 
