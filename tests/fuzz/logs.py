@@ -62,8 +62,12 @@ def readers(first: Path) -> dict[str, list[str]]:
         "identify": [str(first), "--out", str(out / "identify")],
         "export": [str(first), "--format", "csv", "--out", str(out / "tables")],
     }
+    figure = ["figure", str(first), "--out", str(out / "figure.png")]
     merge = ["export", str(first), "--format", "mat", "--merge", "--out", str(out / "merged")]
-    return {name: [name, *arguments] for name, arguments in found.items()} | {"merge": merge}
+    return {name: [name, *arguments] for name, arguments in found.items()} | {
+        "merge": merge,
+        "figure": figure,
+    }
 
 
 def read(files: dict[str, bytes], folder: Path, names: tuple[str, ...]) -> dict[str, str]:

@@ -12,7 +12,7 @@ from tests.fuzz.storm_of_logs import storm
 
 pytestmark = pytest.mark.wide
 
-LONG = ("report", "identify", "compare")
+LONG = ("report", "identify", "compare", "figure")
 """judged only a few times here"""
 
 

@@ -161,18 +161,30 @@ def spectra(story: Story) -> Figure | None:
 
 def timing(story: Story) -> Figure | None:
     """Histograms of wake-up and cycle, on axes that show the rare; None in virtual time."""
+    wakeup, cycle = latencies(story)
+    if max(wakeup.max(), cycle.max()) <= 0.0:
+        return None
+    rows = ((wakeup, "wake-up", style.BLUE, "-"), (cycle, "cycle", style.ORANGE, "-"))
+    return histograms(rows, story.period)
+
+
+def latencies(story: Story) -> tuple[Array, Array]:
+    """Of every tick (n,) in µs: how late it woke, and how long it worked."""
     rows = story.log["/tonus/timing"]
     cycle = rows["collect_us"] + rows["compute_us"] + rows["publish_us"]
-    largest = float(max(rows["wakeup_us"].max(), cycle.max()))
-    if largest <= 0.0:
-        return None
+    return np.asarray(rows["wakeup_us"], np.float64), np.asarray(cycle, np.float64)
+
+
+def histograms(
+    rows: Sequence[tuple[Array, str, str, str]], period: float, notes: Sequence[str] = ()
+) -> Figure:
+    """Of latencies in µs, each with name, colour and line; ``period`` of the ticks in s; ``notes``
+    stand in the legend too."""
     figure = Figure(figsize=(11.0, 3.4), layout="constrained")
     panel = figure.subplots()
+    largest = max(float(values.max()) for values, *_ in rows)
     edges = np.geomspace(1.0, max(10.0, 1.2 * largest), _BINS)
-    for values, label, colour in (
-        (rows["wakeup_us"], "wake-up", style.BLUE),
-        (cycle, "cycle", style.ORANGE),
-    ):
+    for values, label, colour, line in rows:
         p50, p999 = np.percentile(values, (50.0, 99.9))
         text = f"{label}: p50 {p50:.0f}, p99.9 {p999:.0f}, max {values.max():.0f} µs"
         panel.hist(
@@ -181,10 +193,13 @@ def timing(story: Story) -> Figure | None:
             histtype="step",
             color=colour,
             linewidth=1.3,
+            linestyle=line,
             label=text,
         )
-    period = story.period * 1e6
+    period *= 1e6
     panel.axvline(period, color="0.25", linestyle=style.DASHES, label=f"period {period:.0f} µs")
+    for note in notes:
+        panel.plot([], [], linestyle="none", label=note)
     panel.set_xscale("log")
     panel.set_yscale("log")
     panel.set_xlabel("µs")

@@ -6,7 +6,6 @@ import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from tonus.tools.draft import write_whole
@@ -17,6 +16,7 @@ from tonus.tools.pages.rows import NUMBER, Row, Rows
 from tonus.tools.report import figures, panels
 from tonus.tools.report.interactive import available, interactive
 from tonus.tools.report.pieces import Piece, Progress
+from tonus.tools.report.saved import save
 from tonus.tools.report.story import Story
 from tonus.tools.report.verdict import Verdict, judge
 from tonus.tools.run.summary import Indicators
@@ -162,10 +162,9 @@ def _figures(verdict: Verdict) -> Rows:
 
 
 def _image(figure: Figure) -> str:
-    """A figure as SVG for an ``img``; the same figure gives the same bytes."""
+    """A figure as SVG for an ``img``."""
     buffer = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "tonus", "svg.image_inline": True}):
-        figure.savefig(buffer, format="svg", dpi=150, metadata={"Date": None})
+    save(figure, buffer, "svg")
     return data_url(buffer.getvalue())
 
 

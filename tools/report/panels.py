@@ -143,15 +143,21 @@ def dress(panels: Sequence[Axes], story: Story, *, names: bool = True) -> None:
             panel.axvspan(start, end, color=style.BANDS[state], linewidth=0, zorder=0)
             if number:
                 panel.axvline(start, color="0.7", linewidth=0.7, zorder=0.5)
+    trim(panels)
+    if names:
+        _name(panels[0], bands, float(story.time[-1]))
+    _mark_faults(panels, story)
+    panels[-1].set_xlabel("time since the first cycle / s")
+
+
+def trim(panels: Sequence[Axes]) -> None:
+    """Grid, margins and legends."""
+    for panel in panels:
         panel.grid(color="0.88", linewidth=0.6)
         panel.set_axisbelow(True)
         panel.margins(x=0.0)
         # Outside, so that no curve is ever hidden.
         panel.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02), fontsize=8, frameon=False)
-    if names:
-        _name(panels[0], bands, float(story.time[-1]))
-    _mark_faults(panels, story)
-    panels[-1].set_xlabel("time since the first cycle / s")
 
 
 def _name(panel: Axes, bands: list[tuple[State, float, float]], span: float) -> None:

@@ -25,6 +25,7 @@ time. In Python, `tonus.open_log("run.mcap")["/tonus/tension"]` is an array with
 *n* is the number of the robot's cables; the definitions in a log have the figure.
 
     tonus log info FILE...     time, duration, states, faults, topics, rates, gaps, damage
+    tonus log figure FILE...   one picture as png, svg or pdf; several runs in one; --list
     tonus log report FILE      one HTML page: verdict, plots, the paper's Figure 1, events; offline
     tonus log compare FILE...  the indicators of the paper's Table 3, for any runs, with spread
     tonus log replay FILE...   feeds the recorded inputs to control; compares outputs bit for bit
@@ -66,6 +67,12 @@ for Parquet or `.mat`, 2026-11-25. Only a `.mat` file needs more for a longer ru
 axes' states, 0.5 kB a cycle while they are written. It is not compressed, and needs its own size
 (1.7 GB in ten minutes) a second time on the disk meanwhile; a struct beyond 2 GB is refused, so
 longer runs go out in parts (`--from`, `--to`, `--topics`).
+
+`tonus log figure FILE --what tension --out tension.pdf` draws one of the pictures of overview and
+report alone, as `.png`, `.svg` or `.pdf`; `--list` prints their names: overview, force, stiffness,
+tension, error, position, speed, path (3-D), envelope, spectra, timing. Several FILEs are runs in
+one picture, aligned at START (the first ACTIVE): of each the curve or two that can be compared, for
+example the highest and the lowest tension. `position`, `envelope` and `spectra` show one run.
 
 In Python there are also
 `log.between(1.5, 2.0)` (s since the start), `log.join("/tonus/pose", "/tonus/truth")` (one

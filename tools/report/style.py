@@ -13,6 +13,8 @@ AXES = (BLUE, VERMILION, GREEN)
 CABLES = (BLUE, VERMILION, GREEN, PURPLE)
 CABLE_STYLES = ("-", "--")
 """upper, lower"""
+RUNS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+"""in one picture"""
 GRADES = {Grade.GREEN: GREEN, Grade.AMBER: ORANGE, Grade.RED: VERMILION}
 BANDS = {
     State.OFF: "#FFFFFF",

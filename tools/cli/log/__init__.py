@@ -9,6 +9,7 @@ from tonus.tools.cli.lazy import LazyGroup
 LINES = {
     "compare": "Compare runs by the indicators of the paper.",
     "export": "Write a table for each topic, or the bus frames.",
+    "figure": "Draw one figure of a run, or of several.",
     "identify": "Identify masses, cables, drums and the closed loop.",
     "info": "Print time, states, faults, topics and gaps.",
     "layout": "Write a layout for a viewer of logs.",
