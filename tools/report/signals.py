@@ -77,7 +77,8 @@ example the highest and the lowest tension. `position`, `envelope` and `spectra`
 In Python there are also
 `log.between(1.5, 2.0)` (s since the start), `log.join("/tonus/pose", "/tonus/truth")` (one
 record a tick), `log.batches(topics)` (a chunk at a time) and `tonus.tools.log.tables` (Arrow,
-pandas). A damaged file is read up to the damage; `log.damage` describes it.
+pandas). [A notebook](notebooks/first_look.md) makes a table, figures and a fit. A damaged file is
+read up to the damage; `log.damage` describes it.
 
 With `tonus[view]` installed a report begins with plots to zoom into, on one time axis, with the
 states as bands and the events as marks; a click on a cable's name hides it in every panel. The
