@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import errno
 import os
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from mcap.writer import CompressionType, Writer
 from pyarrow import parquet
 from synthetic_run import MS, Rings, cycles, record, recording, truth
 
@@ -20,7 +22,7 @@ from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.log.export import export_merged
-from tonus.tools.log.merged import merge, mergeable
+from tonus.tools.log.merged import BASE, merge, mergeable
 
 TICKS, LATE, EVERY = 300, 40, 7
 
@@ -79,23 +81,53 @@ def test_the_rows_are_those_of_join(log: Log, tmp_path: Path) -> None:
                 assert np.array_equal(table[name].to_numpy(), values[:, index]), name
 
 
-@pytest.mark.parametrize("drain_every", [3, 50, 299])
-def test_topics_that_lie_in_other_chunks_than_their_ticks_are_found(
-    tmp_path: Path, drain_every: int
+def written(path: Path, topics: dict[str, list[int]]) -> Path:
+    """A log that holds one topic after the other, each in chunks of its own: messages at these
+    times in ms, whose value is their time."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=200, compression=CompressionType.NONE)
+        writer.start()
+        for topic, times in topics.items():
+            schema = writer.register_schema(
+                "tonus_msgs/msg/X", "ros2msg", b"uint64 tick\nfloat64 value\n"
+            )
+            channel = writer.register_channel(topic, "cdr", schema)
+            for sequence, time in enumerate(times):
+                body = struct.pack("<4sQd", b"\0\1\0\0", time, float(time))
+                writer.add_message(channel, time * MS, body, time * MS, sequence)
+        writer.finish()
+    return path
+
+
+TICKED, SLOW = {BASE: [*range(100)]}, {"/x": [*range(3, 100, 7)]}
+
+
+@pytest.mark.parametrize(
+    "files",
+    [[TICKED | SLOW], [SLOW | TICKED], [TICKED, SLOW], [SLOW, TICKED]],
+    ids=["ticks_first", "ticks_last", "two_files", "two_files_turned"],
+)
+def test_a_topic_that_lies_far_from_its_ticks_is_found(
+    tmp_path: Path, files: list[dict[str, list[int]]]
 ) -> None:
-    """The recorder empties one ring after the other, so chunks overlap in time."""
-    log = open_log(record(tmp_path, TICKS, chunk_ms=4, drain_every=drain_every))
-    topics = ["/tonus/truth", "/tonus/tension", "/can/can0"]
-    joined = log.join(*topics)
-    rows = list(merge(log, mergeable(log, topics)))
-    told = np.concatenate([part.base[1].values for part in rows])
-    assert told.tolist() == joined["tick"].tolist()
-    frames = [
-        next(signal.values for signal in part.topics["can/can0"] if signal.name == "id")
-        for part in rows
-        if part.count
-    ]
-    assert np.array_equal(np.concatenate(frames), joined["can0"]["id"])
+    """A recorder empties one ring after the other, so chunks overlap in time; here all do."""
+    paths = [written(tmp_path / f"{n}.mcap", topics) for n, topics in enumerate(files)]
+    log = open_log(paths)
+    parts = [part for part in merge(log, mergeable(log, ["/x"])) if part.count]
+    ticks = np.concatenate([part.base[1].values for part in parts])
+    values = np.concatenate([part.topics["x"][1].values for part in parts])
+    assert ticks.tolist() == [*range(3, 100)]
+    assert values.tolist() == [tick - (tick - 3) % 7 for tick in ticks]
+    joined = log.join("/x")
+    assert joined["x"]["value"].tolist() == values.tolist()
+
+
+def test_a_table_comes_while_the_log_is_read(tmp_path: Path) -> None:
+    """And not at its end: rows whose messages have all been seen are let go."""
+    log = open_log(record(tmp_path, TICKS, chunk_ms=20))
+    counts = [part.count for part in merge(log, mergeable(log, TOPICS))]
+    assert len(counts) > 5
+    assert max(counts) < TICKS // 3
 
 
 def test_files_of_one_run_make_one_table(tmp_path: Path) -> None:

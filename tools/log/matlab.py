@@ -160,7 +160,7 @@ def _array(signal: Signal) -> NDArray[Any]:
     if signal.names is None:
         return signal.values
     names = np.array([name.encode() for name in signal.names], f"S{signal.width}")
-    padded = np.char.ljust(names, signal.width)  # MATLAB fills with blanks, not with zeros
+    padded = np.char.ljust(names, signal.width)  # scipy would do it in a copy of them all
     found: NDArray[Any] = padded[signal.values]
     return found
 
