@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import shutil
+import signal
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,7 +26,7 @@ from tonus.tools.margins.task import margins
 from tonus.tools.tune.judge import Part, lack
 from tonus.tools.tune.landing import land
 from tonus.tools.tune.search import Found, Search
-from tonus.tools.tune.work import Evaluator, Gains
+from tonus.tools.tune.work import Evaluator, Gains, _work
 
 CONFIG = "config/direct.yaml"
 TUNING = load_tuning()
@@ -216,6 +219,66 @@ def test_a_line_cut_short_in_the_journal_is_simulated_again(tmp_path: Path) -> N
     journal.write_text(json.dumps(line) + "\n" + json.dumps(other) + "\n" + '{"for": "')
     known = Evaluator(CONFIG, None, 1, journal, 1)._known
     assert known == {"k": [Part(**part)]}
+
+
+def made_up(order: tuple[str, str | None, int, str, Gains]) -> list[Part]:
+    """In place of a simulation; the first takes longest."""
+    stiffness = order[4]["pd.stiffness"]
+    threading.Event().wait(0.05 if stiffness < 2100.0 else 0.0)
+    if stiffness == 2666.0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if stiffness == 2777.0:
+        raise ZeroDivisionError("in a model")
+    return [Part("s", stiffness, 0.1 + 0.2, None, float(os.getpid()))]
+
+
+def gains_of(*stiffness: float) -> list[Gains]:
+    return [{"pd.stiffness": each} for each in stiffness]
+
+
+@pytest.fixture
+def evaluator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Evaluator:
+    monkeypatch.setattr("tonus.tools.tune.work._work", made_up)
+    monkeypatch.setattr("tonus.tools.tune.work.warm_up", lambda _: None)
+    return Evaluator(CONFIG, None, 1, tmp_path / "journal", 2)
+
+
+def test_evaluations_are_done_in_processes_and_given_in_order(evaluator: Evaluator) -> None:
+    many = gains_of(2000.0, 2200.0, 2300.0, 2200.0)
+    found = evaluator("pd", many)
+    assert [parts[0].cost for parts in found] == [2000.0, 2200.0, 2300.0, 2200.0]
+    assert found[0][0].position == 0.1 + 0.2
+    assert len({parts[0].effort for parts in found} - {float(os.getpid())}) == 3
+    assert evaluator.simulated == 3
+    assert evaluator("pd", many) == found
+    assert evaluator.simulated == 3
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [(2666.0, "crashed: SIGKILL; what was simulated"), (2777.0, "ZeroDivisionError: in a model")],
+)
+def test_an_evaluation_that_cannot_be_done_is_named_and_costs_no_other(
+    evaluator: Evaluator, tmp_path: Path, bad: float, words: str
+) -> None:
+    with pytest.raises(ToolError) as told:
+        evaluator("pd", gains_of(2200.0, 2300.0, bad, 2400.0, 2500.0))
+    assert f"pd with pd.stiffness {bad:g}: {words}" in str(told.value)
+    assert "\n" not in str(told.value)
+    again = Evaluator(CONFIG, None, 1, tmp_path / "journal", 2)
+    assert again._known  # the third began when one of the first two was done
+    found = again("pd", gains_of(2200.0, 2300.0, 2500.0))
+    assert [parts[0].cost for parts in found] == [2200.0, 2300.0, 2500.0]
+    assert again.simulated < 3
+
+
+@pytest.mark.wide
+def test_an_evaluation_is_the_same_in_a_process_of_its_own(tmp_path: Path) -> None:
+    rules = tmp_path / "tiny.yaml"
+    rules.write_text(TINY)
+    many = gains_of(2000.0, 3500.0)
+    found = Evaluator(CONFIG, str(rules), 1, tmp_path / "journal", 2)("pd", many)
+    assert found == [_work((CONFIG, str(rules), 1, "pd", gains)) for gains in many]
 
 
 @pytest.mark.parametrize(

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
-from tonus.config import load
 from tonus.config.schema.campaign import BusName, Study
-from tonus.runtime.operation.rehearsal import rehearse
 from tonus.runtime.timing import clock
-from tonus.sim.lab.engine import Lab
 from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.draw import episodes, grouped
 from tonus.tools.campaign.episode import Episode
 from tonus.tools.campaign.journal import Journal, fingerprint
 from tonus.tools.campaign.judge import Row
 from tonus.tools.campaign.players import play
-
-_WARM_NS = 20_000_000
+from tonus.tools.warm_up import warm_up
 
 
 @dataclass(frozen=True)
@@ -101,15 +96,5 @@ def played(
     """Rows of episodes, as they come."""
     groups = grouped(study, todo)
     for group in groups:
-        _warm_up(group.episodes[0].setup.config)
+        warm_up(group.episodes[0].setup.config)
     return play(groups, study, workers, allowance)
-
-
-@cache
-def _warm_up(name: str) -> None:
-    """What is compiled or loaded before the processes part need not be in each."""
-    config, scenario = load(name)
-    rehearse(config, scenario)
-    lab = Lab(config, scenario.lab, seed=0, clock=lambda: 0)
-    lab.advance(_WARM_NS)
-    lab.close()

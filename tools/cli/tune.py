@@ -83,10 +83,7 @@ def tune(
     journal = out.with_suffix(".journal")
     processes = jobs or os.cpu_count() or 1
     evaluator = Evaluator(config, rules, tuning.seed, journal, processes)
-    try:
-        found = _search(config, tuning, names, evaluator, say)
-    finally:
-        evaluator.close()
+    found = _search(config, tuning, names, evaluator, say)
     result = provenance(tuning, evaluator.fingerprint, robot_key(loaded), found)
     write(out, result)
     if as_json:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from tonus import runtime
 from tonus.config import load
+from tonus.config.errors import ConfigError
 from tonus.config.loader import load_tuning
+from tonus.tools.campaign.play import describe
+from tonus.tools.campaign.station import cause
 from tonus.tools.errors import ToolError
+from tonus.tools.forked_work import Tell, forked
 from tonus.tools.tune.judge import Part, judge
+from tonus.tools.warm_up import warm_up
 
 Gains = dict[str, float]
 """Dotted keys below ``control``."""
@@ -30,31 +33,53 @@ class Evaluator:
     ) -> None:
         self._order = (config, tuning, seed)
         self.fingerprint = fingerprint(config, tuning, seed)
-        self._journal = journal
+        self._journal, self._processes = journal, processes
         self._known = _read(journal, self.fingerprint)
-        self._pool = (
-            ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"))
-            if processes > 1
-            else None
-        )
         self.simulated = 0
         """evaluations of this run, without those the journal knew"""
 
-    def close(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-
     def __call__(self, controller: str, many: Sequence[Gains]) -> list[list[Part]]:
-        """Each set of gains on every scenario, in order."""
+        """Each set of gains on every scenario, in order. Raises `ToolError` where one cannot be
+        simulated; what has been until then is in the journal."""
         keys = [_key(controller, gains) for gains in many]
         new = {key: gains for key, gains in zip(keys, many, strict=True) if key not in self._known}
-        orders = [(*self._order, controller, gains) for gains in new.values()]
-        found = map(_work, orders) if self._pool is None else self._pool.map(_work, orders)
-        for key, parts in zip(new, found, strict=True):
+        if new:
+            warm_up(self._order[0])
+        for key, parts in self._played(controller, new):
             self.simulated += 1
             self._known[key] = parts
             self._note(key, parts)
         return [self._known[key] for key in keys]
+
+    def _played(
+        self, controller: str, new: Mapping[str, Gains]
+    ) -> Iterator[tuple[str, list[Part]]]:
+        """As they come, each in a process of its own, whose crash ends no other."""
+
+        def work(key: str, tell: Tell) -> None:
+            try:
+                parts = _work((*self._order, controller, new[key]))
+                found: dict[str, Any] = {"parts": [asdict(part) for part in parts]}
+            except (ConfigError, ToolError) as error:
+                found = {"error": str(error)}
+            except Exception as error:  # noqa: BLE001 - of a controller or a model: told in a line
+                found = {"error": describe(error)}
+            tell(json.dumps(found).encode())
+
+        told: set[str] = set()
+        for said in forked(new, self._processes, work):
+            gains = ", ".join(f"{name} {value:g}" for name, value in new[said.job].items())
+            if said.line is None:
+                if said.job not in told:
+                    why = cause(said.exit_code, 0)
+                    known = f"what was simulated before is in {self._journal}"
+                    raise ToolError(f"{controller} with {gains}: {why}; {known}")
+                continue
+            told.add(said.job)
+            found = json.loads(said.line)
+            if "error" in found:
+                raise ToolError(f"{controller} with {gains}: {found['error']}")
+            yield said.job, [Part(**part) for part in found["parts"]]
 
     def _note(self, key: str, parts: list[Part]) -> None:
         line = {"for": self.fingerprint, "key": key, "parts": [asdict(part) for part in parts]}
