@@ -51,8 +51,8 @@ An export has the name of each state, fault, stop mode, command or level beside 
 (`state` 5, `state_name` ACTIVE). A `.mat` file is MATLAB's version 5 (MATLAB, Octave, scipy): a
 struct for each topic, `s = load('run.mat')`, `s.tonus_tension.measured` with a row for each
 message, `time` in s since the log's first message, `units`; names are rows of characters, with
-blanks behind (`cellstr`), of an array a row for each element (*n* messages × elements ×
-characters); `about` has the run's metadata. What MATLAB does not allow in a name is changed to `_`.
+blanks behind (`cellstr`), of an array a row for each element (messages × elements × characters);
+`about` has the run's metadata. What MATLAB does not allow in a name is changed to `_`.
 
 `--merge` writes one table, `merged.csv`, `.parquet` or `.mat`, with a row for each tick and columns
 `topic.field` (`tension.measured_0`; in `.mat` a struct for each topic, all with equal rows, and
@@ -62,8 +62,8 @@ less often is held at its last value. A topic that is not of the control cycle (
 chosen topic are left out. Without `--topics` all of `/tonus/` are in it, but events and keyframes.
 
 An export reads a chunk of the log at a time. Ten minutes at 1 kHz (600 000 cycles, all topics) take
-0.1 GB of memory as CSV, 0.3 GB as Parquet and 0.4 GB as `.mat`, with 12 to 16 s of processor time
-for Parquet or `.mat`, 2026-11-25. Only a `.mat` file needs more for a longer run: the names of all
+0.1 GB of memory as CSV, 0.3 GB as Parquet and 0.4 GB as `.mat`, and 65, 14 and 16 s of processor
+time (2026-11-25). Only a `.mat` file needs more for a longer run: the names of all
 axes' states, 0.5 kB a cycle while they are written. It is not compressed, and needs its own size
 (1.7 GB in ten minutes) a second time on the disk meanwhile; a struct beyond 2 GB is refused, so
 longer runs go out in parts (`--from`, `--to`, `--topics`).
@@ -72,7 +72,8 @@ longer runs go out in parts (`--from`, `--to`, `--topics`).
 report alone, as `.png`, `.svg` or `.pdf`; `--list` prints their names: overview, force, stiffness,
 tension, error, position, speed, path (3-D), envelope, spectra, timing. Several FILEs are runs in
 one picture, aligned at START (the first ACTIVE): of each the curve or two that can be compared, for
-example the highest and the lowest tension. `position`, `envelope` and `spectra` show one run.
+example the highest and the lowest tension. `position`, `envelope` and `spectra` show one run. Ten
+minutes take 0.4 GB and 8 s of processor time.
 
 In Python there are also
 `log.between(1.5, 2.0)` (s since the start), `log.join("/tonus/pose", "/tonus/truth")` (one
