@@ -135,7 +135,7 @@ class Replayed:
             if new:
                 heard[_CHANNEL, cell.received].take([_word(force)], at_ns)
                 heard[_CHANNEL, cell.emergency].take([status], at_ns)
-        self._compare(claim, answers)
+        self._compare(claim, answers, sampled)
 
     def _anew(
         self, at_ns: int, age: NDArray[np.uint16], before_ns: NDArray[np.int64]
@@ -146,8 +146,9 @@ class Replayed:
         before_ns[new] = taken_ns[new]
         return new
 
-    def _compare(self, claim: Claim, answers: Answers) -> None:
-        """The drive's own torque with the least and the largest that it was sent lately."""
+    def _compare(self, claim: Claim, answers: Answers, sampled: NDArray[np.bool_]) -> None:
+        """The drive's own torque with the least and the largest that it was sent lately, where it
+        was sampled anew: a drive that is silent has its last one in the record."""
         commanded = self._commanded
         if len(commanded) == commanded.maxlen:
             lately = np.array(commanded)
@@ -155,7 +156,7 @@ class Replayed:
             beyond = np.maximum(answers.torque - high, low - answers.torque)
             # A drive that says that it is at a limit of its own gives what it can.
             comparable = answers.statusword & (STATE | _AT_A_LIMIT) == OPERATION_ENABLED
-            astray = np.where(comparable, beyond / self._radius, 0.0)
+            astray = np.where(comparable & sampled, beyond / self._radius, 0.0)
             self.astray = np.maximum(self.astray, astray)
         commanded.append(np.nan_to_num(claim.torque))
 

@@ -383,6 +383,18 @@ def test_a_torque_that_was_sent_long_ago_explains_nothing(player: Player) -> Non
     assert player.replayed.astray == pytest.approx(np.full(player.cables, 10.0))
 
 
+def test_a_drive_that_is_silent_is_not_compared(player: Player) -> None:
+    """Its last torque stays in the record, while it is sent none any more."""
+
+    def silent(record: Any) -> None:
+        commanded(0.0, 1.0)(record)
+        record["drives"]["age"][:4] = 20
+
+    player.take(*[silent] * 12)
+    assert player.replayed.astray[:4].max() == 0.0
+    assert player.replayed.astray[4:] == pytest.approx(np.full(player.cables - 4, 50.0))
+
+
 def test_before_enough_was_recorded_nothing_is_compared(config: Config) -> None:
     new = Player(config)
     for _ in range(8):
