@@ -38,7 +38,7 @@ class Stop(Section):
     """m, noise of a cable's length in a descent: its damping and the cell's lag are in it"""
     tracker_leap: Positive = 0.75
     """m/s by which the tracker may move faster than the estimate in a descent, from one pose to the
-    next; a faster one was moved itself, and is not believed until it is moved back"""
+    next; a faster one was moved itself, and is not used until it is moved back"""
     least_tension: Positive
     """N: least that a taut cable is asked for in a descent"""
     most_tension: Positive

@@ -79,11 +79,11 @@ def test_an_elongation_is_known_to_a_share_of_itself(seen: Seen) -> None:
     assert seen.go_on(5 * EVERY) == -1
 
 
-@pytest.mark.parametrize("missing", [(), (0, 6)])
+@pytest.mark.parametrize("missing", [(), (6,)])
 def test_a_tracker_that_is_moved_names_nobody(seen: Seen, missing: tuple[int, ...]) -> None:
-    """Nor hides the slip that follows; without two cables a diagonal shift moves one most."""
+    """Nor hides the slip that follows; without its opposite one cable has most of the shift."""
     seen.excluded[list(missing)] = True
-    seen.shift = np.array([0.015, 0.012, -0.014])
+    seen.shift = np.array([0.016, 0.012, 0.014])
     named = {seen.go_on(EVERY) for _ in range(LONG // EVERY)}
     assert named == {-1}
     seen.slip[5] -= 2.0 * SETTINGS.witness
