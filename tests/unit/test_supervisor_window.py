@@ -1,0 +1,180 @@
+"""What the supervisor takes from its window of looks, and how far back it compares with records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.unit.supervisor_setup import MS, STRICT, N, Stage, claim
+from tonus.config import Config, load
+from tonus.runtime.supervisor.observation import Observation
+
+BASE = 1000
+"""ms at which a test begins"""
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+@pytest.fixture
+def stage(config: Config) -> Stage:
+    return Stage(config)
+
+
+def window_ms(config: Config) -> int:
+    assert config.supervisor is not None
+    return round(config.supervisor.window_ms)
+
+
+def test_forces_are_those_of_the_cells_less_the_tare(stage: Stage) -> None:
+    tare = 1.0 + 0.5 * np.arange(N + 1)
+    for k in range(BASE, BASE + 30):
+        stage.tick(k * MS, newton=45.0, metre=0.0, force=45.0)
+        found = stage.observe(k * MS, stage.heard, [claim(at_ms=k, tare=tare)])
+    assert found.tension == pytest.approx(45.0 - tare[:N])
+    assert found.contact == pytest.approx(45.0 - tare[N])
+    assert found.unexplained == pytest.approx(tare[:N], abs=0.5)
+
+
+def test_without_a_record_no_tare_is_taken_off(stage: Stage) -> None:
+    for k in range(BASE, BASE + 30):
+        stage.tick(k * MS, newton=45.0, metre=0.0, force=45.0)
+        found = stage.observe(k * MS, stage.heard, [])
+    assert found.unexplained == pytest.approx(np.zeros(N), abs=0.5)
+    assert np.isnan(found.tension).all()
+
+
+def test_ages_are_from_when_it_was_received(stage: Stage) -> None:
+    stage.tick(BASE * MS, newton=45.0, metre=0.0, force=45.0)
+    found = stage.observe((BASE + 3) * MS, stage.heard, [claim()])
+    for ages in (found.torque_age, found.measured_age, found.cell_age):
+        assert ages == pytest.approx(np.full(N, 3.0))
+    assert found.contact_age == pytest.approx(3.0)
+
+
+def test_the_newest_of_several_records_counts(stage: Stage) -> None:
+    records = [claim(at_ms=1.0), claim(at_ms=2.0), claim(at_ms=3.0)]
+    found = stage.observe(BASE * MS, stage.heard, records)
+    assert found.claims == records
+    assert found.claim is records[-1]
+
+
+def test_a_rate_is_known_in_the_third_look(stage: Stage) -> None:
+    for look in range(3):
+        at = BASE + 2 * look
+        for tick in (at - 1, at):
+            stage.tick(tick * MS, newton=45.0, metre=0.2e-3 * (tick - BASE), force=45.0)
+        found = stage.observe(at * MS, stage.heard, [claim(at_ms=at)])
+        assert np.isnan(found.rate).all() == (look < 2)
+    assert found.rate == pytest.approx(0.2, rel=0.05)
+
+
+def test_a_mean_is_of_the_window_and_of_nothing_before(config: Config, stage: Stage) -> None:
+    """Torques that step up at a look: with the window past it their mean is what they are."""
+    length, step = window_ms(config), BASE + 60
+    means = {}
+    for k in range(BASE, step + length + 1):
+        stage.tick(k * MS, newton=45.0 if k <= step else 90.0, metre=0.0, force=45.0)
+        if (k - step) % 2 == 0:
+            found = stage.observe(k * MS, stage.heard, [claim(at_ms=k)])
+            means[k] = found.mean_torque
+            assert np.isnan(means[k]).all() == (k - BASE < length)
+    assert means[step] == pytest.approx(45.0, abs=0.3)
+    assert means[step + length] == pytest.approx(90.0, abs=0.3)
+    late = 45.0 * (1.0 + (length - 2) / length)
+    assert means[step + length - 2] == pytest.approx(late, abs=0.3)
+
+
+def test_a_strong_acceleration_is_explained(stage: Stage) -> None:
+    acceleration, force, axis = 8.0, 45.0, stage.wiring.axes[0]
+    for k in range(40):
+        t = k * 1e-3
+        rate = acceleration * t
+        pull = force + axis.mass * acceleration + axis.damping * rate
+        stage.tick((BASE + k) * MS, newton=pull, metre=0.5 * acceleration * t * t, force=force)
+        if k % 2 == 0:
+            found = stage.observe((BASE + k) * MS, stage.heard, [claim(at_ms=BASE + k)])
+    assert np.abs(found.unexplained).max() < 3.0
+
+
+# --- records -------------------------------------------------------------------------------------
+
+
+class Logged:
+    """One look a tick; what axis 2 is sent and what is recorded of it, per mille."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage, self.tick = stage, BASE
+
+    def look(self, sent: list[int], recorded: list[int]) -> bool:
+        self.tick += 1
+        stage, axes = self.stage, self.stage.wiring.axes
+        for number, axis in enumerate(axes):
+            for mille in sent if number == 2 else recorded:
+                word = (mille & 0xFFFF) << axis.torque.shift
+                stage.heard[axis.channel, axis.sent].take([word], self.tick * MS)
+        records = [
+            claim(
+                at_ms=float(self.tick),
+                torque=np.array([mille / each.per_newton_metre for each in axes]),
+            )
+            for mille in recorded
+        ]
+        found = stage.observe(self.tick * MS, stage.heard, records)
+        assert not found.unlogged[np.arange(N) != 2].any()
+        return bool(found.unlogged[2])
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_how_far_back_a_torque_may_have_been_recorded(
+    config: Config, stage: Stage, more: int
+) -> None:
+    """``logged_ticks`` before those of the look before."""
+    assert config.supervisor is not None
+    logged, late = Logged(stage), config.supervisor.logged_ticks + more
+    assert not logged.look([500], [500])
+    for look in range(1, late + 1):
+        assert not logged.look([500 if look == late else 100], [100])
+    assert logged.look([100], [100]) is (more > 0)
+
+
+@pytest.mark.parametrize(("off", "broken"), [(-2, True), (-1, False), (1, False), (2, True)])
+def test_how_far_a_torque_may_be_from_its_record(stage: Stage, off: int, broken: bool) -> None:
+    logged = Logged(stage)
+    for _ in range(9):
+        assert not logged.look([100], [100])
+    logged.look([100 + off], [100])
+    assert logged.look([100], [100]) is broken
+
+
+def test_a_drive_that_alone_knows_its_scale_is_not_compared(config: Config) -> None:
+    stage = Stage(config)
+    stage.wiring.axes[:] = [replace(each, newton=None) for each in stage.wiring.axes]
+    assert config.supervisor is not None
+    observe = type(stage.observe)(stage.wiring, config.supervisor, config.robot.contact_cell, MS)
+    found: Observation | None = None
+    for k in range(5):
+        for axis in stage.wiring.axes:
+            stage.heard[axis.channel, axis.sent].take([100 << axis.torque.shift], k * MS)
+        found = observe(k * MS, stage.heard, [claim(at_ms=k)])
+    assert found is not None
+    assert not found.unlogged.any()
+
+
+def test_a_window_is_of_two_looks_at_least(config: Config) -> None:
+    """However short it is stated."""
+    assert config.supervisor is not None
+    stage, step = Stage(config), BASE + 40
+    short = config.supervisor.model_copy(update={"window_ms": 1.0})
+    observe = type(stage.observe)(stage.wiring, short, config.robot.contact_cell, MS)
+    for k in range(BASE, step + 5):
+        newton = 45.0 if k <= step else 90.0
+        stage.tick(k * MS, newton=newton, metre=0.2e-3 * (k - BASE), force=45.0)
+        if (k - step) % 2 == 0:
+            found = observe(k * MS, stage.heard, [claim(at_ms=k)])
+    assert found.mean_torque == pytest.approx(90.0, abs=0.3)
+    assert found.rate == pytest.approx(0.2, rel=0.05)
