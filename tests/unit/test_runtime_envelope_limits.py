@@ -197,6 +197,25 @@ def test_the_least_share_decides() -> None:
     assert envelope.progress == pytest.approx(0.2)
 
 
+def test_of_equal_shares_the_one_that_softens_decides() -> None:
+    """Contact comes first: a platform that is both fast and touching is soft."""
+    both = Robot().tick(contact=24.0, velocity=(0.24, 0.0, 0.0))
+    assert (both.bound, both.cap, both.progress) == (Bound.CONTACT, LAW.minimum, 0.0)
+    tight = Robot().tick(contact=24.0, tension=one(3, TENSION.max + 1.0))
+    assert tight.bound is Bound.CONTACT
+
+
+def test_no_share_is_more_than_the_whole() -> None:
+    """Where about twice as much as the zone of each bound is left."""
+    tight = TENSION.max - 0.205 * (TENSION.max - TENSION.pre)
+    given = {"contact": 12.25, "velocity": (0.17375, 0.0, 0.0), "tension": tight}
+    robot = Robot()
+    for _ in range(2):
+        envelope = robot.tick(**given)
+        assert (envelope.progress, envelope.cap) == (1.0, pytest.approx(LAW.maximum))
+        robot.envelope.reset()
+
+
 def test_tensions_that_fall_too_low_are_amber_but_slow_nothing() -> None:
     span = TENSION.pre - TENSION.min
     for share, grade, bound in (
@@ -240,6 +259,8 @@ def test_a_share_comes_back_slowly_and_a_band_late() -> None:
         speed = 0.225 - 0.025 * share
         return robot.tick(velocity=(speed, 0.0, 0.0), times=times).progress
 
+    assert left(0.5005) == pytest.approx(0.5005)
+    assert left(0.8, 300) == pytest.approx(0.7), "and not a tick's worth more"
     assert left(0.5) == pytest.approx(0.5)
     assert left(0.59, 300) == pytest.approx(0.5), "within the band"
     assert [left(0.8) for _ in range(3)] == pytest.approx([0.502, 0.504, 0.506])
