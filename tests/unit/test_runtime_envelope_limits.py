@@ -199,9 +199,9 @@ def test_the_least_share_decides() -> None:
 
 def test_of_equal_shares_the_one_that_softens_decides() -> None:
     """Contact comes first: a platform that is both fast and touching is soft."""
-    both = Robot().tick(contact=24.0, velocity=(0.24, 0.0, 0.0))
+    both = Robot().tick(contact=24.0, velocity=(0.24, 0.0, 0.0), times=2)
     assert (both.bound, both.cap, both.progress) == (Bound.CONTACT, LAW.minimum, 0.0)
-    tight = Robot().tick(contact=24.0, tension=one(3, TENSION.max + 1.0))
+    tight = Robot().tick(contact=24.0, tension=one(3, TENSION.max + 1.0), times=2)
     assert tight.bound is Bound.CONTACT
 
 

@@ -38,6 +38,7 @@ def test_forces_are_those_of_the_cells_less_the_tare(stage: Stage) -> None:
     assert found.tension == pytest.approx(45.0 - tare[:N])
     assert found.contact == pytest.approx(45.0 - tare[N])
     assert found.unexplained == pytest.approx(tare[:N], abs=0.5)
+    assert found.torque == pytest.approx(np.full(N, 45.0), abs=0.2)
 
 
 def test_without_a_record_no_tare_is_taken_off(stage: Stage) -> None:
