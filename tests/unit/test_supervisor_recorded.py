@@ -18,6 +18,7 @@ from tonus.runtime.states import State
 from tonus.runtime.supervisor.record import Claim, claims
 from tonus.runtime.supervisor.recorded import RecordedWiring, Replayed
 from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.runtime.supervisor.wiring import Wiring
 
 MS = 1_000_000
 ENABLED, AT_A_LIMIT, DISABLED, QUICK_STOP = 0x0237, 0x0A37, 0x0240, 0x0217
@@ -453,3 +454,14 @@ def test_a_claim_without_answers_shows_nothing(config: Config) -> None:
     player = Player(config)
     player.replayed.take(claims([(MS, _record(player.cables, 0))]))
     assert all(heard.count == 0 for heard in player.replayed.heard.values())
+
+
+def test_an_axis_is_the_same_as_by_its_frames(config: Config) -> None:
+    """Torque, mass and damping, against the same robot on CAN."""
+    by_number = {axis.number: axis for axis in Wiring(load("config/can.yaml")[0]).axes}
+    for axis in Player(config).wiring.axes:
+        frames = by_number[axis.number]
+        assert axis.newton == pytest.approx(frames.newton)
+        assert axis.per_newton_metre == pytest.approx(frames.per_newton_metre)
+        assert axis.mass == pytest.approx(frames.mass)
+        assert axis.damping == pytest.approx(frames.damping)
