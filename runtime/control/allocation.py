@@ -79,7 +79,7 @@ class Allocation:
     def distribute(self, motion: Motion, stiffness: float, levels: Levels, present: Mask) -> None:
         """Co-contraction follows the ``stiffness`` (N/m); a cable that is not ``present`` (n,)
         carries nothing."""
-        level = levels.level * self._controller.tone
+        middle = levels.level * self._controller.tone
         settings, base = self._settings, self._controller.resting_stiffness
         matrix = self._kinematics.matrix
         contraction = settings.co_contraction * (stiffness / base - 1.0)
@@ -92,7 +92,7 @@ class Allocation:
             present,
             levels.low,
             levels.high,
-            level,
+            middle,
             self._contraction,
             *self._kept,
         )

@@ -29,7 +29,7 @@ EVENT = np.dtype(
     ]
 )
 
-KEYFRAME_BYTES = 1 << 17
+KEYFRAME_BYTES = 1 << 18
 KEYFRAME = np.dtype([("tick", "<u8"), ("size", "<u8"), ("state", "u1", (KEYFRAME_BYTES,))])
 
 

@@ -135,7 +135,7 @@ def _residuals(
     last: Array,
     then: Array,
     same: Counts,
-    level: Array,
+    held: Array,
     asked: Array,
     still: Counts,
     repeated: Counts,
@@ -143,7 +143,7 @@ def _residuals(
     """All of a tick; returns whether no residual can be a fault."""
     _count(innovation, reference, filtered, watched, (jump, error, share), jumped, astray, drift)
     _repeat(raw, age, tension, reference, (0.0, change), taut, last, then, same)
-    _repeat(raw, age, tension, reference, (band, step), taut, level, asked, still)
+    _repeat(raw, age, tension, reference, (band, step), taut, held, asked, still)
     for i in range(same.shape[0]):
         repeated[i] = max(same[i], still[i])
     return _quiet(jumped, astray, drift, same, (astray_ticks, mean, frozen_ticks))

@@ -152,6 +152,14 @@ class Sequence:
             self.enabled = False
         return True
 
+    def rehearse(self, image: ProcessImage) -> None:
+        """Ask each question about devices that an ordinary tick needs no answer to, so that none is
+        compiled in the tick of a fault."""
+        self._sensing.lost_axis()
+        self._sensing.lost_cell()
+        _broken_axis(image.axes["state"], image.axes["age"], 0, FAULT_STATES, -1, 0)
+        _first_set(image.cells["status"], 0)
+
     @property
     def fault(self) -> Fault:
         """The first one since the last reset."""

@@ -303,7 +303,7 @@ MUTATIONS = (
              contact_softens_before_it_stops),
     Mutation(ENVELOPE, "held[i] = max(left[i], 0.0)", "held[i] = 0.0",
              contact_softens_before_it_stops),
-    Mutation(ENVELOPE, "bound in (Bound.CONTACT, Bound.TENSION_HIGH)", "bound in tuple(Bound)",
+    Mutation(ENVELOPE, "bound in (_CONTACT, _TENSION_HIGH)", "bound in tuple(Bound)",
              speed_and_place_slow_but_do_not_soften),
     Mutation(ENVELOPE, "if stiffening else high", "if not stiffening else high",
              contact_softens_before_it_stops),
