@@ -103,8 +103,8 @@ load: setup
 bench-studies: setup
 	$(BIN)/python -m tests.bench.study_scale
 
-# Small errors in the safety path, one at a time, each of which a test has to find: half an hour to an
-# hour on two idle cores. Table and survivors go into docs/mutation.md.
+# Small errors in the safety path, one at a time, each of which a test has to find: three quarters of an
+# hour on one core of a busy host. Table and survivors go into docs/mutation.md.
 mutation: setup
 	$(BIN)/python -m tests.mutation --write $(shell date +%F)
 

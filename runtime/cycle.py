@@ -214,7 +214,7 @@ class ControlCycle:
             lengths = self._referencing.lengths(sensing.angle, sensing.tension)
             self._witness.step(image, lengths, sensing.tension, sequence.faults.failed)
         fresh = image.axis.age <= self._control.freshness.measurement_ticks
-        trusted = sequence.faults.drums_trusted & fresh
+        trusted = sequence.faults.drums_trusted & sequence.faults.drums_obedient & fresh
         share = sequence.passive_share
         if share < 0.0 or sequence.axis_command is not AxisCommand.ENABLE:
             trusted[:], share = False, 0.0

@@ -30,8 +30,6 @@ OVERRIDES: dict[str, Any] = {
     "control.sequence.stop_s": 0.02,
     "control.sequence.lower_s": 0.02,
     "control.sequence.hold_s": 0.02,
-    "control.stop.rest_s": 0.02,
-    "control.stop.landing_s": 0.02,
     "control.sequence.enable_timeout_s": 0.02,
     # Stone answers no torque; `test_runtime_isolation` has what a drum's torque tells.
     "control.isolation.torque_error": 1e9,

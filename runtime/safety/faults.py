@@ -101,6 +101,11 @@ class Faults:
         return self.without(_ENCODER_UNKNOWN)
 
     @property
+    def drums_obedient(self) -> NDArray[np.bool_]:
+        """(n,) drums that do what their torque says: with a reversed motor damping would drive."""
+        return self.without(frozenset({Fault.DRUM_TORQUE}))
+
+    @property
     def torn(self) -> NDArray[np.bool_]:
         """(n,) drums whose cable counts as torn: they must not reel in."""
         return ~self.without(frozenset({Fault.CABLE_TORN}))

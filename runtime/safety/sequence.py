@@ -223,7 +223,8 @@ class Sequence:
         """Count how long all drums have stood; a passive stop releases them when that is long
         enough, a descent when it has landed."""
         stop = self._control.stop
-        pulling = self.faults.drums_trusted & ~self.faults.torn
+        faults = self.faults
+        pulling = faults.drums_trusted & faults.drums_obedient & ~faults.torn
         fastest = float((np.abs(self._sensing.rate * pulling) * self._radius).max())
         self._standing = self._standing + self._period if fastest < stop.rest_speed else 0.0
         if self.releasing:

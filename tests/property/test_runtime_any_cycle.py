@@ -154,7 +154,7 @@ def test_once_left_alone_a_robot_comes_to_rest(start: State, history: list[Troub
     for trouble in history:
         disturb(statue, trouble)
         statue.step(trouble.operator)
-    for n in range(150):
+    for n in range(800):
         statue.report()
         statue.step(Operator.STOP if n == 0 else Operator.NONE)
     assert statue.state in (State.STANDBY, State.FAULT)

@@ -32,7 +32,8 @@ def go_on(statue: Statue, spoil: Spoil, ticks: int = 1) -> Statue:
     return statue
 
 
-def end(statue: Statue, spoil: Spoil, ticks: int = 300) -> tuple[State, Fault, int]:
+def end(statue: Statue, spoil: Spoil, ticks: int = 800) -> tuple[State, Fault, int]:
+    """After a stop that has waited twice for drums at rest."""
     go_on(statue, spoil, ticks)
     sequence = statue.cycle.sequence
     assert not statue.image.commands["torque"].any()

@@ -73,6 +73,7 @@ def test_what_each_fault_leaves(fault: Fault) -> None:
     for rows, causes in (
         (found.drums_trusted, OF_THE_ENCODER),
         (found.cells_trusted, OF_THE_CELL),
+        (found.drums_obedient, {Fault.DRUM_TORQUE}),
         (~found.torn, {Fault.CABLE_TORN}),
     ):
         assert rows.tolist() == [fault not in causes or cable != 5 for cable in range(N)]

@@ -60,13 +60,13 @@ def test_drums_that_never_stand_are_released_in_the_end() -> None:
 
 
 def test_drums_that_are_torn_or_not_believed_are_not_waited_for() -> None:
-    for fault in (Fault.CABLE_TORN, Fault.DRUM_STUCK):
+    for fault in (Fault.CABLE_TORN, Fault.DRUM_STUCK, Fault.DRUM_TORQUE):
         way = passive()
         way.disobedient = (fault, 3)
         way.sensing.rate = np.where(np.arange(N) == 3, 9.0, 0.0)
         assert enabled(way) == REST_TICKS + RELEASE_TICKS + REST_TICKS
     way = passive()
-    way.disobedient = (Fault.DRUM_TORQUE, 3)
+    way.disobedient = (Fault.CELL_FROZEN, 3)
     way.sensing.rate = np.where(np.arange(N) == 3, 9.0, 0.0)
     assert enabled(way) > REST_TICKS + RELEASE_TICKS + REST_TICKS
 

@@ -153,6 +153,17 @@ def test_a_passive_stop_needs_no_cell_and_damps_each_drum_by_its_own_rate() -> N
     np.testing.assert_allclose(statue.image.commands["torque"], wanted, rtol=1e-3)
 
 
+def test_a_drum_that_does_not_do_what_its_torque_says_gets_none_in_a_passive_stop() -> None:
+    """With a reversed motor the damping would drive it."""
+    statue = go_on(Statue().until(State.HOLD), defective(*range(8)))
+    assert mode(statue) is StopMode.PASSIVE
+    statue.cycle.sequence.faults.add(Fault.DRUM_TORQUE, 2)
+    go_on(statue)
+    torque = statue.image.commands["torque"]
+    assert torque[2] == 0.0
+    assert (np.delete(torque, 2) > 0.0).all()
+
+
 def test_a_passive_stop_lets_go_only_after_rest_and_then_disables() -> None:
     statue = go_on(Statue().until(State.HOLD), defective(*range(8)))
     enabled = 0
