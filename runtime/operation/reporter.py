@@ -7,7 +7,6 @@ from typing import Protocol
 from tonus.config.schema.root import Config
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.recording.taps import Level
-from tonus.runtime.safety.sequence import MOVING
 from tonus.runtime.signals import Consistency, Grade
 from tonus.runtime.states import ARMED, Fault, State, StopMode
 from tonus.runtime.words import STOP_TEXT, describe, place, reaction
@@ -80,7 +79,8 @@ class Reporter:
     def _watch_tracker(self) -> None:
         """Without poses the estimator runs on the cables alone: a degraded mode, and said so."""
         tracker = self._record.tracker
-        believed = tracker.accepted if self._state in MOVING else tracker.fresh
+        # Where nothing is estimated no pose is accepted either.
+        believed = tracker.accepted if self._sequence.regulating else tracker.fresh
         if believed:
             if self._tracker_silent:
                 self._tell(Level.INFO, "tracker_back", "tracker", "poses are used again")
