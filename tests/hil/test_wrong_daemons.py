@@ -110,7 +110,7 @@ def test_a_channel_whose_devices_are_not_received() -> None:
         )
 
     runs.append(Run(configured()[0], load_scenario("sine_z"), deaf))
-    seen = runs[0].play(8.0)
+    seen = runs[0].play(3.0)
     run = runs[0]
     assert sorted(run.stopped_ns) == [3, 4], seen.error
     assert max(run.stopped_ns[node] - run.changed_ns for node in (3, 4)) * 1e-6 <= 42.0
