@@ -91,10 +91,11 @@ class Judge:
         return next((each for key, each in broken.items() if held[key] >= key[1]), None)
 
     def _broken(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
-        for each in (*self._daemon(seen), *self._bus(seen), *self._controlled(seen)):
+        speeds = self._speeds(seen)
+        for each in (*self._daemon(seen), *self._bus(seen), *self._controlled(seen, speeds)):
             yield each, self._patience_ns[each.requirement]
         long_ns = round(self._settings.stopping_ms * 1e6)
-        for each in self._always(seen):
+        for each in self._always(seen, speeds):
             yield each, long_ns
 
     def _daemon(self, seen: Observation) -> Iterator[Violation]:
@@ -164,7 +165,7 @@ class Judge:
         sent = (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)
 
-    def _controlled(self, seen: Observation) -> Iterator[Violation]:
+    def _controlled(self, seen: Observation, speeds: tuple[float, ...]) -> Iterator[Violation]:
         """In states whose control is to keep the envelope: SUP-4 to 8 and 11."""
         claim, settings, enabled = seen.claim, self._settings, seen.enabled
         if claim is None or claim.state not in CONTROLLED:
@@ -185,7 +186,7 @@ class Judge:
         yield from _at(Requirement.STALE, seen, seen.cell_age, oldest, enabled)
         if seen.contact_age > oldest:
             yield Violation(Requirement.STALE, NOWHERE, seen.contact_age)
-        yield from self._speed(seen, self._most_speed, settings.rotation)
+        yield from _faster(speeds, (self._most_speed, settings.rotation))
         # What it does not know is not a number; what the daemon does not know is wrong.
         off = abs(claim.tension[seen.axes] - seen.tension)
         off[~np.isfinite(claim.tension[seen.axes])] = np.inf
@@ -194,7 +195,7 @@ class Judge:
         if not math.isnan(seen.contact) and not abs(claim.contact - seen.contact) <= limit:
             yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, claim.contact - seen.contact)
 
-    def _always(self, seen: Observation) -> Iterator[Violation]:
+    def _always(self, seen: Observation, speeds: tuple[float, ...]) -> Iterator[Violation]:
         """Bounds of every state, wide enough for what a torn cable does to a good stop. While the
         daemon stops, a cell whose amplifier reports an error says nothing."""
         settings, claim = self._settings, seen.claim
@@ -204,18 +205,24 @@ class Judge:
         known = not (stopping and seen.contact_defective)
         if known and abs(seen.contact) > settings.contact_stopping:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
-        yield from self._speed(seen, settings.speed_stopping, settings.rotation_stopping)
+        yield from _faster(speeds, (settings.speed_stopping, settings.rotation_stopping))
 
-    def _speed(self, seen: Observation, speed: float, rotation: float) -> Iterator[Violation]:
-        """By the least that any of the poses tried needs to give the drums their rates; m/s and
-        rad/s. A rate that is not known gives none."""
+    def _speeds(self, seen: Observation) -> tuple[float, ...]:
+        """The least speed and turning rate that any of the poses tried needs to give the drums
+        their rates, m/s and rad/s; not a number where a rate is not known."""
         if len(seen.rate) != self._twists.shape[2]:
-            return  # some of the axes are on another bus
-        twists: Floats = self._twists[:, :, seen.axes] @ seen.rate
-        for part, limit in ((twists[:, :3], speed), (twists[:, 3:], rotation)):
-            least = float(np.sqrt((part**2).sum(axis=1)).min())
-            if least > limit:
-                yield Violation(Requirement.SPEED, NOWHERE, least)
+            return math.nan, math.nan  # some of the axes are on another bus
+        rate = np.empty(len(seen.rate))
+        rate[seen.axes] = seen.rate
+        twists = (self._twists.reshape(-1, len(rate)) @ rate).reshape(-1, 2, 3)
+        speeds: list[float] = np.sqrt((twists**2).sum(axis=2).min(axis=0)).tolist()
+        return tuple(speeds)
+
+
+def _faster(speeds: tuple[float, ...], limits: tuple[float, ...]) -> Iterator[Violation]:
+    for speed, limit in zip(speeds, limits, strict=True):
+        if speed > limit:
+            yield Violation(Requirement.SPEED, NOWHERE, speed)
 
 
 def _at(
@@ -227,7 +234,7 @@ def _at(
 ) -> Iterator[Violation]:
     """Each axis of ``where`` whose value is beyond the limit; None: each of them."""
     beyond = where if limit is None else where & (values > limit)
-    for row in np.flatnonzero(beyond).tolist():
+    for row in np.asarray(beyond).nonzero()[0].tolist():
         yield Violation(requirement, int(seen.axes[row]), float(values[row]))
 
 

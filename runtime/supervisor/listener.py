@@ -25,6 +25,7 @@ Fetch = Callable[[], Iterable[tuple[int, int, int]]]
 
 STATE, _QUICK_STOP_ACTIVE, OPERATION_ENABLED = 0x6F, 0x07, 0x27
 """CiA 402, statusword"""
+_POWERED = frozenset((OPERATION_ENABLED, _QUICK_STOP_ACTIVE))
 
 
 class Watched(NamedTuple):
@@ -40,11 +41,12 @@ class Watched(NamedTuple):
 class Heard:
     """What was received under one identifier: the newest data, when it was read, how many frames,
     how many of them in a row equal to the one before, the sum of each number, the frames of a drive
-    that was not powered, and the data of each frame since `words` was emptied last."""
+    that was not powered, and the first number of each frame since `numbers` was emptied last."""
 
     __slots__ = (
         "at_ns",
         "count",
+        "numbers",
         "off",
         "same",
         "size",
@@ -52,7 +54,6 @@ class Heard:
         "totals",
         "values",
         "word",
-        "words",
     )
 
     def __init__(
@@ -61,7 +62,7 @@ class Heard:
         self.size, self.values, self.statusword = size, values, statusword
         self.word = self.at_ns = self.count = self.same = self.off = 0
         self.totals = [0.0] * len(values)
-        self.words: deque[int] = deque(maxlen=_MOST)
+        self.numbers: deque[float] = deque(maxlen=_MOST)
 
     @property
     def powered(self) -> bool:
@@ -82,13 +83,14 @@ class Heard:
             newest = word
         self.same, self.word, self.at_ns = same, words[-1], now_ns
         self.count += len(words)
-        self.words.extend(words)
         if self.statusword is not None:
-            self.off += sum(not _powered(word, self.statusword) for word in words)
-        for place, value in enumerate(self.values):
-            for number in map(value.number, words):
-                if math.isfinite(number):  # the sum is for ever
-                    self.totals[place] += number
+            shift, mask = self.statusword.shift, STATE
+            self.off += [word >> shift & mask in _POWERED for word in words].count(False)
+        found = [value.numbers(words) for value in self.values]
+        for place, numbers in enumerate(found):  # the sum is for ever
+            self.totals[place] = sum(filter(math.isfinite, numbers), self.totals[place])
+        if found:
+            self.numbers.extend(found[0])
 
 
 class Listener:
@@ -121,7 +123,7 @@ class Listener:
 
 
 def _powered(word: int, statusword: Value) -> bool:
-    return statusword.unsigned(word) & STATE in (OPERATION_ENABLED, _QUICK_STOP_ACTIVE)
+    return word >> statusword.shift & STATE in _POWERED
 
 
 def _fetch(bus: can.BusABC) -> Fetch:

@@ -111,7 +111,7 @@ class Observer:
             [np.nan if a.newton is None else a.per_newton_metre for a in wiring.axes]
         )
         self._claim: Claim | None = None
-        self._claimed: deque[list[int]] = deque()
+        self._claimed: deque[tuple[int, ...]] = deque()
         """per mille, of each axis, by record"""
         self._new = 0
         self._sent: list[set[float]] = [set() for _ in wiring.axes]
@@ -124,7 +124,7 @@ class Observer:
         if claims:
             torque = np.array([claim.torque for claim in claims])[:, self._numbers]
             wanted = np.rint(np.nan_to_num(torque * self._per_newton_metre)).astype(np.int64)
-            self._claimed.extend(wanted.tolist())
+            self._claimed.extend(map(tuple, wanted.tolist()))
             self._claim = claims[-1]
         tared = self._claim.tare if self._claim is not None else None
         sent = [heard[axis.channel, axis.sent] for axis in self._axes]
@@ -171,23 +171,18 @@ class Observer:
         the newest where there was none, with the records since then and ``logged_ticks`` more."""
         while len(self._claimed) > self._settings.logged_ticks + self._new + new:
             self._claimed.popleft()
-        around = range(-_ROUNDING, _ROUNDING + 1)
+        claimed = [set(each) for each in zip(*self._claimed, strict=True)] or [set()] * len(sent)
         found = np.array(
             [
-                not (self._sent[row] or {newest}).issubset(
-                    {claimed[row] + each for claimed in self._claimed for each in around}
-                )
-                for row, newest in enumerate(mille.tolist())
+                _beyond(before or {newest}, each)
+                for before, newest, each in zip(self._sent, mille.tolist(), claimed, strict=True)
             ],
             bool,
         )
         self._new = new
-        self._sent = [
-            {axis.torque.number(word) for word in heard.words}
-            for axis, heard in zip(self._axes, sent, strict=True)
-        ]
-        for heard in sent:
-            heard.words.clear()
+        self._sent = [set(each.numbers) for each in sent]
+        for each in sent:
+            each.numbers.clear()
         found &= np.isfinite(self._newton)
         return found
 
@@ -281,6 +276,12 @@ class _Since:
         with np.errstate(invalid="ignore"):
             swing, jolt = np.nan_to_num(self._high - self._low)
         return swing, jolt
+
+
+def _beyond(sent: set[float], claimed: set[int]) -> bool:
+    """Whether any of them is more than `_ROUNDING` off each claimed one."""
+    around = range(-_ROUNDING, _ROUNDING + 1)
+    return any(claimed.isdisjoint(each + off for off in around) for each in sent - claimed)
 
 
 def _ages(now_ns: int, frames: list[Heard]) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,48 +59,57 @@ class Claim:
     """where they are asked for"""
 
 
-Records = Callable[[], Iterable[tuple[int, Any]]]
-"""New records since the last call, each with its stamp in ns."""
+New = tuple[Sequence[int], NDArray[np.void]]
+"""Stamps in ns and records (m,), `cycle_dtype`."""
+Records = Callable[[], New]
+"""New records since the last call."""
 
 
 def of_ring(ring: RingReader, cables: int) -> Records:
     """From a ring file, beside its reader."""
     dtype = cycle_dtype(cables)
 
-    def new() -> Iterable[tuple[int, Any]]:
+    def new() -> New:
         stamps, payloads = ring.drain(ring.capacity)
-        return zip(stamps.tolist(), payloads.view(dtype)[:, 0], strict=True)
+        return stamps.tolist(), payloads.view(dtype)[:, 0]
 
     return new
 
 
-def claims(records: Iterable[tuple[int, Any]], *, answered: bool = False) -> list[Claim]:
+def claims(records: New, *, answered: bool = False) -> list[Claim]:
     """In their order; ``answered``: with what the devices have answered."""
+    stamps, rows = records
+    state, tension = rows["state"], rows["tension"]
     return [
-        Claim(
-            stamp,
-            int(record["state"]["state"]),
-            record["drives"]["torque_command"].copy(),
-            record["tension"]["measured"].copy(),
-            record["tension"]["reference"].copy(),
-            record["force_cells"]["tare"].copy(),
-            float(record["wrench"]["contact"]),
-            float(record["stiffness"]["k_eq"]),
-            record["state"]["failed"].astype(bool),
-            _answers(record) if answered else None,
+        Claim(*each)
+        for each in zip(
+            stamps,
+            state["state"].tolist(),
+            rows["drives"]["torque_command"].copy(),
+            tension["measured"].copy(),
+            tension["reference"].copy(),
+            rows["force_cells"]["tare"].copy(),
+            rows["wrench"]["contact"].tolist(),
+            rows["stiffness"]["k_eq"].tolist(),
+            state["failed"].astype(bool),
+            _answers(rows) if answered else [None] * len(stamps),
+            strict=True,
         )
-        for stamp, record in records
     ]
 
 
-def _answers(record: Any) -> Answers:
-    drives, cells = record["drives"], record["force_cells"]
-    return Answers(
-        drives["angle"].copy(),
-        drives["torque"].copy(),
-        drives["statusword"].copy(),
-        drives["age"].copy(),
-        cells["raw"].copy(),
-        cells["age"].copy(),
-        cells["status"].copy(),
-    )
+def _answers(rows: NDArray[Any]) -> list[Answers]:
+    drives, cells = rows["drives"], rows["force_cells"]
+    return [
+        Answers(*each)
+        for each in zip(
+            drives["angle"].copy(),
+            drives["torque"].copy(),
+            drives["statusword"].copy(),
+            drives["age"].copy(),
+            cells["raw"].copy(),
+            cells["age"].copy(),
+            cells["status"].copy(),
+            strict=True,
+        )
+    ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from tonus.config.schema.bus import CanopenBus
@@ -26,14 +26,17 @@ class Value:
     real: bool = False
     """a float of 32 bits; else an integer with a sign"""
 
-    def unsigned(self, word: int) -> int:
-        return word >> self.shift & (1 << self.bits) - 1
-
     def number(self, word: int) -> float:
-        bits = self.unsigned(word)
+        return self.numbers((word,))[0]
+
+    def numbers(self, words: Iterable[int]) -> list[float]:
+        """Of several frames, in their order."""
+        shift, mask = self.shift, (1 << self.bits) - 1
         if self.real:
-            return float(_REAL.unpack(bits.to_bytes(4, "little"))[0])
-        return bits - (bits >> self.bits - 1 << self.bits)
+            read = _REAL.unpack
+            return [read((word >> shift & mask).to_bytes(4, "little"))[0] for word in words]
+        sign = 1 << self.bits - 1
+        return [((word >> shift & mask) ^ sign) - sign for word in words]
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from tonus.runtime.states import State
 from tonus.runtime.supervisor.judge import Judge, Violation
 from tonus.runtime.supervisor.listener import Heard
 from tonus.runtime.supervisor.observation import Observation, Observer
-from tonus.runtime.supervisor.record import Claim
+from tonus.runtime.supervisor.record import Claim, New
 from tonus.runtime.supervisor.supervisor import Supervisor
 from tonus.runtime.supervisor.wiring import Wiring
 
@@ -159,9 +159,9 @@ class Watchdog:
         self.buses.append(FakeBus())
         return self.buses[-1]
 
-    def _new(self) -> list[tuple[int, Any]]:
+    def _new(self) -> New:
         new, self.records = self.records, []
-        return new
+        return [stamp for stamp, _ in new], np.array([record for _, record in new], cycle_dtype(N))
 
     def step(
         self,

@@ -35,7 +35,6 @@ def config() -> Config:
 
 def test_numbers_of_a_frame() -> None:
     assert Value(16, 16).number(0xFFFE_0001) == -2
-    assert Value(0, 16).unsigned(0xFFFE_8001) == 0x8001
     word = int.from_bytes(b"\0\0" + struct.pack("<f", -1.5), "little")
     assert Value(16, 32, real=True).number(word) == -1.5
 
@@ -83,22 +82,27 @@ def test_a_listener_on_arrays_of_frames() -> None:
     assert listener.heard[0x201].word == 0xFFFF_FFFF_0005_000F
 
 
-def test_frames_of_one_look_count_as_if_each_had_its_own() -> None:
-    state = Value(0, 16)
+@pytest.mark.parametrize("shift", [0, 16])
+def test_frames_of_one_look_count_as_if_each_had_its_own(shift: int) -> None:
+    """Wherever the statusword stands in them."""
+    state = Value(shift, 16)
     words = [
-        off_or_on | number << 16
+        off_or_on << shift | number << 16 - shift
         for off_or_on, number in zip(
             (0x27, 0x27, 0x07, 0x40, 0x27, 0x27, 0x27), (1, 1, -2 & 0xFFFF, 3, 3, 3, 3), strict=True
         )
     ]
-    together, apart = (Heard(4, (Value(16, 16),), state) for _ in range(2))
+    values = (Value(16 - shift, 16), Value(0, 8))
+    together, apart = (Heard(4, values, state) for _ in range(2))
     together.take(words[:2], 1)
     together.take(words[2:], 2)
     for at, word in enumerate(words):
         apart.take([word], 1 + (at > 1))
     for name in Heard.__slots__:
         assert getattr(together, name) == getattr(apart, name)
-    assert (together.count, together.same, together.off, together.totals) == (7, 2, 1, [12.0])
+    assert (together.count, together.same, together.off, together.powered) == (7, 2, 1, True)
+    assert together.totals[0] == 12.0
+    assert list(together.numbers) == [1, 1, -2, 3, 3, 3, 3]
 
 
 def test_a_channel_that_fails_in_mid_look_gives_what_came_before() -> None:

@@ -15,7 +15,7 @@ from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
-from tonus.runtime.supervisor.record import Claim, claims
+from tonus.runtime.supervisor.record import Claim, New, claims
 from tonus.runtime.supervisor.recorded import RecordedWiring, Replayed
 from tonus.runtime.supervisor.supervisor import Supervisor
 from tonus.runtime.supervisor.wiring import Wiring
@@ -86,9 +86,10 @@ class Held:
         self.supervisor = Supervisor(config, self._new, lambda *_: self.bus)  # type: ignore[arg-type, return-value]
         self._now = 0
 
-    def _new(self) -> list[tuple[int, Any]]:
+    def _new(self) -> New:
         new, self._records = self._records, []
-        return new
+        records = np.array([record for _, record in new], cycle_dtype(self.config.robot.cables))
+        return [stamp for stamp, _ in new], records
 
     def step(self, change: Change = lambda _: None) -> list[tuple[int, bytes]]:
         """Two ms later: what it sends."""
@@ -327,7 +328,7 @@ class Player:
         self.now += 1
         record = _record(self.cables, 0)
         change(record)
-        return claims([(self.now * MS, record)], answered=True)[0]
+        return claims(([self.now * MS], np.array([record])), answered=True)[0]
 
     def take(self, *changes: Change) -> None:
         self.replayed.take([self.claim(change) for change in changes])
@@ -446,13 +447,13 @@ def test_the_numbers_of_a_record_in_their_units(config: Config) -> None:
     assert torque == pytest.approx(-1.5 / 0.02, abs=0.6 * abs(axis.newton))
     position = axis.position.number(heard["", axis.received].word) * axis.metre
     assert position == pytest.approx(-0.25 * 0.02, abs=1e-9)
-    assert axis.statusword.unsigned(heard["", axis.received].word) == ENABLED
+    assert heard["", axis.received].word >> axis.statusword.shift & 0xFFFF == ENABLED
     assert cell.force.number(heard["", cell.received].word) == pytest.approx(47.25)
 
 
 def test_a_claim_without_answers_shows_nothing(config: Config) -> None:
     player = Player(config)
-    player.replayed.take(claims([(MS, _record(player.cables, 0))]))
+    player.replayed.take(claims(([MS], np.array([_record(player.cables, 0)]))))
     assert all(heard.count == 0 for heard in player.replayed.heard.values())
 
 

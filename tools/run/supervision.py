@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.runtime.ports import Ring
+from tonus.runtime.signals import cycle_dtype
+from tonus.runtime.supervisor.record import New
 from tonus.runtime.supervisor.supervisor import Supervisor
 from tonus.runtime.supervisor.wiring import Wiring
 from tonus.runtime.timing.clock import now_ns
@@ -64,19 +66,23 @@ def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
 class Overheard:
     """A ring whose records the supervisor of the same process takes as well."""
 
-    def __init__(self, ring: Ring) -> None:
+    def __init__(self, ring: Ring, cables: int) -> None:
         self._ring = ring
-        self._new: deque[tuple[int, NDArray[np.void]]] = deque(maxlen=_KEPT)
+        self._dtype = cycle_dtype(cables)
+        self._stamps: deque[int] = deque(maxlen=_KEPT)
+        self._records: deque[bytes] = deque(maxlen=_KEPT)
 
     def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None:
         self._ring.publish(payload, stamp_ns)
+        self._stamps.append(stamp_ns)
         # By way of bytes: numpy copies a record field by field, in 35 us instead of 0.3.
-        self._new.append((stamp_ns, np.frombuffer(payload.tobytes(), payload.dtype)))
+        self._records.append(payload.tobytes())
 
-    def __call__(self) -> list[tuple[int, np.void]]:
-        """New records with their stamps, once."""
-        new = [(stamp_ns, payload[0]) for stamp_ns, payload in self._new]
-        self._new.clear()
+    def __call__(self) -> New:
+        """New records, once."""
+        new = list(self._stamps), np.frombuffer(b"".join(self._records), self._dtype)
+        self._stamps.clear()
+        self._records.clear()
         return new
 
 
@@ -89,7 +95,7 @@ def supervised(config: Config, ring: Ring) -> Iterator[Ring]:
     if not wanted(config):
         yield ring
         return
-    overheard = Overheard(ring)
+    overheard = Overheard(ring, config.robot.cables)
     try:
         supervisor = Supervisor(config, overheard, open_bus)
     except (can.CanError, OSError) as error:
