@@ -355,6 +355,9 @@ class ControlCycle:
         sequence.height = estimate.position.item(2) - self._resting
         sequence.load = max(norm(motion.external) - motion.contact, 0.0)
         if sequence.descending:
+            allocation.wrench[:3] -= self._descent.balanced(
+                self._kinematics.matrix, motion.external, sequence.faults
+            )
             allocation.descend(self._descent, self._pulling, sequence.carrying, sequence.faults)
         else:
             allocation.distribute(motion, stiffness, sequence.levels, sequence.carrying)

@@ -17,7 +17,7 @@ class Stop(Section):
     """N s/m against the platform's motion in a descent"""
     load_free: Positive = 15.0
     """N of a load from outside that a descent does not balance: errors of the estimate"""
-    load_most: NonNegative = 0.0
+    load_most: NonNegative = 50.0
     """N beyond that it balances at most"""
     load_unrest: Positive = 1.5
     """times the estimator's drift of a load in a descent, so that it ends soon with the load"""

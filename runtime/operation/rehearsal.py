@@ -14,7 +14,8 @@ from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.errors import ControllerError
 from tonus.runtime.safety.descent import Descent
 from tonus.runtime.safety.envelope import Envelope
-from tonus.runtime.states import Operator, State
+from tonus.runtime.safety.faults import Faults
+from tonus.runtime.states import Fault, Operator, State
 
 TICKS_AFTER_START = 50
 _TRACKER_DIVISOR = 8
@@ -105,5 +106,8 @@ def _watch(config: Config) -> None:
     every, still = np.ones(cables, dtype=bool), np.zeros(cables)
     descent.bound(ProcessImage(cables).commands["torque"], still, still, every)
     descent.guard.passive(still, every)
+    faults = Faults(config.robot)
+    faults.add(Fault.CELL_LOST, 0)
+    descent.balanced(np.zeros((6, cables)), np.zeros(3), faults)
     tension = np.full(cables, control.tension.pre)
     envelope(tension, 0.0, np.array(config.robot.home), np.zeros(3), every)

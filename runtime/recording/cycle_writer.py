@@ -101,6 +101,7 @@ class CycleWriter:
         allocation = self._allocation
         if not self._sequence.regulating:
             tension.solver[...] = Solver.NONE
+            record.tracker.accepted[...] = False
             return
         distribution = allocation.distribution
         tension.solver[...] = distribution.solver

@@ -169,16 +169,13 @@ class Controller(ABC):
 
     def descent(self, motion: Motion) -> Array:
         """Wrench (6,) of a stop without all cables, the same for every controller: weight, a damper
-        of every motion, a soft, bounded spring down to the cradle, and the most of a load from
-        outside, which would throw the platform if the stop let it go. There is no spring sideways:
-        the remaining cables could not hold a position."""
+        of every motion, and a soft, bounded spring down to the cradle. There is no spring sideways:
+        the remaining cables could not hold a position. A load is the descent's own matter."""
         stop, weight = self._control.stop, self._weight[2]
         drag = spring(NOTHING, motion.error_rate, 0.0, stop.damping)
         sink = self._control.stiffness.minimum * float(motion.error[2])
         drag[2] += min(max(sink, -stop.sink * weight), 0.0)
-        load = norm(motion.external)
-        held = min(max(load - stop.load_free, 0.0), stop.load_most) / max(load, stop.load_free)
-        return self._levelled(motion, (drag, self._weight, -held * motion.external))
+        return self._levelled(motion, (drag, self._weight, NOTHING))
 
     def tensions(self, motion: Motion, stiffness: float, centre: Array) -> Array | None:  # noqa: ARG002
         """Tensions (n,) round ``centre`` for a controller that commands cables; None for one that

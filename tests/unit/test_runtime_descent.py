@@ -1,0 +1,100 @@
+"""Which part of a load from outside a descent balances, by hand and against scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from tonus.config import load
+from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.safety.descent import Descent
+from tonus.runtime.safety.faults import Faults
+from tonus.runtime.states import Fault
+
+CONFIG, _ = load("config/can.yaml")
+ROBOT = CONFIG.robot
+FREE, MOST = 10.0, 40.0
+CONTROL = CONFIG.control.model_copy(
+    update={"stop": CONFIG.control.stop.model_copy(update={"load_free": FREE, "load_most": MOST})}
+)
+Array = NDArray[np.float64]
+
+
+@pytest.fixture
+def matrix() -> Array:
+    kinematics = Kinematics(ROBOT.geometry)
+    kinematics.evaluate(np.array([0.05, -0.02, 0.04]), np.array([1.0, 0.0, 0.0, 0.0]))
+    return kinematics.matrix
+
+
+@pytest.fixture
+def descent() -> Descent:
+    return Descent(ROBOT, CONTROL, 0.001)
+
+
+def faults(*found: tuple[Fault, int]) -> Faults:
+    said = Faults(ROBOT)
+    for fault, where in found:
+        said.add(fault, where)
+    return said
+
+
+@pytest.mark.parametrize(("size", "held"), [(9.0, 0.0), (10.0, 0.0), (25.0, 15.0), (80.0, 40.0)])
+def test_a_load_is_balanced_beyond_the_errors_of_the_estimate_and_not_without_bound(
+    descent: Descent, matrix: Array, size: float, held: float
+) -> None:
+    along = np.array([2.0, -1.0, 2.0]) / 3.0
+    balanced = descent.balanced(matrix, size * along, faults())
+    assert balanced == pytest.approx(held * along)
+
+
+def test_what_given_up_cables_without_a_cell_may_pull_is_no_load(
+    descent: Descent, matrix: Array
+) -> None:
+    """Their drums may be held by the drives, and the platform swings on them."""
+    pull = matrix[:3, 2] * 30.0 + matrix[:3, 3] * 45.0
+    lost = faults((Fault.DRIVE_LOST, 2), (Fault.CELL_LOST, 2), (Fault.CELL_BAD, 3))
+    assert descent.balanced(matrix, pull, lost) == pytest.approx(np.zeros(3), abs=0.1)
+    assert np.linalg.norm(descent.balanced(matrix, pull, faults())) > 30.0
+    one = faults((Fault.CELL_LOST, 2))
+    assert np.linalg.norm(descent.balanced(matrix, pull, one)) > 10.0
+
+
+def test_no_cable_pushes(descent: Descent, matrix: Array) -> None:
+    away = -40.0 * matrix[:3, 2]
+    balanced = descent.balanced(matrix, away, faults((Fault.CELL_LOST, 2)))
+    assert balanced == pytest.approx(0.75 * away)
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        pytest.param(((Fault.DRUM_TORQUE, 2),), id="its cell says what it pulls"),
+        pytest.param(((Fault.CELL_LOST, 2), (Fault.CABLE_TORN, 2)), id="it is torn"),
+    ],
+)
+def test_a_cable_of_which_that_is_known_explains_nothing(
+    descent: Descent, matrix: Array, found: tuple[tuple[Fault, int], ...]
+) -> None:
+    pull = 40.0 * matrix[:3, 2]
+    assert descent.balanced(matrix, pull, faults(*found)) == pytest.approx(0.75 * pull)
+
+
+def test_any_load_and_cables_as_scipy_has_it(descent: Descent, matrix: Array) -> None:
+    """Pairs whose lines are 30 degrees apart; two opposite cables explain less here, since only
+    tensions that no drum has would explain more."""
+    random, tried = np.random.default_rng(15), 0
+    while tried < 50:
+        cables = random.choice(ROBOT.cables, 2, replace=False)
+        load = random.normal(size=3) * 40.0
+        columns = matrix[:3, cables]
+        if abs(columns[:, 0] @ columns[:, 1]) > np.cos(np.pi / 6.0):
+            continue
+        tried += 1
+        rest = load - columns @ nnls(columns, load)[0]
+        size = float(np.linalg.norm(rest))
+        held = min(max(size - FREE, 0.0), MOST) / max(size, FREE)
+        found = faults(*((Fault.CELL_LOST, int(cable)) for cable in cables))
+        assert descent.balanced(matrix, load, found) == pytest.approx(held * rest, abs=0.6)
