@@ -37,7 +37,7 @@ from tonus.config.schema.robot import Robot
 from tonus.config.schema.safety import Isolation as Settings
 from tonus.config.schema.safety import Stop
 from tonus.runtime.safety.drum_observer import DrumObserver
-from tonus.runtime.states import Fault
+from tonus.runtime.states import Fault, StopMode
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -260,18 +260,21 @@ class Isolation:
                 return Fault.DRUM_STUCK, stuck
         return fault, place
 
-    def disobedient(self, *, descending: bool) -> tuple[Fault, int]:
-        """The first drum whose motion does not match its torque, independent of the estimate. While
-        ``descending`` drums work at their limits, where losses are least certain; then a slack
-        cable may be torn, and a cell frozen."""
+    def disobedient(self, mode: StopMode) -> tuple[Fault, int]:
+        """The first drum whose motion does not match its torque, independent of the estimate. In a
+        stop that leaves the path (``mode``) drums work at their limits, where losses are least
+        certain, and slack cables snap taut. In a descent a slack cable may be torn, and a cell
+        frozen."""
         s = self._settings
-        if not descending and self.drums.most_misled < s.torque_ticks:
+        rough, misled = mode > StopMode.ON_PATH, self.drums.most_misled
+        if not rough and misled < s.torque_ticks:
             return Fault.NONE, -1
-        if descending and self._overwound.any():
-            return Fault.CABLE_TORN, int(self._overwound.argmax())
-        if descending and (self._repeated >= s.frozen_ticks).any():
-            return Fault.CELL_FROZEN, int((self._repeated >= s.frozen_ticks).argmax())
-        if self.drums.most_misled < (s.torque_descent_ticks if descending else s.torque_ticks):
+        if mode is StopMode.DESCENT:
+            if self._overwound.any():
+                return Fault.CABLE_TORN, int(self._overwound.argmax())
+            if (self._repeated >= s.frozen_ticks).any():
+                return Fault.CELL_FROZEN, int((self._repeated >= s.frozen_ticks).argmax())
+        if misled < (s.torque_descent_ticks if rough else s.torque_ticks):
             return Fault.NONE, -1
         return Fault.DRUM_TORQUE, int(self.drums.misled.argmax())
 

@@ -68,8 +68,8 @@ class Way:
         self.lost_axes: set[int] = set()
         self.lost_cells: set[int] = set()
         self.disobedient = self.contradiction = (Fault.NONE, -1)
-        self.asked: list[bool] = []
-        """whether isolation was asked for drums that disobey in a descent"""
+        self.asked: list[StopMode] = []
+        """the modes in which isolation was asked for drums that disobey"""
         self.resets: list[str] = []
         self.collected = self.tared = 0
         self.concluded: list[float] = []
@@ -136,8 +136,8 @@ class Way:
         self.concluded.append(tension)
         return self.refusal
 
-    def _disobedient(self, *, descending: bool) -> tuple[Fault, int]:
-        self.asked.append(descending)
+    def _disobedient(self, mode: StopMode) -> tuple[Fault, int]:
+        self.asked.append(mode)
         return self.disobedient
 
     def _found(self, tension: Any) -> tuple[Fault, int]:

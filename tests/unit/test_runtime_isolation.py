@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.observed import observe
 from tonus.config import load
 from tonus.runtime.safety.isolation import Isolation
-from tonus.runtime.states import Fault
+from tonus.runtime.states import Fault, StopMode
 
 Array = NDArray[np.float64]
 CONFIG, _ = load("config/can.yaml")
@@ -42,7 +42,7 @@ class Watched:
             "following": np.zeros(CABLES),
         }
         self.watched = ALL.copy()
-        self.descending = False
+        self.mode = StopMode.NONE
         self._random = np.random.default_rng(1)
         self.repeats: int | None = None
         """cell whose reading repeats"""
@@ -74,7 +74,7 @@ class Watched:
                 self.watched,
                 INTERVAL,
             )
-        drum = self.isolation.disobedient(descending=self.descending)
+        drum = self.isolation.disobedient(self.mode)
         return drum if drum[0] is not Fault.NONE else self.isolation.found(given["tension"])
 
     def found_after(self, most: int) -> tuple[Fault, int, int]:
@@ -172,8 +172,10 @@ def test_a_drum_that_does_not_turn_as_its_torque_has_it_is_named(cables: Watched
     assert tick <= round(5.0 * SETTINGS.torque_s / PERIOD)
 
 
-def test_a_descent_has_more_patience_with_a_drum(cables: Watched) -> None:
-    cables.descending = True
+@pytest.mark.parametrize("mode", [StopMode.DESCENT, StopMode.PASSIVE])
+def test_a_stop_off_the_path_has_more_patience_with_a_drum(cables: Watched, mode: StopMode) -> None:
+    """In a passive stop a drum that was named wrongly would lose its damping."""
+    cables.mode = mode
     cables.given["torque"][5] = RADIUS * (PULL + 10.0 * SETTINGS.torque_error)
     fault, place, tick = cables.found_after(100)
     assert (fault, place) == (Fault.DRUM_TORQUE, 5)
@@ -225,19 +227,21 @@ def test_a_cell_under_load_that_repeats_itself_is_frozen(cables: Watched) -> Non
     assert (fault, place, tick) == (Fault.CELL_FROZEN, 2, SETTINGS.frozen_ticks)
 
 
-@pytest.mark.parametrize("descending", [True, False])
+@pytest.mark.parametrize("mode", StopMode)
 def test_a_force_that_is_frozen_under_its_noise_is_found_in_a_descent(
-    cables: Watched, descending: bool
+    cables: Watched, mode: StopMode
 ) -> None:
     """Elsewhere the tension error or the drum's torque finds it: a drum may be what holds it."""
-    cables.descending = descending
+    cables.mode = mode
     cables.given["reference"][2] += 1.2 * SETTINGS.frozen_step
     fault, place, _ = cables.found_after(2 * SETTINGS.frozen_ticks)
-    assert (fault, place) == ((Fault.CELL_FROZEN, 2) if descending else (Fault.NONE, -1))
+    assert (fault, place) == (
+        (Fault.CELL_FROZEN, 2) if mode is StopMode.DESCENT else (Fault.NONE, -1)
+    )
 
 
 def test_a_force_that_moves_with_its_reference_is_not_frozen(cables: Watched) -> None:
-    cables.descending = True
+    cables.mode = StopMode.DESCENT
     cables.given["reference"][2] += 0.8 * SETTINGS.frozen_step
     assert cables.tick(200) == (Fault.NONE, -1)
 
@@ -270,10 +274,10 @@ def test_a_reset_forgets_everything() -> None:
     assert told(before) == told(Watched())
 
 
-@pytest.mark.parametrize("descending", [False, True])
-def test_a_drum_speeds_up_no_faster_than_a_motor_can(cables: Watched, *, descending: bool) -> None:
+@pytest.mark.parametrize("mode", StopMode)
+def test_a_drum_speeds_up_no_faster_than_a_motor_can(cables: Watched, mode: StopMode) -> None:
     """An encoder that slips by a quarter of a turn in 30 ms; torque and tension say nothing."""
-    cables.descending = descending
+    cables.mode = mode
     cables.given["rate"][4] = 0.5 * np.pi / 0.03
     assert cables.tick() == (Fault.DRUM_TORQUE, 4)
 

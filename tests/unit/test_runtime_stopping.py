@@ -348,7 +348,7 @@ def test_a_length_that_is_wrong_in_a_descent_excludes_no_cable() -> None:
         faults = way.sequence.faults
         assert faults.at(Fault.LENGTH_DRIFT, cable) is (cable >= 0)
         assert np.flatnonzero(faults.failed).tolist() == [4]
-        assert way.asked[-2:] == [False, True]
+        assert way.asked[-2:] == [StopMode.NONE, StopMode.DESCENT]
 
 
 def test_a_bound_that_is_met_in_a_descent_is_found() -> None:
