@@ -356,7 +356,7 @@ class ControlCycle:
         sequence.load = max(norm(motion.external) - motion.contact, 0.0)
         if sequence.descending:
             allocation.wrench[:3] -= self._descent.balanced(
-                self._kinematics.matrix, motion.external, sequence.faults
+                self._kinematics.matrix, motion.external, sequence.faults, sequence.height
             )
             allocation.descend(self._descent, self._pulling, sequence.carrying, sequence.faults)
         else:

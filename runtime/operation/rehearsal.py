@@ -108,6 +108,6 @@ def _watch(config: Config) -> None:
     descent.guard.passive(still, every)
     faults = Faults(config.robot)
     faults.add(Fault.CELL_LOST, 0)
-    descent.balanced(np.zeros((6, cables)), np.zeros(3), faults)
+    descent.balanced(np.zeros((6, cables)), np.zeros(3), faults, 0.0)
     tension = np.full(cables, control.tension.pre)
     envelope(tension, 0.0, np.array(config.robot.home), np.zeros(3), every)

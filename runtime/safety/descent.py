@@ -76,16 +76,18 @@ class Descent:
         self.centre[:] = tension
         self.taut[:] = True
 
-    def balanced(self, matrix: Array, external: Array, faults: Faults) -> Array:
+    def balanced(self, matrix: Array, external: Array, faults: Faults, height: float) -> Array:
         """The part (3,) N of the estimated ``external`` force that the descent balances: what no
         given-up cable without a usable cell can pull, beyond what errors of the estimate make up.
-        ``matrix`` (6, n): structure matrix."""
-        self._load[:] = external
+        At a ``height`` (m above the cradle) at which it counts as landed nothing: there it is the
+        cradle that holds the platform. ``matrix`` (6, n): structure matrix."""
+        stop = self._stop
+        self._load[:] = external if height > stop.landed else 0.0
         if faults.count:
             unmeasured = faults.failed & ~faults.cells_trusted & ~faults.torn
             if unmeasured.any():
                 _unexplained(matrix, unmeasured, self._load)
-        stop, load = self._stop, norm(self._load)
+        load = norm(self._load)
         held = min(max(load - stop.load_free, 0.0), stop.load_most) / max(load, stop.load_free)
         return self._load * held
 

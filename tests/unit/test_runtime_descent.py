@@ -16,6 +16,8 @@ from tonus.runtime.states import Fault
 CONFIG, _ = load("config/can.yaml")
 ROBOT = CONFIG.robot
 FREE, MOST = 10.0, 40.0
+LANDED = CONFIG.control.stop.landed
+HIGH = LANDED + 1e-3
 CONTROL = CONFIG.control.model_copy(
     update={"stop": CONFIG.control.stop.model_copy(update={"load_free": FREE, "load_most": MOST})}
 )
@@ -46,8 +48,16 @@ def test_a_load_is_balanced_beyond_the_errors_of_the_estimate_and_not_without_bo
     descent: Descent, matrix: Array, size: float, held: float
 ) -> None:
     along = np.array([2.0, -1.0, 2.0]) / 3.0
-    balanced = descent.balanced(matrix, size * along, faults())
+    balanced = descent.balanced(matrix, size * along, faults(), HIGH)
     assert balanced == pytest.approx(held * along)
+
+
+def test_what_holds_a_platform_that_has_landed_is_the_cradle(
+    descent: Descent, matrix: Array
+) -> None:
+    support = np.array([0.0, 0.0, 25.0])
+    assert descent.balanced(matrix, support, faults(), LANDED) == pytest.approx(np.zeros(3))
+    assert descent.balanced(matrix, support, faults(), HIGH) == pytest.approx(0.6 * support)
 
 
 def test_what_given_up_cables_without_a_cell_may_pull_is_no_load(
@@ -56,15 +66,15 @@ def test_what_given_up_cables_without_a_cell_may_pull_is_no_load(
     """Their drums may be held by the drives, and the platform swings on them."""
     pull = matrix[:3, 2] * 30.0 + matrix[:3, 3] * 45.0
     lost = faults((Fault.DRIVE_LOST, 2), (Fault.CELL_LOST, 2), (Fault.CELL_BAD, 3))
-    assert descent.balanced(matrix, pull, lost) == pytest.approx(np.zeros(3), abs=0.1)
-    assert np.linalg.norm(descent.balanced(matrix, pull, faults())) > 30.0
+    assert descent.balanced(matrix, pull, lost, HIGH) == pytest.approx(np.zeros(3), abs=0.1)
+    assert np.linalg.norm(descent.balanced(matrix, pull, faults(), HIGH)) > 30.0
     one = faults((Fault.CELL_LOST, 2))
-    assert np.linalg.norm(descent.balanced(matrix, pull, one)) > 10.0
+    assert np.linalg.norm(descent.balanced(matrix, pull, one, HIGH)) > 10.0
 
 
 def test_no_cable_pushes(descent: Descent, matrix: Array) -> None:
     away = -40.0 * matrix[:3, 2]
-    balanced = descent.balanced(matrix, away, faults((Fault.CELL_LOST, 2)))
+    balanced = descent.balanced(matrix, away, faults((Fault.CELL_LOST, 2)), HIGH)
     assert balanced == pytest.approx(0.75 * away)
 
 
@@ -79,7 +89,7 @@ def test_a_cable_of_which_that_is_known_explains_nothing(
     descent: Descent, matrix: Array, found: tuple[tuple[Fault, int], ...]
 ) -> None:
     pull = 40.0 * matrix[:3, 2]
-    assert descent.balanced(matrix, pull, faults(*found)) == pytest.approx(0.75 * pull)
+    assert descent.balanced(matrix, pull, faults(*found), HIGH) == pytest.approx(0.75 * pull)
 
 
 def test_any_load_and_cables_as_scipy_has_it(descent: Descent, matrix: Array) -> None:
@@ -97,4 +107,4 @@ def test_any_load_and_cables_as_scipy_has_it(descent: Descent, matrix: Array) ->
         size = float(np.linalg.norm(rest))
         held = min(max(size - FREE, 0.0), MOST) / max(size, FREE)
         found = faults(*((Fault.CELL_LOST, int(cable)) for cable in cables))
-        assert descent.balanced(matrix, load, found) == pytest.approx(held * rest, abs=0.6)
+        assert descent.balanced(matrix, load, found, HIGH) == pytest.approx(held * rest, abs=0.6)
