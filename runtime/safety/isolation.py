@@ -233,7 +233,7 @@ class Isolation:
         self._stray[told] += self._share * (innovation[told] - self._stray[told])
         stray = np.abs(self._stray)
         cable, limit = int(stray.argmax()), self._settings.innovation_descent
-        second = np.partition(stray, -2)[-2]
+        second = np.sort(stray)[-2]
         wrong = stray[cable] > max(limit, self._settings.prominence * second)
         self._strayed = self._strayed + 1 if wrong and cable == self._straying else int(wrong)
         self._straying = cable
@@ -266,15 +266,13 @@ class Isolation:
         certain, and slack cables snap taut. In a descent a slack cable may be torn, and a cell
         frozen."""
         s = self._settings
-        rough, misled = mode > StopMode.ON_PATH, self.drums.most_misled
-        if not rough and misled < s.torque_ticks:
-            return Fault.NONE, -1
+        rough = mode > StopMode.ON_PATH
         if mode is StopMode.DESCENT:
             if self._overwound.any():
                 return Fault.CABLE_TORN, int(self._overwound.argmax())
             if (self._repeated >= s.frozen_ticks).any():
                 return Fault.CELL_FROZEN, int((self._repeated >= s.frozen_ticks).argmax())
-        if misled < (s.torque_descent_ticks if rough else s.torque_ticks):
+        if self.drums.most_misled < (s.torque_descent_ticks if rough else s.torque_ticks):
             return Fault.NONE, -1
         return Fault.DRUM_TORQUE, int(self.drums.misled.argmax())
 
@@ -292,7 +290,7 @@ class Isolation:
         drift = np.abs(self.drift)
         largest = drift.max()
         if largest > s.innovation:
-            second = np.partition(drift, -2)[-2]
+            second = np.sort(drift)[-2]
             if largest > s.prominence * second:
                 return Fault.LENGTH_DRIFT, int(drift.argmax())
             if largest > s.length_jump:

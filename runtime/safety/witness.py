@@ -49,7 +49,7 @@ class Witness:
         cables = robot.cables
         ticks = math.ceil(tracker.maximum_age_ms * 1e-3 / period) + 2
         self._lengths, self._tensions = np.zeros((ticks, cables)), np.zeros((ticks, cables))
-        samples = max(2, math.ceil(settings.witness_s * tracker.rate_hz))
+        samples = max(_SAMPLES, math.ceil(settings.witness_s * tracker.rate_hz))
         self._gaps, self._stretches = np.zeros((samples, cables)), np.zeros((samples, cables))
         self._last = np.zeros(cables)
         self._excluded = np.zeros(cables, dtype=bool)
@@ -59,7 +59,6 @@ class Witness:
     def reset(self) -> None:
         """A new reference: what was known of the lengths is void."""
         self._ticks = self._poses = self._times = 0
-        self._named = -1
 
     @property
     def misread(self) -> int:
@@ -115,7 +114,7 @@ class Witness:
         settings = self._settings
         off = np.abs(change) * ((taut | (change < 0.0)) & ~self._excluded)
         cable = int(off.argmax())
-        second = float(np.partition(off, -2)[-2])
+        second = float(np.sort(off)[-2])
         limit = settings.witness + settings.witness_share * stretch[cable]
         told = int((taut & ~self._excluded).sum()) + int(not taut[cable]) >= _FEWEST
         wrong = told and off[cable] > max(limit, settings.prominence * second)
