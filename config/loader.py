@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import reprlib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
-
+from tonus.config.checked import Model, choose, validated
 from tonus.config.document import Document, Key, dotted, is_file, read
-from tonus.config.errors import ConfigError, PlacedError
+from tonus.config.errors import ConfigError
 from tonus.config.relaxed import unnamed_risks
 from tonus.config.schema.bounds import Bounds
 from tonus.config.schema.budget import Budget
@@ -24,30 +21,10 @@ from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
 from tonus.config.schema.trajectory import Prepared
 from tonus.config.schema.tuning import Tuning
-from tonus.config.schema.view import View
 
 HERE = Path(__file__).resolve().parent
 """The folder of the shipped files itself, whichever link this module was imported through."""
 Overrides = dict[str, Any]
-Model = TypeVar("Model", bound=BaseModel)
-
-_REMEDY = {
-    "missing": "add it",
-    "extra_forbidden": "remove it or correct its spelling",
-    "greater_than": "choose a larger value",
-    "greater_than_equal": "choose a larger value",
-    "less_than": "choose a smaller value",
-    "less_than_equal": "choose a smaller value",
-    "finite_number": "give a finite number",
-    "literal_error": "choose one of these",
-    "union_tag_invalid": "choose one of these",
-    "union_tag_not_found": "add it",
-    "too_short": "give the missing items",
-    "too_long": "remove the surplus items",
-    "value_error": "change one of the values",
-}
-_OF_KEY = "[key]"
-_EXPECTED = "give a value of that type"
 
 
 def load(
@@ -63,7 +40,7 @@ def load(
     document = _configuration(path)
     for key, value in (overrides or {}).items():
         _override(document, key, value)
-    config = _validate(document, Config)
+    config = validated(document, Config)
     for path_of, problem, remedy in unnamed_risks(config):
         raise ConfigError(*document.place(path_of), dotted(path_of), problem, remedy)
     if scenario is not None:
@@ -77,7 +54,7 @@ def load(
 def load_catalogue(path: str | Path) -> list[Scenario]:
     """Every scenario that a configuration lets an operator choose from. Raises `ConfigError`."""
     document = _configuration(path)
-    names = _validate(document, Config).operation.scenarios
+    names = validated(document, Config).operation.scenarios
     if names is None:
         return [load_scenario(name) for name in scenario_names()]
     found = []
@@ -104,14 +81,14 @@ def _configuration(path: str | Path) -> Document:
 
 def load_plausible() -> Plausible:
     """Bounds of values in their units, config/plausible.yaml."""
-    return _validate(read(HERE / "plausible.yaml", "config/plausible.yaml"), Plausible)
+    return validated(read(HERE / "plausible.yaml", "config/plausible.yaml"), Plausible)
 
 
 def load_tuning(path: str | Path | None = None) -> Tuning:
     """What `tonus tune` goes by: config/tuning.yaml, or a file like it. Raises `ConfigError`."""
     if path is None:
-        return _validate(read(HERE / "tuning.yaml", "config/tuning.yaml"), Tuning)
-    return _validate(read(Path(path)), Tuning)
+        return validated(read(HERE / "tuning.yaml", "config/tuning.yaml"), Tuning)
+    return validated(read(Path(path)), Tuning)
 
 
 def load_scenario(name: str, overrides: Overrides | None = None) -> Scenario:
@@ -121,7 +98,7 @@ def load_scenario(name: str, overrides: Overrides | None = None) -> Scenario:
 
 def load_budget(name: str) -> Budget:
     """A timing budget by the name of a file in config/budgets, or by a path to one."""
-    return _validate(_named("budget", name, f"budget {name}", 0, ""), Budget)
+    return validated(_named("budget", name, f"budget {name}", 0, ""), Budget)
 
 
 def _named(kind: str, name: str, file: str, line: int, key: str, base: Path = Path()) -> Document:
@@ -141,25 +118,25 @@ def _named(kind: str, name: str, file: str, line: int, key: str, base: Path = Pa
         # The suffix, or a folder, says that a file was meant, and not a shipped one's name.
         of_file = Path(name).suffix or Path(name).name != name
         problem = f"there is no {'file' if of_file else kind} {reprlib.repr(name)}"
-        raise ConfigError(file, line, key, problem, _choose(path.stem, known))
+        raise ConfigError(file, line, key, problem, choose(path.stem, known))
     return read(path, shown)
 
 
 def load_bounds() -> Bounds:
     """What a run in the lab has to keep, config/bounds.yaml."""
-    return _validate(read(HERE / "bounds.yaml", "config/bounds.yaml"), Bounds)
+    return validated(read(HERE / "bounds.yaml", "config/bounds.yaml"), Bounds)
 
 
 def load_section(path: Path, model: type[Model]) -> Model:
     """Any YAML file by its schema. Raises `ConfigError`."""
-    return _validate(read(path, str(path)), model)
+    return validated(read(path, str(path)), model)
 
 
 def load_parameter_study(path: str | Path) -> ParameterStudy:
     """A study of parameters by its file, or by the name of one in config/campaigns; its relative
     files start from its own folder. Raises `ConfigError`."""
     document = _named("campaign", str(path), f"study {path}", 0, "")
-    study = _validate(document, ParameterStudy)
+    study = validated(document, ParameterStudy)
     files = {
         key: tuple(_beside(document.folder((key,)), each) for each in getattr(study, key))
         for key in ("configs", "scenarios")
@@ -174,22 +151,17 @@ def _beside(folder: Path, name: str) -> str:
 
 def load_study(name: str) -> Study:
     """A study by the name of a file in config/campaigns, or by a path to one."""
-    return _validate(_named("campaign", name, f"study {name}", 0, ""), Study)
+    return validated(_named("campaign", name, f"study {name}", 0, ""), Study)
 
 
 def load_protocol() -> Protocol:
     """The paper's test programme, config/protocol.yaml."""
-    return _validate(read(HERE / "protocol.yaml", "config/protocol.yaml"), Protocol)
+    return validated(read(HERE / "protocol.yaml", "config/protocol.yaml"), Protocol)
 
 
 def load_least_stops() -> LeastStops:
     """What physics allows after a torn cable, config/least_stop.yaml."""
-    return _validate(read(HERE / "least_stop.yaml", "config/least_stop.yaml"), LeastStops)
-
-
-def load_view() -> View:
-    """How often and how much `tonus view` shows, and whom it serves: config/view.yaml."""
-    return _validate(read(HERE / "view.yaml", "config/view.yaml"), View)
+    return validated(read(HERE / "least_stop.yaml", "config/least_stop.yaml"), LeastStops)
 
 
 def scenario_names() -> list[str]:
@@ -208,7 +180,7 @@ def _scenario(
     document = _named("scenario", name, file, line, key, base)
     for dotted_key, value in (overrides or {}).items():
         _override(document, dotted_key, value)
-    return _prepared(document, _validate(document, Scenario))
+    return _prepared(document, validated(document, Scenario))
 
 
 def _prepared(document: Document, scenario: Scenario) -> Scenario:
@@ -245,7 +217,7 @@ def locate(name: str | Path) -> tuple[Path, str]:
         problem = "is a directory" if path.is_dir() else "there is no such file"
     except OSError:
         problem = "cannot be the name of a file"
-    raise ConfigError(str(path), 0, "", problem, _choose(path.stem, known, shown="config/{}.yaml"))
+    raise ConfigError(str(path), 0, "", problem, choose(path.stem, known, shown="config/{}.yaml"))
 
 
 def _complete(file: Path) -> bool:
@@ -270,7 +242,7 @@ def _override(
             file, line = (stated, stated_line) if stated else document.place(path)
             problem = f"is not there, so {key} cannot be set"
             names = list(place) if isinstance(place, dict) else []
-            remedy = _choose(part, names, "add it")
+            remedy = choose(part, names, "add it")
             raise ConfigError(file, line, dotted(path), problem, remedy) from error
     if isinstance(place, dict):
         place[last] = value
@@ -280,103 +252,3 @@ def _override(
         return (*path, int(last))
     file, line = (stated, stated_line) if stated else document.place(path)
     raise ConfigError(file, line, key, "is not there and cannot be set", "correct its spelling")
-
-
-def _validate(document: Document, model: type[Model]) -> Model:
-    try:
-        return model.model_validate(document.data)
-    except ValidationError as error:
-        found = error.errors()
-        # A misspelt key is also a missing one; its own place is the better answer.
-        first = next((each for each in found if each["type"] == "extra_forbidden"), found[0])
-        raise _explain(document, model, first) from error
-
-
-def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) -> ConfigError:
-    kind = error["type"]
-    cause = error["ctx"]["error"] if kind == "value_error" else None
-    path = cause.path if isinstance(cause, PlacedError) else ()
-    key = _real_key(document, (*error["loc"], *path))
-    remedy = _REMEDY.get(kind, _EXPECTED)
-    problem = error["msg"].removeprefix("Value error, ")
-    problem = problem[0].lower() + problem[1:]
-    if kind == "missing":
-        problem = "is missing"
-    elif kind == "extra_forbidden":
-        problem = "is not a key here"
-        remedy = _choose(str(key[-1]), _fields(model, key), remedy)
-    elif kind == "union_tag_invalid":
-        context = error["ctx"]
-        key = (*key, context["discriminator"].strip("'"))
-        problem = f"there is no {context['tag']!r}"
-        remedy = f"choose one of {context['expected_tags']}"
-    elif kind == "union_tag_not_found":
-        problem = f"has no {error['ctx']['discriminator']}"
-    elif kind == "value_error":
-        problem, _, said = problem.partition("; ")
-        remedy = said or remedy
-    elif kind in ("too_short", "too_long"):
-        bound = error["ctx"].get("min_length" if kind == "too_short" else "max_length")
-        word = "least" if kind == "too_short" else "most"
-        problem = f"has {error['ctx']['actual_length']} items, and takes at {word} {bound}"
-    else:
-        problem = f"{problem}, not {reprlib.repr(error['input'])}"
-    file, line = document.place(key)
-    return ConfigError(file, line, dotted(key), problem, remedy)
-
-
-def _real_key(document: Document, loc: tuple[int | str, ...]) -> Key:
-    """pydantic names union branches in its locations, and marks an error of a key; the document has
-    no such steps."""
-    key: list[str | int] = []
-    place: Any = document.data
-    for index, part in enumerate(loc):
-        last = index == len(loc) - 1
-        if part == _OF_KEY:
-            continue
-        if isinstance(place, dict):
-            if part in place:
-                place = place[part]
-            elif not last:
-                continue
-        elif isinstance(place, list) and isinstance(part, int) and part < len(place):
-            place = place[part]
-        elif not last or (isinstance(place, list) and isinstance(part, str)):
-            continue
-        key.append(part)
-    return tuple(key)
-
-
-def _fields(model: type[BaseModel], key: Key) -> list[str]:
-    """The keys that the schema knows beside the one that is unknown."""
-    names: list[str] = []
-    candidates: list[Any] = [model]
-    for part in key[:-1]:
-        inner: list[Any] = []
-        for candidate in candidates:
-            fields = getattr(candidate, "model_fields", {})
-            if part in fields:
-                inner += _models(fields[part].annotation)
-            elif isinstance(part, int) or part.isdecimal():
-                inner.append(candidate)
-        candidates = inner
-    for candidate in candidates:
-        names += list(candidate.model_fields)
-    return names
-
-
-def _models(annotation: Any) -> list[Any]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    found: list[Any] = []
-    for argument in getattr(annotation, "__args__", ()):
-        found += _models(argument)
-    return found
-
-
-def _choose(name: str, known: list[str], otherwise: str | None = None, shown: str = "{}") -> str:
-    """The nearest name, else ``otherwise``, else all; each as ``shown``."""
-    close = difflib.get_close_matches(name, known, n=1)
-    if close:
-        return f"did you mean {shown.format(close[0])}?"
-    return otherwise or f"choose one of {', '.join(map(shown.format, known))}"

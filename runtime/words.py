@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from tonus.config.schema.root import Config
+from typing import TYPE_CHECKING
+
 from tonus.runtime.safety.faults import PASSIVE
 from tonus.runtime.states import Fault, StopMode
+
+if TYPE_CHECKING:
+    from tonus.config.schema.root import Config
 
 TEXT = {
     Fault.NONE: "no fault",

@@ -111,7 +111,8 @@ def test_the_summary_alone_is_printed_as_json(
 
 
 @pytest.mark.parametrize(
-    "typed", ["--help", "log --help", "ctl --help", "ctl estop", "log info /dev/null"]
+    "typed",
+    ["--help", "log --help", "ctl --help", "ctl estop", "view --help", "log info /dev/null"],
 )
 def test_a_light_command_waits_for_no_heavy_library(typed: str, tmp_path: Path) -> None:
     """An emergency stop took two seconds of imports before it was sent."""

@@ -68,6 +68,7 @@ def test_the_path_ahead_of_a_live_run_is_where_it_goes(
     """Of a scenario that was chosen on the way, too."""
     monkeypatch.setenv("TONUS_RUNTIME_DIR", str(folder / "runtime"))
     live = Live(newest_run())
+    live.read_on()
     with opened(viewer) as page:
         page.state("STANDBY")
         live.advance()

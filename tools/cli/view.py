@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +18,7 @@ from tonus.tools.errors import ToolError
 if TYPE_CHECKING:
     from tonus.tools.view.foxglove_server import FoxgloveServer
     from tonus.tools.view.live import Live
+    from tonus.tools.view.playback import Playback
 
 _APPEARS_S = 60.0
 
@@ -60,25 +64,20 @@ def view(
         raise click.UsageError("--token is too short to be a secret: give 16 characters or more")
     if operate and token is None:
         token = new_token()
-    try:
-        from tonus.tools.view.live import Live, newest_run
-        from tonus.tools.view.playback import Playback
-        from tonus.tools.view.recorded import Recorded
-        from tonus.tools.view.viewer import Viewer
-    except ModuleNotFoundError as error:
-        raise ToolError(
-            f"the viewer needs the package {error.name}: pip install 'tonus[view]'"
-        ) from error
-    live, playback = None, None
-    if logs:
-        playback = Playback([Recorded(path) for path in logs])
-    else:
-        live = Live(newest_run() if run_id is None else _rings(run_id))
-    gate = Gate(host, port, token)
-    server = None
-    if foxglove is not None and live is not None:
-        server = _foxglove(live, host, foxglove, operate=operate, token=token)
-    viewer = Viewer(gate, live, playback, operate=operate, follow=run_id is None)
+    with _uncollected():
+        try:
+            from tonus.tools.view.viewer import Viewer
+        except ModuleNotFoundError as error:
+            raise ToolError(
+                f"the viewer needs the package {error.name}: pip install 'tonus[view]'"
+            ) from error
+        live = None if logs else _live(run_id)
+        playback = _playback(logs) if logs else None
+        gate = Gate(host, port, token)
+        server = None
+        if foxglove is not None and live is not None:
+            server = _foxglove(live, host, foxglove, operate=operate, token=token)
+        viewer = Viewer(gate, live, playback, operate=operate, follow=run_id is None)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: viewer.close())
     if not is_local(host):
@@ -94,6 +93,33 @@ def view(
         if server is not None:
             server.close()
         viewer.release()
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without the garbage collector, which takes a tenth of the time to load what draws, and finds
+    nothing in it."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+def _live(run_id: int | None) -> Live:
+    from tonus.tools.view.live import Live, newest_run
+
+    return Live(newest_run() if run_id is None else _rings(run_id))
+
+
+def _playback(logs: tuple[Path, ...]) -> Playback:
+    """Imported here: a live picture does not wait for what reads logs."""
+    from tonus.tools.view.playback import Playback
+    from tonus.tools.view.recorded import Recorded
+
+    return Playback([Recorded(path) for path in logs])
 
 
 def _foxglove(

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
-from pydantic import ValidationError
 
-from tonus.config.schema.root import Config
-from tonus.config.schema.scenario import Scenario
 from tonus.runtime.recording.payloads import EVENT
 from tonus.runtime.recording.ring import RingError, RingReader
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
 from tonus.sim.lab.truth import truth_dtype
+from tonus.tools.documents import from_yaml
 from tonus.tools.errors import ToolError
-from tonus.tools.log.attached import from_yaml
 from tonus.tools.run.description import read_description, running
 from tonus.tools.view.moment import Array, Happening, Moment, Rows, Samples
 from tonus.tools.view.settings import settings
+from tonus.tools.view.shape import Shape
 
 if TYPE_CHECKING:
+    from tonus.config.schema.root import Config
     from tonus.runtime.control.reference import Trajectory
 
 _MOST = 4000
@@ -49,18 +49,14 @@ class Live:
         self.rings = rings
         self.description = told = read_description(rings)
         try:
-            self.config = Config.model_validate(from_yaml(told.config))
-            self.scenario: Scenario | None = Scenario.model_validate(from_yaml(told.scenario))
-            others = from_yaml(told.others)["scenarios"] if told.others else []
-            self._scenarios = [self.scenario, *map(Scenario.model_validate, others)]
-        except (yaml.YAMLError, ValidationError) as error:
-            raise ToolError(
-                f"{rings}: its configuration is of another version of Tonus; use that one"
-            ) from error
+            self._documents = from_yaml(told.config), from_yaml(told.scenario)
+            self.shape = Shape.of(*self._documents)
+        except (yaml.YAMLError, LookupError, TypeError, ValueError) as error:
+            raise self._of_another_version() from error
         self.name = told.name
         self._trajectories: list[Trajectory] = []
-        cables = self.config.robot.cables
-        self._period = self.config.control.rates.period
+        cables = self.shape.robot.cables
+        self._period = self.shape.rates.period
         self._dtype, self._truth_dtype = cycle_dtype(cables), truth_dtype(cables)
         self._step = max(1, round(1.0 / (settings().sample_hz * self._period)))
         try:
@@ -73,7 +69,9 @@ class Live:
         self._truths: RingReader | None = None
         self._true: Rows = np.empty(0, self._truth_dtype)
         self._newest: Rows = np.empty(0, self._dtype)
-        self._reach_back()
+        # The newest record first: there is a picture before the plots' past is read.
+        self._cycles.position = max(self._cycles.position - 1, 0)
+        self._looked = self._reached = False
 
     @property
     def is_over(self) -> bool:
@@ -81,34 +79,61 @@ class Live:
         number = self.rings.name.removeprefix("run-")
         return not self.rings.exists() or not Path("/proc", number).exists()
 
-    def _reach_back(self) -> None:
-        """Begin as far back as plots show, and the ring holds."""
-        reach = int(settings().window_s / self._period)
-        self._cycles.position = max(self._cycles.position - reach, 0)
+    @cached_property
+    def config(self) -> Config:
+        """Checked as a whole, which takes half a second. Raises `ToolError`."""
+        from tonus.config.schema.root import Config
+
+        try:
+            return Config.model_validate(self._documents[0])
+        except ValueError as error:
+            raise self._of_another_version() from error
+
+    def read_on(self) -> None:
+        """Compute what `ahead` takes; in another thread than `advance`, because to load the
+        compiler alone takes a quarter of a second. Raises `ToolError`."""
+        from tonus.config.schema.scenario import Scenario
+        from tonus.runtime.control.reference import trajectory
+
+        others = self.description.others
+        try:
+            documents = [self._documents[1], *(from_yaml(others)["scenarios"] if others else [])]
+            scenarios = map(Scenario.model_validate, documents)
+            self._trajectories = [trajectory(each.reference) for each in scenarios]
+        except (yaml.YAMLError, LookupError, TypeError, ValueError) as error:
+            raise self._of_another_version() from error
+
+    def _of_another_version(self) -> ToolError:
+        return ToolError(
+            f"{self.rings}: its configuration is of another version of Tonus; use that one"
+        )
 
     def advance(self) -> Moment:
-        """Everything that was published since the last call, or the newest of it."""
+        """Everything that was published since the last call, or the newest of it. The second time
+        begin as far back as plots show, and the ring holds."""
+        jumped = self._looked and not self._reached
+        if jumped:
+            reach = int(settings().window_s / self._period)
+            self._cycles.position = max(self._cycles.position - reach, 0)
+        self._looked, self._reached = True, self._looked
         samples = self._samples()
         newest = self._newest
         time_s = float(newest["timing"]["tick"][0]) * self._period if len(newest) else 0.0
-        return Moment(time_s, samples, newest, self._true, self._happenings())
+        return Moment(time_s, samples, newest, self._true, self._happenings(), jumped)
 
     def ahead(self, seconds: float) -> Array:
         """Where the reference will go (n, 3), m, in so much scenario time, if it plays on as it is
-        written; (0, 3) in a state that does not play it."""
+        written; (0, 3) in a state that does not play it, or before `read_on`."""
         states = self._newest["state"]
         if not len(states) or int(states["state"][0]) not in _PLAYING:
             return np.empty((0, 3))
         if not self._trajectories:
-            # Not before it is needed: the compiler takes a quarter of a second to import.
-            from tonus.runtime.control.reference import trajectory
-
-            self._trajectories = [trajectory(each.reference) for each in self._scenarios]
+            return np.empty((0, 3))
         played = self._trajectories[int(states["scenario"][0])]
         ahead = np.arange(0.0, seconds, 1.0 / settings().sample_hz)
         times = float(states["scenario_time"][0]) + ahead
         offsets = np.array([played(t)[0] for t in times])
-        return np.asarray(self.config.robot.home + offsets)
+        return np.asarray(self.shape.robot.home + offsets)
 
     def _samples(self) -> Samples:
         parts = []

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.root import Config
-from tonus.config.schema.scenario import Scenario
+if TYPE_CHECKING:
+    from tonus.config.schema.root import Config
+    from tonus.tools.view.shape import Shape
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.void]
@@ -67,8 +68,11 @@ class Source(Protocol):
     """A run, live or recorded."""
 
     name: str
-    config: Config
-    scenario: Scenario | None
+    shape: Shape
+
+    @property
+    def config(self) -> Config:
+        """The whole, at the cost of half a second when it is first asked for."""
 
 
 def joined(parts: list[Samples]) -> Samples:

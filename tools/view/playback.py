@@ -19,6 +19,8 @@ _BACK_S = 0.5
 class Playback:
     """What logs hold at one common time, in s; 0 is the beginning of the earliest."""
 
+    speeds = SPEEDS
+
     def __init__(self, logs: Sequence[Recorded]) -> None:
         self.logs = list(logs)
         starts = [log.started_s() if len(logs) > 1 else 0.0 for log in logs]
@@ -31,9 +33,9 @@ class Playback:
         self._jumped = True
         self._lock = threading.Lock()
         self._events: list[tuple[int, list[Happening]]] = []
-        threading.Thread(target=self._find_events, daemon=True).start()
 
-    def _find_events(self) -> None:
+    def read_on(self) -> None:
+        """Find the events, in a pass over every log; in another thread than `advance`."""
         for number, (log, offset) in enumerate(zip(self.logs, self._offsets, strict=True)):
             found = [replace(each, time_s=each.time_s + offset) for each in log.happenings()]
             with self._lock:

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
-from pydantic import ValidationError
 
-from tonus.config.schema.root import Config
-from tonus.config.schema.scenario import Scenario
 from tonus.runtime.signals import TABLE, cycle_dtype
 from tonus.runtime.states import State
+from tonus.tools.documents import from_yaml
 from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
-from tonus.tools.log.attached import from_yaml
 from tonus.tools.log.log import EVENTS, TUNING
 from tonus.tools.view.moment import Happening, Samples, joined
 from tonus.tools.view.settings import settings
+from tonus.tools.view.shape import Shape
+
+if TYPE_CHECKING:
+    from tonus.config.schema.root import Config
 
 _SLAB_S = 1.0
 _TRUTH = "/tonus/truth"
@@ -42,12 +45,25 @@ class Recorded:
         if span is None:
             raise ToolError(f"{path}: holds no message{': ' + log.damage if log.damage else ''}")
         self.start_ns, self.length_s = span[0], (span[1] - span[0]) * _NS
-        self.config, self.scenario = _configuration(log), _scenario(log)
-        period = self.config.control.rates.period
-        self._step = max(1, round(1.0 / (settings().sample_hz * period)))
+        self._document = _configuration(log)
+        try:
+            self.shape = Shape.of(self._document, _scenario(log))
+        except (LookupError, TypeError, ValueError) as error:
+            raise _of_another_version(log) from error
+        self._step = max(1, round(1.0 / (settings().sample_hz * self.shape.rates.period)))
         self._slabs: OrderedDict[int, Samples] = OrderedDict()
         self._ahead: tuple[int, Future[Samples]] | None = None
         self._reader = ThreadPoolExecutor(1, thread_name_prefix="log")
+
+    @cached_property
+    def config(self) -> Config:
+        """Checked as a whole, which takes half a second. Raises `ToolError`."""
+        from tonus.config.schema.root import Config
+
+        try:
+            return Config.model_validate(self._document)
+        except ValueError as error:
+            raise _of_another_version(self._log) from error
 
     @property
     def damage(self) -> str | None:
@@ -116,7 +132,7 @@ class Recorded:
         for topic in self._topics:
             ready &= rows[topic] >= 0
         # Zeros where an older log has no such topic.
-        known = cycle_dtype(self.config.robot.cables)
+        known = cycle_dtype(self.shape.robot.cables)
         names = [topic.name for topic in TABLE]
         members = [
             (short, part[name].dtype if name in self._topics else known[short])
@@ -137,23 +153,27 @@ class Recorded:
         self._reader.shutdown(wait=False, cancel_futures=True)
 
 
-def _configuration(log: Log) -> Config:
+def _configuration(log: Log) -> Any:
     text = log.config_text
     if text is None:
         raise ToolError(f"{log.path}: holds no configuration, so it cannot be shown")
     try:
-        return Config.model_validate(from_yaml(text))
-    except (yaml.YAMLError, ValidationError) as error:
-        raise ToolError(
-            f"{log.path}: its configuration is not one that this version reads; "
-            "use the version that recorded it"
-        ) from error
+        return from_yaml(text)
+    except yaml.YAMLError as error:
+        raise _of_another_version(log) from error
 
 
-def _scenario(log: Log) -> Scenario | None:
+def _scenario(log: Log) -> Any:
     """None where it cannot be read: the picture then lacks the phantom."""
     data = log.attachments.get("scenario.yaml")
     try:
-        return None if data is None else Scenario.model_validate(from_yaml(data))
-    except (yaml.YAMLError, ValidationError):
+        return None if data is None else from_yaml(data)
+    except yaml.YAMLError:
         return None
+
+
+def _of_another_version(log: Log) -> ToolError:
+    return ToolError(
+        f"{log.path}: its configuration is not one that this version reads; "
+        "use the version that recorded it"
+    )

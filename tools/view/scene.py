@@ -7,15 +7,13 @@ from typing import Any
 import numpy as np
 import viser
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
-from tonus.config.schema.lab import Phantom
-from tonus.config.schema.root import Config
-from tonus.config.schema.scenario import Scenario
 from tonus.runtime.states import ARMED
 from tonus.tools.view.colours import GHOST, Tint, of_tension
+from tonus.tools.view.hull import hull
 from tonus.tools.view.moment import Array, Rows, Samples
 from tonus.tools.view.settings import settings
+from tonus.tools.view.shape import Shape
 
 _CABLE, _BEAM, _LINE = 0.009, 0.012, 0.005
 """m, as drawn"""
@@ -38,21 +36,20 @@ class RobotScene:
     def __init__(
         self,
         server: viser.ViserServer,
-        config: Config,
-        scenario: Scenario | None,
+        shape: Shape,
         *,
         name: str = "/robot",
         tint: Tint | None = None,
     ) -> None:
-        self._server, self._config, self._tint = server, config, tint
-        geometry = config.robot.geometry
+        self._server, self._shape, self._tint = server, shape, tint
+        geometry = shape.robot.geometry
         self._exits, self._anchors = np.array(geometry.frame), np.array(geometry.platform)
-        tension = config.control.tension
+        tension = shape.tension
         self._levels = tension.slack, tension.min, tension.pre, tension.max
-        self._radius = config.robot.drum_radius
+        self._radius = shape.robot.drum_radius
         scene, n = server.scene, len(self._exits)
         if tint is None:
-            self._surroundings(scene, scenario, name)
+            self._surroundings(scene, name)
         colour = (70, 110, 160) if tint is None else tint.colour
         self._platform = scene.add_frame(f"{name}/platform", show_axes=tint is None, **_AXES)
         _body(scene, f"{name}/platform/body", self._anchors, colour, 0.85)
@@ -88,15 +85,15 @@ class RobotScene:
         }
         self._behind: list[Array] = []
         self._drawn: dict[str, Array] = {}
-        phantom = _phantom(scenario)
+        phantom = shape.phantom
         # The contact cell reports one number; only a lab's scenario tells its direction.
         self._normal = np.zeros(3) if phantom is None else _unit(np.array(phantom.normal))
 
-    def _surroundings(self, scene: Any, scenario: Scenario | None, name: str) -> None:
+    def _surroundings(self, scene: Any, name: str) -> None:
         """What does not move."""
         low, high = self._exits.min(axis=0), self._exits.max(axis=0)
         scene.add_line_segments(f"{name}/frame", _box(low, high), (110, 110, 115), thickness=_BEAM)
-        box = self._config.robot.workspace
+        box = self._shape.robot.workspace
         corners = np.array([box.x, box.y, box.z])
         scene.add_line_segments(
             f"{name}/workspace",
@@ -105,13 +102,13 @@ class RobotScene:
             thickness=0.003,
         )
         lowest = self._anchors[:, 2].min()
-        rest = np.array(self._config.robot.rest) + np.array((0.0, 0.0, lowest - 0.01))
+        rest = np.array(self._shape.robot.rest) + np.array((0.0, 0.0, lowest - 0.01))
         across = self._anchors[:, :2].max(axis=0) - self._anchors[:, :2].min(axis=0)
-        if self._config.lab is not None:
+        if self._shape.in_lab:
             scene.add_box(
                 f"{name}/cradle", (130, 120, 105), (across[0], across[1], 0.02), position=rest
             )
-        phantom = _phantom(scenario)
+        phantom = self._shape.phantom
         if phantom is not None:
             normal = _unit(np.array(phantom.normal))
             scene.add_box(
@@ -228,10 +225,6 @@ def rotation(quaternion: Array) -> Array:
     )
 
 
-def _phantom(scenario: Scenario | None) -> Phantom | None:
-    return None if scenario is None or scenario.lab is None else scenario.lab.phantom
-
-
 def _unit(vector: Array) -> Array:
     return vector / np.linalg.norm(vector)
 
@@ -253,26 +246,16 @@ def _draw(handle: Any, points: Array) -> None:
 
 def _body(scene: Any, name: str, anchors: Array, colour: tuple[int, ...], opacity: float) -> None:
     """The hull of the platform's anchors; a box round them where they lie in a plane."""
-    try:
-        hull = ConvexHull(anchors)
-        vertices, faces = anchors, hull.simplices
-        # Outwards, so that light falls on the outer side.
-        centre = anchors.mean(axis=0)
-        normals = np.cross(
-            vertices[faces[:, 1]] - vertices[faces[:, 0]],
-            vertices[faces[:, 2]] - vertices[faces[:, 0]],
-        )
-        inwards = np.einsum("ij,ij->i", normals, vertices[faces[:, 0]] - centre) < 0
-        faces = np.where(inwards[:, None], faces[:, ::-1], faces)
-    except QhullError:
+    faces = hull(anchors)
+    if not len(faces):
         low, high = anchors.min(axis=0), anchors.max(axis=0)
         extent = np.maximum(high - low, 0.02)
         scene.add_box(name, colour, tuple(extent), opacity=opacity, position=(low + high) / 2)
         return
     scene.add_mesh_simple(
         name,
-        vertices.astype(np.float32),
-        faces.astype(np.uint32),
+        anchors.astype(np.float32),
+        faces,
         color=colour,
         opacity=opacity,
         flat_shading=True,

@@ -5,15 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tonus.config.schema.root import Config
 from tonus.runtime.signals import topics
 from tonus.runtime.states import State
 from tonus.tools.run.truth import TOPIC as TRUTH
 from tonus.tools.view.moment import Array, Samples
+
+if TYPE_CHECKING:
+    from tonus.config.schema.root import Config
 
 _FOLLOWING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 _NAME = re.compile(r"([a-z_]+)\.([a-z_]+)(?:\[(\d{1,3})\])?")

@@ -6,8 +6,9 @@ import io
 import threading
 from collections import deque
 from contextlib import redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import viser
@@ -23,18 +24,36 @@ from tonus.tools.view.live import Live, newest_run
 from tonus.tools.view.moment import Moment, Source
 from tonus.tools.view.operate import FIELDS, REFUSED, Operation, choices
 from tonus.tools.view.page import files
-from tonus.tools.view.playback import SPEEDS, Playback
 from tonus.tools.view.scene import RobotScene
 from tonus.tools.view.settings import settings
-from tonus.tools.view.signals import names_of, plots_of, series_of
+from tonus.tools.view.signals import Plot, names_of, plots_of, series_of
 from tonus.tools.view.window import Window, points
 from tonus.tools.view.words import happening, state_of
+
+if TYPE_CHECKING:
+    from tonus.config.schema.root import Config
+    from tonus.tools.view.playback import Playback
 
 _CHOSEN = 8
 """signals that one page may choose"""
 _PATH_EVERY = 10
 """pictures between two looks at the path ahead"""
 _LOOK_S = 0.5
+
+
+@dataclass(frozen=True)
+class Panels:
+    """What stands round the picture."""
+
+    config: Config
+    plots: tuple[Plot, ...]
+    names: list[str]
+    known: frozenset[str]
+
+    @classmethod
+    def of(cls, config: Config) -> Panels:
+        names = names_of(config)
+        return cls(config, plots_of(config), names, frozenset(names))
 
 
 class Viewer:
@@ -58,6 +77,7 @@ class Viewer:
         self._hub = Hub(self._asked, self._left)
         self._stopping = threading.Event()
         self._operation: Operation | None = None
+        self._problem: ToolError | None = None
         self._build()
         gate.pages |= files()
         gate.channel = self._hub.serve
@@ -78,14 +98,12 @@ class Viewer:
         for number, source in enumerate(sources):
             tint = colours.TINTS[(number - 1) % len(colours.TINTS)] if number else None
             name = f"/run{number + 1}"
-            scene = RobotScene(server, source.config, source.scenario, name=name, tint=tint)
-            self._scenes.append(scene)
+            self._scenes.append(RobotScene(server, source.shape, name=name, tint=tint))
             self._windows.append(Window())
-        self._config = sources[0].config
+        self._shape = sources[0].shape
         self._names = [source.name for source in sources]
-        self._plots = plots_of(self._config)
-        self._known = frozenset(names_of(self._config))
-        extent = float(np.abs(np.array(self._config.robot.geometry.frame)).max())
+        self._panels: Panels | None = None
+        extent = float(np.abs(np.array(self._shape.robot.geometry.frame)).max())
         server.initial_camera.position = (1.7 * extent, -2.1 * extent, 1.0 * extent)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         self._moments: list[Moment] = []
@@ -95,7 +113,20 @@ class Viewer:
         self._status: Message | None = None
         self._told_until = -np.inf
         self._pictures = 0
+        self._loading = threading.Thread(target=self._load, args=(sources[0],), daemon=True)
         self._connect()
+
+    def _load(self, source: Source) -> None:
+        """All that takes longer than a first picture may wait for, while pictures go on."""
+        try:
+            panels = Panels.of(source.config)
+            if self._shape is source.shape:
+                self._panels = panels
+            rest = self._live or self._playback
+            assert rest is not None
+            rest.read_on()
+        except ToolError as error:
+            self._problem = error
 
     def _connect(self) -> None:
         """To the daemon's control socket, where there is one."""
@@ -130,7 +161,8 @@ class Viewer:
     # -- the main loop ---------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Until `close`, or the end of a live run that is not to be followed by another."""
+        """Until `close`, or the end of a live run that is not to be followed by another. Raises
+        `ToolError` where the configuration turns out not to be of this version."""
         period = 1.0 / settings().rate_hz
         due = last = clock.wall_seconds()
         plotted = -np.inf
@@ -138,6 +170,10 @@ class Viewer:
             now = clock.wall_seconds()
             self._advance(now - last)
             last = now
+            if self._problem is not None:
+                raise self._problem
+            if self._pictures == 1:
+                self._loading.start()
             if now - plotted >= 1.0 / settings().plot_hz:
                 plotted = now
                 self._plot()
@@ -154,6 +190,8 @@ class Viewer:
         """Let go of everything, after `run`."""
         if self._operation is not None:
             self._operation.close()
+        if self._loading.ident is not None:
+            self._loading.join()
         for source in (self._live, self._playback):
             if source is not None:
                 source.close()
@@ -197,10 +235,10 @@ class Viewer:
         self._find_events()
         clients = self._hub.clients
         for client in clients:
-            if client.fresh:
+            if client.fresh and self._panels is not None:
                 client.fresh = False
                 client.since = -np.inf
-                self._welcome(client)
+                self._welcome(client, self._panels)
         self._hub.tell(clients, self._now())
 
     def _show_ahead(self) -> None:
@@ -216,11 +254,16 @@ class Viewer:
     def _plot(self) -> None:
         """New points of every plot."""
         newest = max(window.newest_s for window in self._windows)
+        panels = self._panels
+        if panels is None:
+            return
         for client in self._hub.clients:
+            if client.fresh:
+                continue
             since = min(client.since, self._told_until)
             client.since = newest
             chosen = [series for name in client.chosen if (series := series_of(name))]
-            runs = [points(window.after(since), self._plots, chosen) for window in self._windows]
+            runs = [points(window.after(since), panels.plots, chosen) for window in self._windows]
             if any(run["t"] for run in runs):
                 anew = since == -np.inf
                 self._hub.tell([client], {"kind": "points", "runs": runs, "anew": anew})
@@ -245,9 +288,8 @@ class Viewer:
 
     # -- what pages are told, and ask for --------------------------------------------------------
 
-    def _welcome(self, client: Client) -> None:
-        config = self._config
-        tension = config.control.tension
+    def _welcome(self, client: Client, panels: Panels) -> None:
+        tension = self._shape.tension
         self._hub.tell(
             [client],
             {
@@ -256,18 +298,18 @@ class Viewer:
                 "live": self._live is not None,
                 "operate": self._operation is not None,
                 "asked": self._operate or bool(self._live and self._live.description.served),
-                "lab": self._live is not None and config.lab is not None,
+                "lab": self._live is not None and self._shape.in_lab,
                 "virtual": self._live is not None and self._live.description.virtual,
                 "watch_s": settings().watch_s,
                 "window_s": settings().window_s,
-                "cables": config.robot.cables,
+                "cables": self._shape.robot.cables,
                 "scale": {
                     "levels": [tension.slack, tension.min, tension.pre, tension.max],
                     "colours": [colours.LOW, colours.PRE, colours.HIGH],
                 },
-                "plots": [plot.as_json() for plot in self._plots],
-                "signals": names_of(config),
-                "speeds": SPEEDS,
+                "plots": [plot.as_json() for plot in panels.plots],
+                "signals": panels.names,
+                "speeds": self._playback.speeds if self._playback else (),
                 "length_s": self._playback.length_s if self._playback else None,
                 "damage": [log.damage for log in self._playback.logs if log.damage]
                 if self._playback
@@ -281,7 +323,8 @@ class Viewer:
         told: Message = {"kind": "now", "n": self._pictures}
         if self._moments:
             told["t"] = round(self._moments[0].time_s, 3)
-            told["runs"] = [state_of(self._config, moment.newest) for moment in self._moments]
+            config = self._panels.config if self._panels is not None else None
+            told["runs"] = [state_of(config, moment.newest) for moment in self._moments]
         if self._playback is not None:
             told["playing"], told["speed"] = self._playback.playing, self._playback.speed
         status = self._status
@@ -295,8 +338,9 @@ class Viewer:
     def _asked(self, client: Client, message: Message) -> None:
         """A message of a page; in the server's loop. What is not understood is ignored."""
         what = message.get("do")
-        if what == "choose" and isinstance(message.get("signals"), list):
-            chosen = [name for name in message["signals"] if name in self._known]
+        panels = self._panels
+        if what == "choose" and panels is not None and isinstance(message.get("signals"), list):
+            chosen = [name for name in message["signals"] if name in panels.known]
             client.chosen = chosen[:_CHOSEN]
             client.since = -np.inf
         elif what in ("play", "pause", "speed", "seek") and self._playback is not None:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tonus.config.schema.root import Config
 from tonus.runtime.recording.payloads import Level
 from tonus.runtime.signals import Bound, Grade
 from tonus.runtime.states import MEANING, NEXT, Fault, State, StopMode
-from tonus.runtime.words import REMEDY, STOP_TEXT, describe
+from tonus.runtime.words import REMEDY, STOP_TEXT, TEXT, describe
 from tonus.tools.view.moment import Happening, Rows
 
+if TYPE_CHECKING:
+    from tonus.config.schema.root import Config
 
-def state_of(config: Config, newest: Rows) -> dict[str, Any]:
-    """Of a record (1,), or (0,) before the first."""
+
+def state_of(config: Config | None, newest: Rows) -> dict[str, Any]:
+    """Of a record (1,), or (0,) before the first; without a configuration a fault has no place."""
     if not len(newest):
         return {"state": "", "meaning": "no record yet", "next": "", "fault": None}
     record = newest[0]
@@ -54,10 +56,11 @@ def happening(run: int, each: Happening) -> dict[str, Any]:
     }
 
 
-def _fault(config: Config, fault: Fault | None, where: int) -> dict[str, str] | None:
+def _fault(config: Config | None, fault: Fault | None, where: int) -> dict[str, str] | None:
     if fault is None or fault is Fault.NONE:
         return None
-    return {"text": describe(config, fault, where), "remedy": REMEDY[fault]}
+    text = TEXT[fault] if config is None else describe(config, fault, where)
+    return {"text": text, "remedy": REMEDY[fault]}
 
 
 def _known(kind: Any, value: Any) -> Any:

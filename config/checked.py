@@ -1,0 +1,137 @@
+"""A document held against its schema, and what a person is told where it does not fit.
+
+Apart from the loader, so that who reads one small file does not wait for the schema of all.
+"""
+
+from __future__ import annotations
+
+import difflib
+import reprlib
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from tonus.config.document import Document, Key, dotted
+from tonus.config.errors import ConfigError, PlacedError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+_REMEDY = {
+    "missing": "add it",
+    "extra_forbidden": "remove it or correct its spelling",
+    "greater_than": "choose a larger value",
+    "greater_than_equal": "choose a larger value",
+    "less_than": "choose a smaller value",
+    "less_than_equal": "choose a smaller value",
+    "finite_number": "give a finite number",
+    "literal_error": "choose one of these",
+    "union_tag_invalid": "choose one of these",
+    "union_tag_not_found": "add it",
+    "too_short": "give the missing items",
+    "too_long": "remove the surplus items",
+    "value_error": "change one of the values",
+}
+_OF_KEY = "[key]"
+_EXPECTED = "give a value of that type"
+
+
+def validated(document: Document, model: type[Model]) -> Model:
+    """The document as its schema has it. Raises `ConfigError`."""
+    try:
+        return model.model_validate(document.data)
+    except ValidationError as error:
+        found = error.errors()
+        # A misspelt key is also a missing one; its own place is the better answer.
+        first = next((each for each in found if each["type"] == "extra_forbidden"), found[0])
+        raise _explain(document, model, first) from error
+
+
+def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) -> ConfigError:
+    kind = error["type"]
+    cause = error["ctx"]["error"] if kind == "value_error" else None
+    path = cause.path if isinstance(cause, PlacedError) else ()
+    key = _real_key(document, (*error["loc"], *path))
+    remedy = _REMEDY.get(kind, _EXPECTED)
+    problem = error["msg"].removeprefix("Value error, ")
+    problem = problem[0].lower() + problem[1:]
+    if kind == "missing":
+        problem = "is missing"
+    elif kind == "extra_forbidden":
+        problem = "is not a key here"
+        remedy = choose(str(key[-1]), _fields(model, key), remedy)
+    elif kind == "union_tag_invalid":
+        context = error["ctx"]
+        key = (*key, context["discriminator"].strip("'"))
+        problem = f"there is no {context['tag']!r}"
+        remedy = f"choose one of {context['expected_tags']}"
+    elif kind == "union_tag_not_found":
+        problem = f"has no {error['ctx']['discriminator']}"
+    elif kind == "value_error":
+        problem, _, said = problem.partition("; ")
+        remedy = said or remedy
+    elif kind in ("too_short", "too_long"):
+        bound = error["ctx"].get("min_length" if kind == "too_short" else "max_length")
+        word = "least" if kind == "too_short" else "most"
+        problem = f"has {error['ctx']['actual_length']} items, and takes at {word} {bound}"
+    else:
+        problem = f"{problem}, not {reprlib.repr(error['input'])}"
+    file, line = document.place(key)
+    return ConfigError(file, line, dotted(key), problem, remedy)
+
+
+def _real_key(document: Document, loc: tuple[int | str, ...]) -> Key:
+    """pydantic names union branches in its locations, and marks an error of a key; the document has
+    no such steps."""
+    key: list[str | int] = []
+    place: Any = document.data
+    for index, part in enumerate(loc):
+        last = index == len(loc) - 1
+        if part == _OF_KEY:
+            continue
+        if isinstance(place, dict):
+            if part in place:
+                place = place[part]
+            elif not last:
+                continue
+        elif isinstance(place, list) and isinstance(part, int) and part < len(place):
+            place = place[part]
+        elif not last or (isinstance(place, list) and isinstance(part, str)):
+            continue
+        key.append(part)
+    return tuple(key)
+
+
+def _fields(model: type[BaseModel], key: Key) -> list[str]:
+    """The keys that the schema knows beside the one that is unknown."""
+    names: list[str] = []
+    candidates: list[Any] = [model]
+    for part in key[:-1]:
+        inner: list[Any] = []
+        for candidate in candidates:
+            fields = getattr(candidate, "model_fields", {})
+            if part in fields:
+                inner += _models(fields[part].annotation)
+            elif isinstance(part, int) or part.isdecimal():
+                inner.append(candidate)
+        candidates = inner
+    for candidate in candidates:
+        names += list(candidate.model_fields)
+    return names
+
+
+def _models(annotation: Any) -> list[Any]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    found: list[Any] = []
+    for argument in getattr(annotation, "__args__", ()):
+        found += _models(argument)
+    return found
+
+
+def choose(name: str, known: list[str], otherwise: str | None = None, shown: str = "{}") -> str:
+    """The nearest name, else ``otherwise``, else all; each as ``shown``."""
+    close = difflib.get_close_matches(name, known, n=1)
+    if close:
+        return f"did you mean {shown.format(close[0])}?"
+    return otherwise or f"choose one of {', '.join(map(shown.format, known))}"

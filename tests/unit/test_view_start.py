@@ -1,0 +1,118 @@
+"""What the viewer's first picture waits for, and what comes after it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from tonus.config.loader import HERE, load
+from tonus.runtime.recording.payloads import EVENT
+from tonus.runtime.recording.ring import RingWriter
+from tonus.runtime.signals import cycle_dtype
+from tonus.runtime.states import Fault
+from tonus.runtime.words import TEXT
+from tonus.tools.errors import ToolError
+from tonus.tools.run.description import Description, describe_run
+from tonus.tools.view.live import Live
+from tonus.tools.view.moment import Moment
+from tonus.tools.view.recorded import Recorded
+from tonus.tools.view.shape import Plane, Shape
+from tonus.tools.view.words import state_of
+
+GOLDEN = Path(__file__).resolve().parents[1] / "replay" / "golden" / "v6.mcap"
+COMPLETE = sorted(file for file in HERE.glob("*.yaml") if "\nfieldbus:" in file.read_text())
+"""configurations that no other one includes"""
+
+
+@pytest.mark.parametrize("file", COMPLETE, ids=lambda file: file.stem)
+def test_a_picture_takes_from_a_configuration_what_the_whole_of_it_says(file: Path) -> None:
+    config, scenario = load(file, "contact")
+    written = (
+        yaml.safe_load(yaml.safe_dump(each.model_dump(mode="json"))) for each in (config, scenario)
+    )
+    shape = Shape.of(*written)
+    assert shape.robot == config.robot
+    assert shape.tension == config.control.tension
+    assert shape.rates == config.control.rates
+    assert shape.in_lab == (config.lab is not None)
+    assert scenario.lab.phantom is not None
+    assert shape.phantom == Plane(scenario.lab.phantom.point, scenario.lab.phantom.normal)
+
+
+def test_a_scenario_that_cannot_be_read_costs_the_phantom_only() -> None:
+    config = load("config/direct.yaml")[0].model_dump(mode="json")
+    for scenario in (None, "text", {}, {"lab": None}, {"lab": {"phantom": {"point": [1]}}}):
+        assert Shape.of(config, scenario).phantom is None
+
+
+def test_a_first_picture_waits_for_neither_schema_nor_scipy_nor_compiler() -> None:
+    """They take longer to load than all that it needs."""
+    code = """
+import sys
+from tonus.tools.view import gate, live, viewer
+heavy = {"scipy", "numba", "mcap", "tonus.config.schema.root", "tonus.config.loader"}
+assert not heavy & set(sys.modules), heavy & set(sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_fault_has_its_place_as_soon_as_the_configuration_is_known() -> None:
+    config = load("config/can.yaml")[0]
+    record = np.zeros(1, cycle_dtype(config.robot.cables))
+    record["state"]["fault"], record["state"]["fault_where"] = Fault.DRIVE_LOST, 3
+    early, late = (state_of(each, record)["fault"] for each in (None, config))
+    assert early["text"] == TEXT[Fault.DRIVE_LOST]
+    assert early["remedy"] == late["remedy"]
+    assert late["text"].endswith(early["text"])
+    assert "axis 3" in late["text"]
+
+
+def test_a_log_whose_configuration_is_of_another_version_is_refused_in_a_line() -> None:
+    """Also where only that part of it is, which no picture needs."""
+    log = Recorded(GOLDEN)
+    log._document["control"]["gain_of_tomorrow"] = 1.0
+    with pytest.raises(ToolError, match="the version that recorded it"):
+        _ = log.config
+    log.close()
+
+
+def test_a_live_run_shows_its_newest_record_first_and_then_what_plots_need(tmp_path: Path) -> None:
+    """A picture does not wait for 30 s of records to be read."""
+    config, scenario = load("config/direct.yaml", "hold")
+    texts = [yaml.safe_dump(each.model_dump(mode="json")) for each in (config, scenario)]
+    describe_run(tmp_path, Description(*texts, "", "name", True, True, None, "run.mcap"))
+    record = np.zeros(1, cycle_dtype(config.robot.cables))
+    cycles = RingWriter.create(tmp_path / "cycle.ring", record.nbytes, 1000, {})
+    events = RingWriter.create(tmp_path / "events.ring", EVENT.itemsize, 10, {})
+
+    def publish(ticks: range) -> None:
+        for tick in ticks:
+            record["timing"]["tick"] = tick
+            cycles.publish(record.tobytes(), tick)
+
+    def ticks(moment: Moment) -> list[int]:
+        return [int(tick) for tick in moment.samples.rows["timing"]["tick"]]
+
+    publish(range(401))
+    live = Live(tmp_path)
+    publish(range(401, 405))
+    first = live.advance()
+    assert first.newest["timing"]["tick"] == 404
+    assert ticks(first) == [400]
+    assert not first.jumped
+    second = live.advance()
+    assert second.jumped
+    assert ticks(second) == list(range(0, 401, 20))
+    publish(range(405, 450))
+    third = live.advance()
+    assert not third.jumped
+    assert ticks(third) == [420, 440]
+    live.close()
+    cycles.close()
+    events.close()
