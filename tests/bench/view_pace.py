@@ -3,8 +3,10 @@
     python -m tests.bench.view_pace [--minutes M] [--config FILE] [--set KEY=VALUE]
 
 A run of so many minutes in real time, with one viewer and one page that reads all it is sent. Then
-the log of that run is opened. A page without a browser: what a browser takes to draw is not in the
-figures. Worth something on an idle host only.
+the log of that run is opened. Before both a browser opens the page of a viewer of its own, where
+there is one (`tests.bench.drawn`): it draws in software, beside everything else. A start is told in
+steps: the page is answered, the scene is sent, the first picture is told, and all that stands round
+it. Worth something on an idle host only.
 """
 
 from __future__ import annotations
@@ -15,14 +17,20 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
+import viser
+import zstandard
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
 
+from tests.bench.drawn import browser
 from tonus.runtime.timing import clock
 from tonus.tools.view.live import Live
 from tonus.tools.view.settings import settings
@@ -38,8 +46,16 @@ _LONGER_S = 60.0
 class Shown:
     """What a page has seen."""
 
+    answered_s: float
+    """from the start of the viewer's process until it answers for its page"""
+    scene_s: float
+    """until the scene has been sent, as the browser's client gets it"""
     first_s: float
-    """from the start of the viewer's process to the first picture"""
+    """until the first picture"""
+    complete_s: float
+    """until all that stands round it"""
+    processor_s: float
+    """of the viewer's own until then"""
     arrivals: np.ndarray
     """s, when each picture came"""
     times: np.ndarray
@@ -67,6 +83,7 @@ def main() -> None:
         folder = Path(name)
         seconds = 60.0 * given.minutes
         with _run(folder, given.config, seconds, given.set) as run:
+            _draw("live", folder, ["--run", str(run)])
             live = _watch(folder, ["--run", str(run)], seconds)
         _tell("live", live)
         if np.ptp(live.arrivals) < seconds:
@@ -74,19 +91,40 @@ def main() -> None:
             print("  the run has ended before its time:", *last, sep="\n    ")
         print(f"  wanted: {settings().rate_hz:.0f} a second")
         log = folder / "out" / "run.mcap"
-        opened = _watch(folder, [str(log)], 1.0)
-        print(
-            f"log of {given.minutes:g} min, {log.stat().st_size / 1e6:.0f} MB: "
-            f"first picture after {opened.first_s:.2f} s"
-        )
+        what = f"log of {given.minutes:g} min, {log.stat().st_size / 1e6:.0f} MB"
+        _draw(what, folder, [str(log)])
+        _tell_start(what, _watch(folder, [str(log)], 1.0))
+
+
+def _draw(what: str, folder: Path, arguments: list[str]) -> None:
+    """With a viewer and a browser, where there is one."""
+    with browser() as opened:
+        if opened is None:
+            print(f"{what}: no Chromium, or no Playwright, to draw it")
+            return
+        began = clock.wall_seconds()
+        with _viewer(folder, arguments):
+            steps = opened(f"http://127.0.0.1:{_PORT}/")
+        told = ", ".join(f"{name} {at - began:.2f}" for name, at in steps.items())
+        print(f"{what}, in a browser, after s: {told}", flush=True)
+
+
+def _tell_start(what: str, shown: Shown) -> None:
+    print(
+        f"{what}: first picture after {shown.first_s:.2f} s (page answered {shown.answered_s:.2f}, "
+        f"scene sent {shown.scene_s:.2f}; plots and events {shown.complete_s:.2f}, by then "
+        f"{shown.processor_s:.2f} s of processor time)",
+        flush=True,
+    )
 
 
 def _tell(what: str, shown: Shown) -> None:
     lag = 1e3 * shown.lag()
     gaps = 1e3 * np.diff(shown.arrivals)
     third = max(len(lag) // 3, 1)
+    _tell_start(what, shown)
     print(
-        f"{what}: first picture after {shown.first_s:.2f} s; {len(lag)} pictures in "
+        f"  {len(lag)} pictures in "
         f"{np.ptp(shown.arrivals):.1f} s, {shown.rate:.2f} a second\n"
         f"  between two: median {np.median(gaps):.1f}, p99 {np.percentile(gaps, 99):.1f}, "
         f"most {gaps.max():.1f} ms\n"
@@ -127,9 +165,9 @@ def _until(condition: Callable[[], bool], run: subprocess.Popen[bytes], folder: 
     sys.exit(f"the run does not tick: {(folder / 'run.txt').read_text()}")
 
 
-def _watch(folder: Path, arguments: list[str], seconds: float) -> Shown:
-    """With a viewer and a page, from the viewer's start on."""
-    began = clock.wall_seconds()
+@contextmanager
+def _viewer(folder: Path, arguments: list[str]) -> Iterator[subprocess.Popen[str]]:
+    """From its start on, to be asked as soon as it has told its address."""
     viewer = subprocess.Popen(
         [*_TONUS, "view", *arguments, "--port", str(_PORT)],
         stdout=subprocess.PIPE,
@@ -142,28 +180,70 @@ def _watch(folder: Path, arguments: list[str], seconds: float) -> Shown:
         line = viewer.stdout.readline()
         if "open http" not in line:
             sys.exit(line)
-        origin = f"http://127.0.0.1:{_PORT}"
-        address = f"ws://127.0.0.1:{_PORT}/channel"
-        with connect(address, origin=origin, max_size=None) as page:  # type: ignore[arg-type]
-            return _read(page, began, seconds)
+        yield viewer
     finally:
         viewer.terminate()
         viewer.wait()
 
 
-def _read(page: ClientConnection, began: float, seconds: float) -> Shown:
+def _watch(folder: Path, arguments: list[str], seconds: float) -> Shown:
+    """With a viewer and a page, from the viewer's start on."""
+    began = clock.wall_seconds()
+    origin = f"http://127.0.0.1:{_PORT}"
+    with _viewer(folder, arguments) as viewer:
+        with urlopen(origin, timeout=_PATIENCE_S) as page:  # on this host
+            page.read()
+        answered = clock.wall_seconds() - began
+        sent: list[float] = []
+        scene = threading.Thread(target=lambda: sent.append(_scene_sent() - began))
+        scene.start()
+        address = f"ws://127.0.0.1:{_PORT}/channel"
+        with connect(address, origin=origin, max_size=None) as page:  # type: ignore[arg-type]
+            first, complete, processor, arrivals, times = _read(page, seconds, viewer.pid)
+        scene.join()
+    begun = (answered, sent[0], first - began, complete - began, processor)
+    return Shown(*begun, np.array(arrivals), np.array(times))
+
+
+def _scene_sent() -> float:
+    """When the last message of the scene as it stands has come: viser marks it."""
+    address, origin = f"ws://127.0.0.1:{_PORT}/scene", f"http://127.0.0.1:{_PORT}"
+    version = Subprotocol(f"viser-v{viser.__version__}")
+    with connect(address, origin=origin, max_size=None, subprotocols=[version]) as scene:  # type: ignore[arg-type]
+        while True:
+            message = scene.recv(_PATIENCE_S)
+            assert isinstance(message, bytes)
+            length = int.from_bytes(message[8:16], "little")
+            if b"ReplayDone" in zstandard.decompress(message[16 : 16 + length]):
+                return clock.wall_seconds()
+
+
+def _read(
+    page: ClientConnection, seconds: float, viewer: int
+) -> tuple[float, float, float, list[float], list[float]]:
+    """When the first picture came, and what stands round it; the viewer's processor time by then;
+    when each picture came, and its own time."""
     arrivals: list[float] = []
     times: list[float] = []
-    while not arrivals or arrivals[-1] - arrivals[0] < seconds:
+    complete = processor = 0.0
+    while not arrivals or not complete or arrivals[-1] - arrivals[0] < seconds:
         message = json.loads(page.recv(_PATIENCE_S))
         if message["kind"] == "ended":
             break
+        if message["kind"] == "hello":
+            complete, processor = clock.wall_seconds(), _processor_s(viewer)
         if message["kind"] == "now" and message["runs"][0]["state"]:
             arrivals.append(clock.wall_seconds())
             times.append(message["t"])
     if not arrivals:
         sys.exit("the run has ended before the first picture of it")
-    return Shown(arrivals[0] - began, np.array(arrivals), np.array(times))
+    return arrivals[0], complete, processor, arrivals, times
+
+
+def _processor_s(process: int) -> float:
+    """User's and system's."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _environment(folder: Path) -> dict[str, str]:

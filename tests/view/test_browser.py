@@ -6,7 +6,6 @@ some pictures a second, and stands still for seconds while it compiles what it d
 
 from __future__ import annotations
 
-import shutil
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,12 +16,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from viewer_bench import GOLDEN, Served, Viewer, recorded
 
+from tests.bench.drawn import CHROMIUM, OPTIONS
 from tonus.runtime.timing import clock
 from tonus.tools.view.recorded import Recorded
 
-CHROMIUM = next(
-    (path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None
-)
 TOKEN = "a-token-for-browsers"  # noqa: S105
 PATIENCE_MS = 120_000.0
 
@@ -31,16 +28,6 @@ MARKUP = (
     "</td><img src=x onerror=alert(1)><svg onload=alert(2)>"
     "<script>window.marked = 1; alert(3)</script>"
 )
-OPTIONS = [
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    # Plots and text drawn by the processor directly: through the emulated graphics processor they
-    # take more time than the scene.
-    "--disable-gpu-rasterization",
-    "--disable-accelerated-2d-canvas",
-]
 
 pytestmark = [
     pytest.mark.wide,
