@@ -36,8 +36,8 @@ REACH = 0.05
 """m to either side of the pose that a motion goes"""
 LATER = 0.3
 """s after which the speed has to fall"""
-LONGEST = 8.0
-"""s after the break that a stop may take"""
+LONGEST = 20.0
+"""s after the break that a stop may take, a passive one that never stands included"""
 WATCHED = 2.0
 """s in which a fault has to be found; a robot that finds none goes on"""
 _APPROACH = 0.8
