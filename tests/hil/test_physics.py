@@ -36,7 +36,14 @@ def ended_well(trace: Trace) -> bool:
     return bool(trace.state[-1] == State.STANDBY and trace.cycle["state"]["fault"][-1] == 0)
 
 
-@pytest.mark.parametrize("axis", ["x", pytest.param("y", marks=pytest.mark.long), "z"])
+@pytest.mark.parametrize(
+    "axis",
+    [
+        pytest.param("x", marks=pytest.mark.wide),
+        pytest.param("y", marks=pytest.mark.long),
+        "z",
+    ],
+)
 def test_a_sine_of_30_mm_is_followed_within_a_quarter_of_a_millimetre(axis: str) -> None:
     trace = run(f"sine_{axis}", 6.0)
     part = active(trace)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 from loop import QUICK, ClosedLoop, configured
 
+from tonus.config import load
 from tonus.config.loader import load_bounds
+from tonus.config.schema.bus import EthercatBus
 from tonus.config.schema.faults import FAULT
+from tonus.config.timeouts import watchdog_ms
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.states import Fault, Operator, State, StopMode
 from tonus.tools.campaign.invariants import INVARIANTS, Limits, within_bounds
@@ -239,7 +242,7 @@ def test_power_cut_on_purpose_may_drop_the_platform() -> None:
     assert names(run) == []
     run = dropped(good())
     at = int(run.cycle_ns[active(run) - 1])
-    cut = [Strike("drive_input", at, frozenset({axis}), unpowers=True) for axis in range(8)]
+    cut = [Strike("drive_input", at, unpowered=frozenset({axis})) for axis in range(8)]
     assert names(replace(run, strikes=tuple(cut))) == []
     assert "free_fall" in names(replace(run, strikes=tuple(cut[:7])))
 
@@ -305,5 +308,30 @@ def test_a_strike_knows_its_devices() -> None:
     assert channel.is_named_by("can1")
     assert not channel.is_named_by("can2/5 (axis 4)")
     sto = {"kind": "drive_input", "channel": "can1", "node": 3, "input": "sto"}
-    assert placed(sto).unpowers
-    assert not placed(sto | {"active": False}).unpowers
+    assert placed(sto).unpowered == {2}
+    assert not placed(sto | {"active": False}).unpowered
+
+
+@pytest.mark.parametrize(
+    ("fault", "unpowered"),
+    [
+        ({"kind": "cable_break", "behind": 0}, range(8)),
+        ({"kind": "cable_break", "behind": 6, "duration": 0.063}, (6, 7)),
+        ({"kind": "cable_break", "behind": 0, "duration": 0.062}, ()),
+        ({"kind": "power_loss", "node": 6}, (5, 6, 7)),
+        ({"kind": "power_loss", "node": 6, "duration": 0.01}, (5,)),
+    ],
+)
+def test_a_broken_line_leaves_axes_without_power_once_their_watchdog_is_over(
+    fault: dict[str, object], unpowered: Sequence[int]
+) -> None:
+    config = load("config/ethercat.yaml")[0]
+    assert isinstance(config.fieldbus, EthercatBus)
+    assert watchdog_ms(config.fieldbus, config.tolerance, 1000) == 62
+    given = FAULT.validate_python({"at": 0.5, "channel": config.fieldbus.interface} | fault)
+    (struck,) = strikes(config, [given], NS, frozenset())
+    assert struck.unpowered == set(unpowered)
+    both_ends = config.fieldbus.model_copy(update={"redundant_interface": "back"})
+    ring = config.model_copy(update={"fieldbus": both_ends})
+    (struck,) = strikes(ring, [given], NS, frozenset())
+    assert struck.unpowered == set(unpowered) & {5 if fault["kind"] == "power_loss" else 8}

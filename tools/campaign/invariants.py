@@ -127,7 +127,7 @@ def _motion(run: Observed, bounds: Bounds, limits: Limits | None) -> Iterator[Vi
         tension, top = max(tension, limits.tension), max(top, limits.speed)
     pull = truth["tension"]
     yield from _worst("tension", times, ~(pull <= tension), pull, tension, "N in cable")
-    powered = ~unpowered_on_purpose(run)
+    powered = ~unpowered(run)
     speed = np.where(powered, np.linalg.norm(truth["velocity"], axis=1), 0.0)
     yield from _worst("speed", times, ~(speed <= top), speed, top, "m/s")
     yield from _not_falling(run, bounds, speed)
@@ -194,9 +194,9 @@ def _contact(run: Observed, bounds: Bounds) -> Iterator[Violation]:
     yield from _worst("contact", times, wrong, force, bound, "N on the contact port")
 
 
-def unpowered_on_purpose(run: Observed) -> Flags:
-    """(m,) times of the truth at which all power was off because somebody asked for that: an
-    emergency stop, what is no number, or STO and supply of every axis."""
+def unpowered(run: Observed) -> Flags:
+    """(m,) times of the truth at which all power was off, and not by control's choice: an emergency
+    stop, what is no number, or every axis without STO, supply or a way to the master."""
     state = run.cycle["state"]
     asked = (state["operator"] == Operator.ESTOP) | (
         np.isin(state["fault"], (Fault.EMERGENCY_STOP, Fault.NOT_FINITE))
@@ -212,8 +212,8 @@ def unpowered_on_purpose(run: Observed) -> Flags:
     cut: set[int] = set()
     count = run.cycle["drives"]["torque_command"].shape[1]
     for strike in run.strikes:
-        if strike.unpowers:
-            cut |= strike.axes
+        if strike.unpowered:
+            cut |= strike.unpowered
             if len(cut) == count:
                 found = found | (run.truth_ns >= strike.at_ns)
     return np.asarray(found)

@@ -7,9 +7,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from tonus.config.schema.bus import EthercatBus, of_kind
 from tonus.config.schema.bus.base import numbers
 from tonus.config.schema.faults import Fault
 from tonus.config.schema.root import Config
+from tonus.config.timeouts import watchdog_ms
 
 NS = 1_000_000_000
 _ENDING = ("clear", "replug")
@@ -29,8 +31,9 @@ class Strike:
     cells: frozenset[int] = frozenset()
     places: tuple[str, ...] = ()
     """further words that name it in an event's place"""
-    unpowers: bool = False
-    """the power of its axes is cut on purpose: STO, or no supply"""
+    unpowered: frozenset[int] = frozenset()
+    """axes without power whatever control does: STO, no supply, or out of the master's reach on a
+    segment for longer than the drives' watchdog"""
     named: bool = False
     """an event has to name its place"""
     pushes: tuple[tuple[int, int], ...] = ()
@@ -70,18 +73,34 @@ def _strike(config: Config, fault: Any, at_ns: int, named: frozenset[str]) -> St
     if kind == "sto" and axis is None:
         axes = set(range(config.robot.cables))
     wired = kind == "drive_input" and fault.active and fault.input in ("sto", "drive_enable")
+    off = axes if wired or kind in ("sto", "power_loss") else set()
     return Strike(
         kind,
         at_ns,
         frozenset(axes),
         frozenset(cells | axes),
         places,
-        unpowers=wired or kind in ("sto", "power_loss"),
+        unpowered=frozenset(off | _out_of_reach(config, fault)),
         named=kind in named,
         pushes=tuple(
             (at_ns + round(begin * NS), at_ns + round(end * NS)) for begin, end in _pushes(fault)
         ),
     )
+
+
+def _out_of_reach(config: Config, fault: Any) -> set[int]:
+    """Axes behind the break of an EtherCAT line. A ring reaches them from its other end."""
+    if fault.kind not in ("cable_break", "power_loss"):
+        return set()
+    bus = next(
+        bus for bus in of_kind(config.fieldbus, EthercatBus) if bus.interface == fault.channel
+    )
+    watchdog = watchdog_ms(bus, config.tolerance, config.control.rates.period_us)
+    short = fault.duration is not None and fault.duration * 1e3 <= watchdog
+    if short or bus.redundant_interface is not None:
+        return set()
+    last = fault.behind if fault.kind == "cable_break" else fault.node
+    return {node.axis for node in bus.nodes() if node.number > last and node.axis is not None}
 
 
 def _pushes(fault: Any) -> list[tuple[float, float]]:
