@@ -84,7 +84,8 @@ def _observe(
             torques[k, i] = torques[k - 1, i]
         torques[0, i] = torque[i]
         speed, pull, ahead = radius[i] * rate[i], acted / radius[i], radius[i] * following[i]
-        if not (watched and math.isfinite(speed + pull + tension[i] + ahead)):
+        known = explained[i] + mean[i]  # no number after a sample that was none: begin anew
+        if not (watched and math.isfinite(speed + pull + tension[i] + ahead + known)):
             explained[i], unexplained[i], mean[i] = mass[i] * speed, 0.0, abs(pull)
             misled[i], travel[i], last[i], before[i] = 0, 0.0, angle[i], speed
             since[i] = interval[i]
