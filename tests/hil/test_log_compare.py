@@ -18,8 +18,9 @@ from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.paper.case import Kind
 from tonus.tools.paper.printed import OURS
+from tonus.tools.paper.recorded import kind_of
 from tonus.tools.paper.table import text
-from tonus.tools.report.compare import _as_played, kind_of, load_of
+from tonus.tools.report.compare import _as_played, load_of
 from tonus.tools.report.compare import compare as put_side_by_side
 from tonus.tools.report.differences import differences
 
@@ -84,7 +85,7 @@ def test_tracking_is_that_of_the_truth(logs: dict[tuple[str, int], Log]) -> None
 def test_without_truth_the_measurements_stand_in_and_that_is_said(
     logs: dict[tuple[str, int], Log], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tonus.tools.report.compare.TRUTH", "/tonus/no_truth")
+    monkeypatch.setattr("tonus.tools.paper.recorded.TRUTH", "/tonus/no_truth")
     table, (judged,) = put_side_by_side([open_log(logs["bio", 1].path)])
     assert judged.against == "the robot's own measurements"
     assert "position_rmse" in judged.row.indicators

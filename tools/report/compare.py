@@ -10,34 +10,24 @@ from __future__ import annotations
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from tonus.config.schema.root import Config
-from tonus.config.schema.scenario import Path, Press, Scenario, Sine
-from tonus.runtime.states import State
+from tonus.config.schema.scenario import Scenario
 from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.log.attached import configuration, played
-from tonus.tools.paper.case import Case, Kind, Run
+from tonus.tools.paper.case import Kind
 from tonus.tools.paper.compare import compared
-from tonus.tools.paper.metrics import NEEDED_CYCLE, NEEDED_TRUTH, measure
+from tonus.tools.paper.metrics import measure
 from tonus.tools.paper.printed import OURS, TABLE3
+from tonus.tools.paper.recorded import has_truth, recorded
 from tonus.tools.paper.results import Results, Row
 from tonus.tools.paper.table import Column, Table
-from tonus.tools.paper.trial import Trial
-from tonus.tools.run.summary import find_faults
 
-TRUTH = "/tonus/truth"
 _NEEDED = ("timing", "state", "pose", "stiffness", "tension", "wrench", "drives", "energy")
 _LOSSES = frozenset(
     {"energy_dissipated", "energy_per_period", "efficiency_percent", "drive_efficiency_percent"}
 )
 """indicators of what only a lab's plant tells"""
-_AT_ONCE_S = 0.02
-"""s in which a load that rises is a step: the loop's own response takes longer"""
 
 
 @dataclass(frozen=True)
@@ -100,17 +90,16 @@ def _judge(log: Log) -> Judged:
         if f"/tonus/{topic}" not in log:
             raise ToolError(f"{log.path}: there is no topic /tonus/{topic}; compare runs of tonus")
     controller = config.control.controller
-    run = Run(Case(0, scenario.name, kind_of(scenario), scenario), controller, "lab", 1, "direct")
-    trial = _trial(log, run, config)
+    trial = recorded(log, config, scenario)
     indicators = measure(trial)
-    true = TRUTH in log and len(log[TRUTH]) > 0
+    true = has_truth(log)
     if not true:
         indicators = {key: each for key, each in indicators.items() if key not in _LOSSES}
     row = Row(
         key=str(log.path),
         stage=0,
         case=scenario.name,
-        kind=run.case.kind,
+        kind=trial.run.case.kind,
         controller=controller,
         plant="lab",
         seed=1,
@@ -143,25 +132,6 @@ def _labelled(judged: list[Judged]) -> list[Judged]:
     return found
 
 
-def kind_of(scenario: Scenario) -> Kind:
-    """What a scenario asks, told from what is in it."""
-    lab, reference = scenario.lab, scenario.reference
-    if isinstance(reference, Press):
-        return Kind.PRESS
-    if lab.load is not None:
-        rising = [
-            later.at - former.at
-            for former, later in zip(lab.load.profile, lab.load.profile[1:], strict=False)
-            if abs(later.force) > abs(former.force)
-        ]
-        return Kind.STEP if rising and max(rising) <= _AT_ONCE_S else Kind.RAMP
-    if lab.phantom is not None:
-        return Kind.CONTACT
-    if isinstance(reference, Sine):
-        return Kind.SINE
-    return Kind.MOVE if isinstance(reference, Path) else Kind.HOLD
-
-
 def load_of(scenario: Scenario) -> str:
     """The scenario's external load in words; empty without one."""
     load = scenario.lab.load
@@ -171,55 +141,3 @@ def load_of(scenario: Scenario) -> str:
     before = [point for point in load.profile if point.at < largest.at and point.force == 0.0]
     rise = largest.at - before[-1].at if before else 0.0
     return f"load of {abs(largest.force):g} N within {rise:g} s"
-
-
-def _trial(log: Log, run: Run, config: Config) -> Trial:
-    """The ACTIVE part of a log. Raises `ToolError`."""
-    active = np.flatnonzero(log["/tonus/state"]["state"] == State.ACTIVE)
-    if not len(active):
-        raise ToolError(f"{log.path}: the run was never ACTIVE; there is nothing to compare")
-    stamps = log.times("/tonus/timing")
-    cycle = {name: _field(log, name)[active] for name in NEEDED_CYCLE}
-    if TRUTH in log and len(log[TRUTH]):
-        nearest = np.searchsorted(log.times(TRUTH), stamps[active]).clip(0, len(log[TRUTH]) - 1)
-        truth = {name: log[TRUTH][name][nearest] for name in NEEDED_TRUTH}
-    else:
-        truth = _measured(log, active, config)
-    faults = find_faults(log)
-    return Trial(
-        run=run,
-        config=config,
-        time=(stamps[active] - stamps[active[0]]) * 1e-9,
-        cycle=cycle,
-        truth=truth,
-        state=State(int(log["/tonus/state"]["state"][-1])).name,
-        reason=str(faults[-1]["name"]) if faults else "completed",
-        fault=str(faults[-1]["name"]) if faults else "",
-        ticks=len(stamps),
-    )
-
-
-def _field(log: Log, name: str) -> NDArray[Any]:
-    topic, field = name.split(".")
-    rows = log[f"/tonus/{topic}"]
-    if field not in (rows.dtype.names or ()):
-        raise ToolError(f"{log.path}: an older log, without {name}; record the run again")
-    return np.asarray(rows[field])
-
-
-def _measured(log: Log, active: NDArray[np.intp], config: Config) -> dict[str, NDArray[Any]]:
-    """What the robot measured in the place of truth; zero where it measures nothing."""
-    pose, wrench = log["/tonus/pose"][active], log["/tonus/wrench"][active]
-    drives = log["/tonus/drives"][active]
-    per_ampere = config.robot.torque_per_amp
-    absent = ("contact_penetration", "platform_power", "electrical_power")
-    losses = ("friction_losses", "cable_losses", "copper_losses")
-    return {
-        **{name: pose[name] for name in ("position", "quaternion", "velocity")},
-        "tension": log["/tonus/tension"]["measured"][active],
-        "drum_rate": drives["rate"],
-        "current": drives["torque"] / per_ampere,
-        "load": wrench["external"],
-        "contact_force": wrench["contact"],
-        **{name: np.zeros(len(active)) for name in (*absent, *losses)},
-    }
