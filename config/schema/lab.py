@@ -219,6 +219,9 @@ class PowerStage(Section):
 
 class Lab(Section):
     seed: Annotated[int, Field(ge=0)]
+    robot_seed: Annotated[int, Field(ge=0)] | None = None
+    """of the robot and of its tracker's constant errors, what docs/plant.md lists as drawn once;
+    none: the run's seed, which then draws robot and noise together"""
     plant: Plant
     noise: Noise
     cradle: Cradle
@@ -231,6 +234,10 @@ class Lab(Section):
     """N/s at which the load port lets go when a run is stopped before its load's profile is over"""
     start_timeout_s: Positive = 180.0
     """how long its process may take until it answers"""
+
+    def robot_seeded(self, seed: int) -> int:
+        """The seed of the robot in a run with ``seed``."""
+        return seed if self.robot_seed is None else self.robot_seed
 
 
 class LoadPoint(Section):

@@ -55,13 +55,21 @@ class Tracker:
     the occlusions of a script and drop-outs of its own.
     """
 
-    def __init__(self, tracker: TrackerConfig, noise: TrackerNoise, plant: Seen, seed: int) -> None:
+    def __init__(
+        self,
+        tracker: TrackerConfig,
+        noise: TrackerNoise,
+        plant: Seen,
+        seed: int,
+        own_seed: int | None = None,
+    ) -> None:
+        """``own_seed`` draws what is wrong with this tracker; None: ``seed``, as its noise."""
         self._plant = plant
         self._noise = noise
         self._random = generator(seed, Stream.TRACKER)
         self._origin_ns = plant.now_ns
         self._rate_hz = tracker.rate_hz
-        self._errors = generator(seed, Stream.TRACKER_ERRORS)
+        self._errors = generator(seed if own_seed is None else own_seed, Stream.TRACKER_ERRORS)
         """what is wrong with this tracker, apart from its noise"""
         low, high = noise.latency_ms or (tracker.latency_ms, tracker.latency_ms)
         self._latency_ns = round(self._errors.uniform(low, high) * 1e6)

@@ -116,7 +116,9 @@ class Lab:
         self._load_release = lab.load_release
         self.script_start_ns: int | None = None
         """when the script began; None: it has not"""
-        self._tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
+        self._tracker = Tracker(
+            config.tracker, lab.noise.tracker, self.plant, seed, lab.robot_seeded(seed)
+        )
         self.tracker = TrackerFeed(self, self._tracker)
         self._order: list[FaultyChannel] = []
         built = build(self, config, nodes, self._rewire)

@@ -45,6 +45,7 @@ class Plant:
         displacement: Displacement | None = None,
         start_ns: int = 0,
     ) -> None:
+        seed = lab.robot_seeded(seed)
         random = generator(seed, Stream.PLANT)
         anchors = np.array(robot.geometry.frame, dtype=np.float64)
         anchors += lab.plant.anchor_sigma * random.standard_normal(anchors.shape)

@@ -316,6 +316,15 @@ def test_spreads_are_drawn_evenly_once_per_seed_and_shift_no_other_draw() -> Non
         assert friction == pytest.approx(nominal["load_friction"] / nominal["coulomb"])
 
 
+def test_a_robot_with_a_seed_of_its_own_is_the_same_in_every_run() -> None:
+    spread = {"stiffness_spread": 0.15, "mass_spread": 0.2, "anchor_sigma": 0.002}
+    of_seven = with_plant(**spread).model_copy(update={"robot_seed": 7})
+    first, second = (plant(lab=of_seven, seed=seed).parameters for seed in (1, 2))
+    assert first.tobytes() == second.tobytes()
+    assert first.tobytes() == plant(lab=with_plant(**spread), seed=7).parameters.tobytes()
+    assert first.tobytes() != plant(lab=with_plant(**spread), seed=1).parameters.tobytes()
+
+
 def test_what_the_wrench_is_asked_changes_nothing() -> None:
     p = placed(plant())
     before = p.state.tobytes()

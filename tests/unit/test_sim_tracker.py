@@ -66,6 +66,23 @@ def test_latency_and_jitter() -> None:
     assert high - 0.1 < max(late) <= high
 
 
+def test_a_robots_own_seed_draws_its_constant_errors_and_not_its_noise() -> None:
+    seen = SimpleNamespace(now_ns=1_000, **POSE)
+    still = {"position_sigma": 0.0, "rotation_sigma": 0.0, "position_grid": 0.0}
+    noise = {"latency_ms": (4.0, 10.0), "position_bias_sigma": 0.01, "jitter_ms": 0.0}
+
+    def first(seed: int, own: int | None, **also: float) -> tuple[object, ...]:
+        t = Tracker(CONFIG.tracker, NOISE.model_copy(update=noise | also), seen, seed, own)
+        t.expose(t.next_ns)
+        arrival = t.next_arrival_ns
+        assert arrival is not None
+        return arrival, t.poll(arrival)[0]
+
+    assert first(1, 7, **still) == first(2, 7, **still) == first(7, None, **still)
+    assert first(1, 7, **still)[0] != first(1, 8, **still)[0]
+    assert first(1, 7)[1] != first(2, 7)[1]
+
+
 def test_noise_and_grid() -> None:
     poses = watched(tracker(), 2000)
     positions = np.array([p[6:9] for p in poses])
