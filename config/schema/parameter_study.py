@@ -8,19 +8,21 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from tonus.config.schema.base import Count, Finite, Positive, Section
 from tonus.config.schema.campaign import Span
-from tonus.config.schema.controller import ControllerName
+from tonus.config.schema.controller import ControllerChoice
 from tonus.config.schema.realtime import WholeNumber
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$", max_length=60)]
 
 
 class Steps(Section):
-    """Equally spaced values, both ends included; ``log``: by their logarithm."""
+    """Equally spaced values, both ends included; ``log``: by their logarithm; ``whole``: rounded to
+    whole numbers."""
 
     low: Finite
     high: Finite
     steps: Annotated[int, Field(ge=2)]
     log: bool = False
+    whole: bool = False
 
     @model_validator(mode="after")
     def _ordered(self) -> Steps:
@@ -75,7 +77,7 @@ class ParameterStudy(Section):
     configs: Annotated[tuple[str, ...], Field(min_length=1)]
     """files; a relative one starts from the study's own folder, ``config/`` is the shipped one"""
     scenarios: Annotated[tuple[str, ...], Field(min_length=1)]
-    controllers: tuple[ControllerName, ...] = ()
+    controllers: tuple[ControllerChoice, ...] = ()
     """none: the configuration's"""
     seeds: Count | Annotated[tuple[WholeNumber, ...], Field(min_length=1)] = 1
     """of the lab's noise and plant: how many, from 1 on, or which; every combination has them"""
@@ -88,6 +90,8 @@ class ParameterStudy(Section):
     drawn: Drawn | None = None
     measures: dict[Name, Measure] = Field(default_factory=dict)
     """beside the figures that every run has (docs/studies.md)"""
+    indicators: tuple[Name, ...] = ()
+    """of the paper's test programme (docs/paper.md, "Indicators"), as figures of every run"""
     shown: tuple[Name, ...] = ("tracking_rms_mm",)
     """figures that the page plots"""
     pareto: tuple[Name, Name] | None = None
@@ -96,6 +100,11 @@ class ParameterStudy(Section):
     """s of processor time after which a run is given up"""
     keep: Literal["figures", "failures", "all"] = "figures"
     """of which runs the logs are kept"""
+
+    @property
+    def own_figures(self) -> tuple[str, ...]:
+        """Figures beside those that every run has."""
+        return (*self.indicators, *self.measures)
 
     @model_validator(mode="after")
     def _drawn_from_ranges(self) -> ParameterStudy:

@@ -14,6 +14,7 @@ from tonus.config import ConfigError, load
 from tonus.config.schema.controller import ControllerName
 from tonus.config.schema.scenario import Scenario
 from tonus.runtime.control.controllers import CONTROLLERS, Controller, Motion
+from tonus.runtime.control.controllers.pid import PidAtRest
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.control.passivity import damping
 from tonus.runtime.states import Fault, State
@@ -97,6 +98,14 @@ def test_the_law_reads_smoothed_values_and_reaches_63_per_cent_in_its_time_const
     assert asked(found, loaded, 200)[0] == pytest.approx(LAW.base + rise, rel=1e-3)
     found.reset()
     assert found.stiffness(motion()) == LAW.base
+
+
+def test_pid_at_rest_is_pid_with_the_tone_of_bio_observer() -> None:
+    pid, at_rest = controller("pid"), PidAtRest(ROBOT, CONTROL)
+    assert at_rest.tone == CONTROL.bio_observer.tone < pid.tone == 1.0
+    pushed = motion(desired_position=0.01 * X, external=25.0 * X)
+    for one, other in zip(asked(pid, pushed, 50), asked(at_rest, pushed, 50), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("name", ["pid", "bio_integral"])

@@ -22,7 +22,7 @@ from tonus.tools.study.play import COMPLETED, Row, failed, play
 from tonus.tools.study.provenance import head
 from tonus.tools.study.remote import played
 from tonus.tools.study.store import ANEW, JOURNAL
-from tonus.tools.study.trials import Trial, share, trials
+from tonus.tools.study.trials import Trial, in_turn, share, trials
 
 LOCAL = "local"
 DASK = "dask://"
@@ -66,7 +66,7 @@ def carry_out(
     with Journal(out, head(study), resume=True, name=JOURNAL, anew=ANEW) as journal:
         numbers = {trial.index for trial in wanted}
         rows = {index: row for index, row in journal.rows.items() if index in numbers}
-        todo = [trial for trial in wanted if trial.index not in rows]
+        todo = [each for each in in_turn(study, wanted) if each.index not in rows]
         kept, began, interrupted = len(rows), clock.wall_seconds(), False
         bad = sum(row["verdict"] != COMPLETED for row in rows.values())
         here = engine == LOCAL

@@ -1,25 +1,29 @@
-"""Rows that differ in their seeds alone, and what they have in common."""
+"""Rows that differ in their seeds or robots alone: what they have in common, and how much one
+controller differs from another on the same robot with the same seed."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from tonus.config.schema.parameter_study import ParameterStudy
-from tonus.tools.study.play import COMPLETED, Row
+from tonus.tools.study.play import COMPLETED, FIGURES, Row
 
 _CONFIDENCE = 0.95
+ROBOT = "lab.robot_seed"
+"""a parameter whose values are robots drawn from a population, and not settings to compare"""
 
 
 @dataclass(frozen=True)
 class Mean:
-    """Of one figure over the seeds; ``half`` is half the width of its 95 % confidence interval by
-    Student's t, None for one value."""
+    """Of one figure over the samples; ``half`` is half the width of its 95 % confidence interval by
+    Student's t, None for one sample."""
 
     count: int
     value: float
@@ -40,15 +44,25 @@ class Group:
     def bad(self) -> int:
         return sum(row["verdict"] != COMPLETED for row in self.rows)
 
+    @property
+    def samples(self) -> int:
+        """How many there are, of whatever verdict: its robots, or its runs where it has none."""
+        return len({_sample(row) for row in self.rows})
+
     def values(self, figure: str) -> list[float]:
         """Of the runs that were completed and have it."""
         good = [row[figure] for row in self.rows if row["verdict"] == COMPLETED]
         return [each for each in good if each is not None]
 
     def mean(self, figure: str) -> Mean | None:
-        values = np.array(self.values(figure))
-        if not len(values):
+        """Over robots, each with its mean over the seeds; without robots over the runs."""
+        found: dict[tuple[Any, ...], list[float]] = {}
+        for row in self.rows:
+            if row["verdict"] == COMPLETED and row[figure] is not None:
+                found.setdefault(_sample(row), []).append(row[figure])
+        if not found:
             return None
+        values = np.array([np.mean(of_one) for of_one in found.values()])
         half = None
         if len(values) > 1:
             spread = float(stats.sem(values))
@@ -64,12 +78,44 @@ def groups(study: ParameterStudy, rows: Sequence[Row]) -> list[Group]:
         "scenario": len(study.scenarios),
         "controller": len(study.controllers),
     }
-    names = short(study)
+    names = {key: name for key, name in short(study).items() if key != ROBOT}
     for row in rows:
         labels = {key: row[key] for key, count in outer.items() if count > 1}
         labels |= {name: row["parameters"][key] for key, name in names.items()}
         found.setdefault(json.dumps(labels), Group(labels, [])).rows.append(row)
     return list(found.values())
+
+
+def differences(study: ParameterStudy, rows: Sequence[Row]) -> list[Group]:
+    """As `groups`, of each controller less each one before it in the study's list. A row is the
+    difference of two completed runs that differ in nothing else, robot and seed included."""
+    alike: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        if row["verdict"] == COMPLETED:
+            place = [row[key] for key in ("config", "scenario", "parameters", "seed")]
+            alike.setdefault(json.dumps(place), {})[row["controller"]] = row
+    made = []
+    for of in alike.values():
+        for one, other in combinations(study.controllers, 2):
+            if one in of and other in of:
+                less = {key: _less(of[other], of[one], key) for key in _figures(study)}
+                made.append(of[other] | less | {"controller": f"{other} less {one}"})
+    return groups(study, made)
+
+
+def _figures(study: ParameterStudy) -> tuple[str, ...]:
+    return (*FIGURES, *study.own_figures)
+
+
+def _less(row: Row, other: Row, figure: str) -> float | None:
+    """None where one of them does not have it."""
+    here, there = row[figure], other[figure]
+    return None if here is None or there is None else here - there
+
+
+def _sample(row: Row) -> tuple[Any, ...]:
+    robot = row["parameters"].get(ROBOT)
+    return (row["index"],) if robot is None else (ROBOT, robot)
 
 
 def short(study: ParameterStudy) -> dict[str, str]:
@@ -85,6 +131,15 @@ def _ending(key: str, others: Iterable[str]) -> str:
         if not any(f".{other}".endswith(f".{ending}") for other in others):
             return ending
     return key
+
+
+def told(group: Group, figure: str) -> str:
+    """Its mean, with the number of samples where not all have one; empty where none has."""
+    mean = group.mean(figure)
+    if mean is None:
+        return ""
+    few = f" (of {mean.count} of {group.samples})" if mean.count < group.samples else ""
+    return f"{mean}{few}"
 
 
 def number(value: Any) -> str:

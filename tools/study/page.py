@@ -13,8 +13,9 @@ from tonus.tools.draft import write_whole
 from tonus.tools.pages.page import page
 from tonus.tools.pages.rows import Rows
 from tonus.tools.report.interactive import available
-from tonus.tools.study.groups import Group, groups, number, short
+from tonus.tools.study.groups import ROBOT, Group, differences, groups, number, short, told
 from tonus.tools.study.play import COMPLETED, Row
+from tonus.tools.study.trials import trials
 
 _HEIGHT = 420
 _MOST_ROWS = 2000
@@ -26,12 +27,15 @@ def write_page(study: ParameterStudy, rows: Sequence[Row], folder: Path) -> Path
     path = folder / "index.html"
     found = groups(study, rows)
     bad = sum(group.bad for group in found)
+    over = "the robots, each over its seeds" if ROBOT in study.parameters else "the seeds"
     text = page(
         "study.html.j2",
         f"Study {study.name}",
         subtitle=study.description,
-        facts=f"{len(rows)} runs, {bad} not completed; means over the seeds with 95 % confidence",
+        facts=f"{len(rows)} of {len(trials(study))} runs, {bad} not completed; means over {over}, "
+        "with 95 % confidence",
         means=_means(study, found),
+        differences=_means(study, differences(study, rows)),
         plots=_plots(study, found, rows),
         runs=_runs(study, rows),
     )
@@ -41,12 +45,11 @@ def write_page(study: ParameterStudy, rows: Sequence[Row], folder: Path) -> Path
 
 def _means(study: ParameterStudy, found: Sequence[Group]) -> Rows:
     labels = list(found[0].labels) if found else []
-    shown = [*study.shown, *(each for each in study.measures if each not in study.shown)]
+    shown = [*study.shown, *(each for each in study.own_figures if each not in study.shown)]
     lines = []
     for group in found:
-        means = [group.mean(figure) for figure in shown]
         cells = [number(group.labels[label]) for label in labels]
-        cells += [str(mean) if mean is not None else "" for mean in means]
+        cells += [told(group, figure) for figure in shown]
         lines.append([*cells, str(len(group.rows)), str(group.bad)])
     heads = [*labels, *shown, "runs", "not completed"]
     return Rows.of(heads, lines, range(len(labels), len(heads)))
@@ -76,7 +79,8 @@ def _plots(study: ParameterStudy, found: Sequence[Group], rows: Sequence[Row]) -
     graph = import_module("plotly.graph_objects")
     figures: list[Any] = []
     names = short(study)
-    numeric = [key for key in study.parameters if all(map(_is_number, _column(rows, key)))]
+    settings = [key for key in study.parameters if key != ROBOT]
+    numeric = [key for key in settings if all(map(_is_number, _column(rows, key)))]
     drawn = study.drawn is not None
     for name in study.shown:
         if drawn:  # hardly two samples have a value in common

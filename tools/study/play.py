@@ -24,6 +24,7 @@ from tonus.tools.log.log import Log
 from tonus.tools.run.composer import run
 from tonus.tools.run.order import Order
 from tonus.tools.run.summary import Indicators, truth_at_cycles
+from tonus.tools.study.indicators import taken
 from tonus.tools.study.provenance import configuration_digest, loaded
 from tonus.tools.study.trials import Trial
 
@@ -46,6 +47,9 @@ FIGURES = {
     "effort_rms_nm": "change of the torques from tick to tick in ACTIVE",
 }
 """of every run, by name; None where a run does not have it"""
+_PARTS = ("timing", "state", "pose", "stiffness", "tension", "wrench", "drives", "envelope")
+_READ = tuple(f"/tonus/{part}" for part in (*_PARTS, "energy", "truth"))
+"""topics that most figures are of: one pass over the log instead of one for each"""
 
 
 def play(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
@@ -66,7 +70,7 @@ def play(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
 
 def failed(study: ParameterStudy, trial: Trial, reason: str) -> Row:
     """The row of a run that has no figures."""
-    none = dict.fromkeys([*FIGURES, *study.measures])
+    none = dict.fromkeys([*FIGURES, *study.own_figures])
     return _row(study, trial, "error", reason.splitlines()[0], 0, "") | none
 
 
@@ -95,6 +99,7 @@ def _played(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
     result = run(order)
     outcome = result.outcome
     log = open_log(result.log)
+    log.load([topic for topic in _READ if topic in log])
     verdict = COMPLETED if outcome.fault is Fault.NONE else outcome.fault.name.lower()
     if outcome.obstacle or result.unrecorded:
         verdict = "error"
@@ -102,6 +107,8 @@ def _played(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
     row = _row(study, trial, verdict, reason, outcome.ticks, _digest(log))
     row["configuration"] = configuration_digest(config, scenario)
     questions = Run(log, reason=reason)
+    if study.indicators:
+        row |= taken(log, config, scenario, study.indicators)
     return row | _figures(log) | {key: _taken(questions, m) for key, m in study.measures.items()}
 
 

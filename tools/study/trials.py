@@ -58,6 +58,19 @@ def trials(study: ParameterStudy) -> list[Trial]:
     ]
 
 
+def in_turn(study: ParameterStudy, planned: list[Trial]) -> list[Trial]:
+    """In the order of playing: the first seed of everything before the second, and with a seed one
+    combination of parameters after the other. What an interrupted study has is then the same for
+    every configuration, scenario and controller, but for one combination."""
+    seeds = study.seeds if isinstance(study.seeds, int) else len(study.seeds)
+    points = len(_combinations(study))
+
+    def turn(trial: Trial) -> tuple[int, int, int]:
+        return trial.index % seeds, trial.index // seeds % points, trial.index
+
+    return sorted(planned, key=turn)
+
+
 def share(all_of_them: list[Trial], number: int, of: int) -> list[Trial]:
     """Every ``of``-th trial from number ``number`` (1 to ``of``) on: neighbours, which take equally
     long, go to different shares."""
@@ -83,7 +96,8 @@ def _drawn(value: object) -> bool:
 def _values(value: tuple[Any, ...] | Steps | Span) -> list[Any]:
     if isinstance(value, Steps):
         spaced = np.geomspace if value.log else np.linspace
-        return [float(each) for each in spaced(value.low, value.high, value.steps)]
+        found = spaced(value.low, value.high, value.steps).tolist()
+        return [round(each) for each in found] if value.whole else found
     assert isinstance(value, tuple)
     return list(value)
 

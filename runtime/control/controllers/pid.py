@@ -33,3 +33,12 @@ class Pid(Controller):
         wanted = self.resting_stiffness
         integral = self._integral(motion, stiffness, held=stiffness < wanted)
         return np.asarray(super().force(motion, stiffness) + stiffness / wanted * integral)
+
+
+class PidAtRest(Pid):
+    """`pid` that rests at the lower tensions of `bio_observer`, and has no rule that raises them
+    under a load: what of an advantage is the lower baseline alone. For studies, by its module."""
+
+    def __init__(self, robot: Robot, control: Control) -> None:
+        super().__init__(robot, control)
+        self.tone = control.bio_observer.tone

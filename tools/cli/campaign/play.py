@@ -14,7 +14,7 @@ from tonus.tools.cli.campaign.progress import Progress
 from tonus.tools.errors import ToolError
 from tonus.tools.folders import make_folder
 from tonus.tools.study.engine import DASK, LOCAL, Share, carry_out
-from tonus.tools.study.groups import groups, number
+from tonus.tools.study.groups import differences, groups, number, told
 from tonus.tools.study.names import need_known
 from tonus.tools.study.page import write_page
 from tonus.tools.study.play import COMPLETED, Row
@@ -55,9 +55,9 @@ def play(
 ) -> None:
     """Play the runs of STUDY, a YAML file (docs/studies.md), in virtual time.
 
-    Each run is a line in OUT/trials.jsonl at once; after Ctrl-C the same command goes on. At the
-    end OUT has trials.parquet, a row a run, and index.html. A run that fails is a row. Exit code 1:
-    not every run was completed.
+    Each run is a line in OUT/trials.jsonl at once; after Ctrl-C the same command goes on. Then and
+    at the end OUT has trials.parquet, a row a run, and index.html. A run that fails is a row. Exit
+    code 1: not every run was completed.
     """
     settings = load_parameter_study(study)
     need_known(settings)
@@ -72,29 +72,30 @@ def play(
     part = shard or Share()
     progress = Progress(Console(stderr=True, highlight=False, markup=False), "not completed")
     found = carry_out(settings, folder, workers=workers, engine=engine, part=part, tell=progress)
-    if found.interrupted:
-        done = f"interrupted after {len(found.rows)} of {len(found.trials)} runs"
-        click.echo(f"{done}; the same command goes on")
-        raise click.exceptions.Exit(1)
     files = [write_table(settings, found.rows, folder)]
     if part.of == 1:
         files.append(write_page(settings, found.rows, folder))
     _tell(settings, found.rows, files)
+    if found.interrupted:
+        done = f"interrupted after {len(found.rows)} of {len(found.trials)} runs"
+        click.echo(f"{done}; the same command goes on")
+        raise click.exceptions.Exit(1)
     if part.of > 1:
         click.echo(f"share {part.number} of {part.of}; all of them: tonus campaign merge FOLDER...")
     raise click.exceptions.Exit(0 if all(r["verdict"] == COMPLETED for r in found.rows) else 1)
 
 
 def _tell(study: ParameterStudy, rows: list[Row], files: list[Path]) -> None:
-    for group in groups(study, rows)[:_SHOWN]:
-        told = "  ".join(f"{key} {number(value)}" for key, value in group.labels.items()) or "all"
-        means = ((figure, group.mean(figure)) for figure in study.shown)
-        shown = "  ".join(f"{figure} {mean}" for figure, mean in means if mean is not None)
-        bad = f"  {group.bad} of {len(group.rows)} not completed" if group.bad else ""
-        click.echo(f"  {told}: {shown}{bad}")
-    left = len(groups(study, rows)) - _SHOWN
-    if left > 0:
-        click.echo(f"  and {left} more")
+    for found in (groups(study, rows), differences(study, rows)):
+        for group in found[:_SHOWN]:
+            named = "  ".join(f"{key} {number(value)}" for key, value in group.labels.items())
+            means = ((figure, told(group, figure)) for figure in study.shown)
+            shown = "  ".join(f"{figure} {mean}" for figure, mean in means if mean)
+            bad = f"  {group.bad} of {len(group.rows)} not completed" if group.bad else ""
+            click.echo(f"  {named or 'all'}: {shown}{bad}")
+        left = len(found) - _SHOWN
+        if left > 0:
+            click.echo(f"  and {left} more")
     failed = [row for row in rows if row["verdict"] != COMPLETED]
     for row in failed[:3]:
         click.echo(f"  {row['verdict']}: {row['reason']}\n    {row['command']}")
