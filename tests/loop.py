@@ -104,7 +104,9 @@ class ClosedLoop:
             load=script.load,
             displacement=script.displacement,
         )
-        self.tracker = Tracker(config.tracker, lab.noise.tracker, self.plant, seed)
+        self.tracker = Tracker(
+            config.tracker, lab.noise.tracker, self.plant, seed, lab.robot_seeded(seed)
+        )
         self.cycle = ControlCycle(
             robot,
             config.control,

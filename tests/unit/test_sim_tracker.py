@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from plant_setup import CONFIG, LAB
 
-from tonus.config.schema.lab import Occlusion, TrackerShift
+from tonus.config import load
+from tonus.config.schema.lab import LabScript, Occlusion, TrackerShift
 from tonus.sim.devices.tracker import Tracker
+from tonus.sim.lab.engine import Lab
 
 NOISE = LAB.noise.tracker
 POSE = {"position": np.array([0.0123, -0.05, 0.2]), "quaternion": np.array([0.5, 0.5, -0.5, 0.5])}
@@ -81,6 +83,14 @@ def test_a_robots_own_seed_draws_its_constant_errors_and_not_its_noise() -> None
     assert first(1, 7, **still) == first(2, 7, **still) == first(7, None, **still)
     assert first(1, 7, **still)[0] != first(1, 8, **still)[0]
     assert first(1, 7)[1] != first(2, 7)[1]
+
+
+def test_the_lab_draws_the_trackers_errors_with_its_robots_seed() -> None:
+    noise = {"lab.robot_seed": 7, "lab.noise.tracker.latency_ms": [4.0, 10.0]}
+    config, _ = load("config/direct.yaml", overrides=noise)
+    labs = [Lab(config, LabScript(), seed=seed, clock=lambda: 0) for seed in (1, 2)]
+    first, second = (lab._tracker._latency_ns for lab in labs)
+    assert first == second
 
 
 def test_noise_and_grid() -> None:
