@@ -101,11 +101,6 @@ class ParameterStudy(Section):
     keep: Literal["figures", "failures", "all"] = "figures"
     """of which runs the logs are kept"""
 
-    @property
-    def own_figures(self) -> tuple[str, ...]:
-        """Figures beside those that every run has."""
-        return (*self.indicators, *self.measures)
-
     @model_validator(mode="after")
     def _drawn_from_ranges(self) -> ParameterStudy:
         ranges = [key for key, value in self.parameters.items() if isinstance(value, Span)]

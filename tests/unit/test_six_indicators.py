@@ -121,7 +121,7 @@ def test_a_controller_is_named_as_for_a_run() -> None:
 
 def test_a_robot_is_one_sample_the_mean_over_its_seeds() -> None:
     of = study(controllers=["pid"])
-    values = {("pid", 7, 1): 1.0, ("pid", 7, 2): 3.0, ("pid", 8, 1): 4.0, ("pid", 8, 2): None}
+    values = {("pid", 7, 1): 1.0, ("pid", 7, 2): 3.0, ("pid", 8, 1): 3.0, ("pid", 8, 2): 5.0}
     (group,) = groups(of, rows_of(of, values))
     mean = group.mean("settling")
     assert mean is not None
@@ -130,18 +130,30 @@ def test_a_robot_is_one_sample_the_mean_over_its_seeds() -> None:
     assert mean.half == pytest.approx(12.706, rel=1e-4)
 
 
+def test_a_robot_that_does_not_settle_with_every_seed_has_no_settling_time() -> None:
+    of = study(controllers=["pid"])
+    values = {("pid", 7, 1): 1.0, ("pid", 7, 2): 3.0, ("pid", 8, 1): 9.0, ("pid", 8, 2): None}
+    rows = rows_of(of, values)
+    (group,) = groups(of, rows)
+    assert told(group, "settling") == "2 (of 1 of 2)"
+    rows[3]["verdict"] = "cable_torn"
+    assert told(group, "settling").startswith("5.5 ± ")
+
+
 def test_differences_are_taken_on_the_same_robot_with_the_same_seed() -> None:
     of = study()
     one = {("pid", 7, 1): 1.0, ("pid", 7, 2): 3.0, ("pid", 8, 1): 40.0, ("pid", 8, 2): 60.0}
-    less = {("bio", 7, 1): 0.5, ("bio", 7, 2): 2.5, ("bio", 8, 1): 39.4, ("bio", 8, 2): None}
+    less = {("bio", 7, 1): 0.5, ("bio", 7, 2): 2.5, ("bio", 8, 1): 39.4, ("bio", 8, 2): 59.4}
     rows = rows_of(of, one | less)
     (group,) = differences(of, rows)
     assert group.labels == {"controller": "bio less pid"}
-    assert [row["settling"] for row in group.rows] == pytest.approx([-0.5, -0.5, -0.6, None])
+    assert [row["settling"] for row in group.rows] == pytest.approx([-0.5, -0.5, -0.6, -0.6])
     mean = group.mean("settling")
     assert mean is not None
     assert mean.value == pytest.approx(-0.55)
     assert mean.half == pytest.approx(12.706 * 0.05, rel=1e-4)
+    rows[-1]["settling"] = None
+    assert told(differences(of, rows)[0], "settling") == "-0.5 (of 1 of 2)"
     rows[0]["verdict"] = "cable_torn"
     assert len(differences(of, rows)[0].rows) == 3
     assert not differences(study(controllers=["pid"]), rows[:4])

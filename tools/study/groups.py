@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 
 from tonus.config.schema.parameter_study import ParameterStudy
-from tonus.tools.study.play import COMPLETED, FIGURES, Row
+from tonus.tools.study.play import COMPLETED, Row, figures
 
 _CONFIDENCE = 0.95
 ROBOT = "lab.robot_seed"
@@ -55,14 +55,16 @@ class Group:
         return [each for each in good if each is not None]
 
     def mean(self, figure: str) -> Mean | None:
-        """Over robots, each with its mean over the seeds; without robots over the runs."""
-        found: dict[tuple[Any, ...], list[float]] = {}
+        """Over robots, each with its mean over the seeds; without robots over the runs. A robot of
+        which a completed run does not have the figure, as one that did not settle, is left out:
+        its other runs would speak for it."""
+        found: dict[tuple[Any, ...], list[Any]] = {}
         for row in self.rows:
-            if row["verdict"] == COMPLETED and row[figure] is not None:
+            if row["verdict"] == COMPLETED:
                 found.setdefault(_sample(row), []).append(row[figure])
-        if not found:
+        values = np.array([np.mean(each) for each in found.values() if None not in each])
+        if not len(values):
             return None
-        values = np.array([np.mean(of_one) for of_one in found.values()])
         half = None
         if len(values) > 1:
             spread = float(stats.sem(values))
@@ -98,13 +100,9 @@ def differences(study: ParameterStudy, rows: Sequence[Row]) -> list[Group]:
     for of in alike.values():
         for one, other in combinations(study.controllers, 2):
             if one in of and other in of:
-                less = {key: _less(of[other], of[one], key) for key in _figures(study)}
+                less = {key: _less(of[other], of[one], key) for key in figures(study)}
                 made.append(of[other] | less | {"controller": f"{other} less {one}"})
     return groups(study, made)
-
-
-def _figures(study: ParameterStudy) -> tuple[str, ...]:
-    return (*FIGURES, *study.own_figures)
 
 
 def _less(row: Row, other: Row, figure: str) -> float | None:

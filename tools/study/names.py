@@ -10,7 +10,7 @@ from tonus.runtime.errors import ControllerError
 from tonus.tools.errors import ToolError
 from tonus.tools.expect.names import advice, full, signals
 from tonus.tools.study.indicators import INDICATORS
-from tonus.tools.study.play import FIGURES
+from tonus.tools.study.play import figures
 from tonus.tools.study.provenance import firsts, loaded
 
 
@@ -18,11 +18,11 @@ def need_known(study: ParameterStudy) -> None:
     """Raises `ToolError` for a figure, a signal or a controller that there is none of, and
     `ConfigError` where the first run of a configuration, scenario and controller cannot be
     loaded."""
-    figures = (*FIGURES, *study.own_figures)
+    known = figures(study)
     for name in (*study.shown, *(study.pareto or ())):
-        if name not in figures:
-            near = get_close_matches(name, figures, 1)
-            remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(figures)}"
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
             raise ToolError(f"study {study.name}: there is no figure {name}; {remedy}")
     for name in study.indicators:
         if name not in INDICATORS:

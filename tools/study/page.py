@@ -45,7 +45,7 @@ def write_page(study: ParameterStudy, rows: Sequence[Row], folder: Path) -> Path
 
 def _means(study: ParameterStudy, found: Sequence[Group]) -> Rows:
     labels = list(found[0].labels) if found else []
-    shown = [*study.shown, *(each for each in study.own_figures if each not in study.shown)]
+    shown = dict.fromkeys([*study.shown, *study.indicators, *study.measures])
     lines = []
     for group in found:
         cells = [number(group.labels[label]) for label in labels]

@@ -52,6 +52,11 @@ _READ = tuple(f"/tonus/{part}" for part in (*_PARTS, "energy", "truth"))
 """topics that most figures are of: one pass over the log instead of one for each"""
 
 
+def figures(study: ParameterStudy) -> tuple[str, ...]:
+    """Of every run of this study, by name."""
+    return (*FIGURES, *study.indicators, *study.measures)
+
+
 def play(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
     """Run it in virtual time in ``folder``, which stays where the study keeps such logs. Whatever
     is wrong with a run is its verdict: a fault's name, or ``error`` with a line."""
@@ -70,7 +75,7 @@ def play(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
 
 def failed(study: ParameterStudy, trial: Trial, reason: str) -> Row:
     """The row of a run that has no figures."""
-    none = dict.fromkeys([*FIGURES, *study.own_figures])
+    none = dict.fromkeys(figures(study))
     return _row(study, trial, "error", reason.splitlines()[0], 0, "") | none
 
 

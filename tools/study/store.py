@@ -14,7 +14,7 @@ from tonus.config.schema.parameter_study import ParameterStudy
 from tonus.tools.campaign.journal import Journal
 from tonus.tools.draft import drafted
 from tonus.tools.errors import ToolError
-from tonus.tools.study.play import FIGURES, SECONDS, Row
+from tonus.tools.study.play import SECONDS, Row, figures
 from tonus.tools.study.trials import trials
 
 JOURNAL = "trials.jsonl"
@@ -28,7 +28,7 @@ def flat(study: ParameterStudy, row: Row) -> dict[str, Any]:
     """A row as the table has it: each parameter a column, no time of this host."""
     found = {key: row[key] for key in _BEFORE}
     found |= {key: _cell(row["parameters"][key]) for key in study.parameters}
-    found |= {key: row[key] for key in (*FIGURES, *study.own_figures)}
+    found |= {key: row[key] for key in figures(study)}
     return found | {key: row[key] for key in _AFTER} | {"version": version("tonus")}
 
 
@@ -59,7 +59,7 @@ def write_table(study: ParameterStudy, rows: Sequence[Row], folder: Path) -> Pat
             values = [None if each is None else str(each) for each in values]
         elif any(isinstance(each, float) for each in values):
             values = [None if each is None else float(each) for each in values]
-        kind = pyarrow.float64() if key in (*FIGURES, *study.own_figures) else None
+        kind = pyarrow.float64() if key in figures(study) else None
         columns[key] = pyarrow.array(values, type=kind)
     with drafted(path) as beside:
         parquet.write_table(pyarrow.table(columns), beside)
