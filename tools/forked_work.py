@@ -74,6 +74,13 @@ def forked(
             os.close(process.pipe)
 
 
+def crashed(exit_code: int) -> str:
+    """Why a process ended without a word."""
+    if exit_code < 0:
+        return f"crashed: {signal.Signals(-exit_code).name}"
+    return f"crashed: exit code {exit_code}"
+
+
 def _start(job: Job, work: Callable[[Job, Tell], None]) -> _Process[Job]:
     ours, theirs = os.pipe()
     sys.stdout.flush()

@@ -1,5 +1,5 @@
-"""A campaign on real worker processes: it goes on after an interruption, and after a trial or a
-worker that breaks down."""
+"""A campaign in real processes: it goes on after an interruption, and after a trial that raises or
+crashes."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ import pytest
 from click.testing import CliRunner
 from loop import QUICK
 
-from tonus.config import load
+from tonus.config import Config, load
 from tonus.config.loader import load_protocol
 from tonus.tools.cli.paper import paper
 from tonus.tools.errors import ToolError
 from tonus.tools.paper.campaign import TRIALS, Job, Progress, carry_out, fingerprint, prepare
 from tonus.tools.paper.case import Run
+from tonus.tools.paper.conduct import conduct
 from tonus.tools.paper.protocol import Programme
+from tonus.tools.paper.trial import Trial
 
 PROTOCOL = load_protocol()
 BRISK, _ = load("config/direct.yaml", overrides=QUICK)
@@ -37,14 +39,11 @@ def jobs(*controllers: str, duration: float = 0.3) -> list[Job]:
     return prepare(PROTOCOL, BRISK, todo)
 
 
-class Deadly:
-    """A configuration that ends the worker which unpacks it."""
-
-    def __init__(self, config: Any) -> None:
-        self.control = config.control
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os._exit, (1,)
+def deadly(run: Run, config: Config, **_: Any) -> Trial:
+    """`conduct`, but a trial of pd ends its process."""
+    if run.controller == "pd":
+        os._exit(1)
+    return conduct(run, config)
 
 
 @pytest.mark.long
@@ -78,14 +77,16 @@ def test_it_goes_on_where_it_was_interrupted_and_gives_the_same(tmp_path: Path) 
 
 
 @pytest.mark.wide
-def test_neither_an_exception_nor_a_dead_worker_ends_it(tmp_path: Path) -> None:
-    good, deadly, broken = jobs("bio", "pd", "pid")
-    deadly = replace(deadly, config=Deadly(deadly.config))  # type: ignore[arg-type]
+def test_neither_an_exception_nor_a_dead_process_ends_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tonus.tools.paper.campaign.conduct", deadly)
+    good, dead, broken = jobs("bio", "pd", "pid")
     broken = replace(broken, config=broken.config.model_copy(update={"lab": None}))
-    campaign = carry_out([good, deadly, broken], tmp_path, 2, lambda _: None)
+    campaign = carry_out([good, dead, broken], tmp_path, 2, lambda _: None)
     rows = {row.controller: row for row in campaign.results.rows}
     assert rows["bio"].completed
-    assert "BrokenProcessPool" in rows["pd"].reason
+    assert rows["pd"].reason == "crashed: exit code 1"
     assert "lab section" in rows["pid"].reason
     assert {row.controller for row in campaign.failed} == {"pd", "pid"}
     assert not rows["pd"].completed
@@ -116,7 +117,7 @@ def test_a_kill_leaves_what_is_done_and_no_worker(tmp_path: Path) -> None:
     done = tmp_path / TRIALS / f"{jobs('bio')[0].run.key}.json"
     try:
         waited(done.exists, 300)
-        assert len(marked(mark)) >= 3
+        assert len(marked(mark)) >= 2
     finally:
         child.kill()
         child.wait()

@@ -18,6 +18,7 @@ from tonus.tools.campaign.allowance import Allowance, for_torn_cables
 from tonus.tools.campaign.episode import Episode, Group
 from tonus.tools.campaign.judge import Row, failed, row_of
 from tonus.tools.campaign.play import Playing, describe
+from tonus.tools.forked_work import crashed
 from tonus.tools.forking import die_with_parent
 
 _AHEAD_S = 0.003
@@ -124,6 +125,4 @@ def cause(exit_code: int, hang: int) -> str:
     """Why a process ended without a row."""
     if exit_code in (-signal.SIGPROF, -signal.SIGALRM):
         return f"hung: no end in {hang} s of processor time"
-    if exit_code < 0:
-        return f"crashed: {signal.Signals(-exit_code).name}"
-    return f"crashed: exit code {exit_code}"
+    return crashed(exit_code)

@@ -143,14 +143,15 @@ def _watched(console: Console, todo: list[Job], out: Path, jobs: int) -> Campaig
 
         return carry_out(todo, out, jobs, tell)
     columns = (BarColumn(bar_width=30), TextColumn("{task.description}", markup=False))
-    with Progress(*columns, console=console, transient=True) as shown:
+    # Without a thread that draws: processes are forked meanwhile.
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as shown:
         bar: TaskID = shown.add_task("starting", total=1.0)
         return carry_out(
             todo,
             out,
             jobs,
             lambda standing: shown.update(
-                bar, completed=standing.share, description=_line(standing)
+                bar, completed=standing.share, description=_line(standing), refresh=True
             ),
         )
 

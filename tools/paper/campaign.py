@@ -1,16 +1,13 @@
-"""Many trials on several processors: resumable, and no trial's failure is the campaign's end."""
+"""Many trials on several processors: resumable, and no trial's failure is the campaign's end.
+
+Trials are forked from this process (`tonus.tools.forked_work`), so it must have no thread.
+"""
 
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
-import select
-import signal
-import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
@@ -27,12 +24,14 @@ from tonus.config.schema.root import Config
 from tonus.runtime.signals import SCHEMA_VERSION
 from tonus.runtime.timing import clock
 from tonus.tools.folders import make_folder
+from tonus.tools.forked_work import Tell, crashed, forked
 from tonus.tools.paper import metrics
 from tonus.tools.paper.case import Run
 from tonus.tools.paper.conduct import conduct
 from tonus.tools.paper.plants import settings_key, settle
 from tonus.tools.paper.protocol import robot_seconds
 from tonus.tools.paper.results import Results, Row
+from tonus.tools.warm_up import warm
 
 Json = dict[str, Any]
 TRIALS = "trials"
@@ -189,74 +188,32 @@ def _length(job: Job) -> float:
 
 
 def _answers(jobs: list[Job], folder: Path, workers: int) -> Iterator[tuple[Job, Row, float]]:
-    """Jobs with what became of them, as they are finished. A worker that dies takes its pool with
-    it; what was then under way is tried once more, one by one, so that the culprit is found."""
-    suspects: list[Job] = []
-    waiting = list(reversed(jobs))
-    while waiting or suspects:
-        alone = not waiting
-        batch, size = ([suspects.pop()], 1) if alone else (waiting, workers)
-        pool = _pool(size)
+    """Jobs with what became of them, as they are finished; each in a process of its own."""
+    first = {job.run.bus: job for job in reversed(jobs)}
+    for job in first.values():
+        warm(job.config, job.run.case.scenario)
+
+    def carry(job: Job, tell: Tell) -> None:
         try:
-            under_way: dict[Future[tuple[Row, float]], Job] = {}
-            while batch or under_way:
-                while batch and len(under_way) < size:
-                    job = batch.pop()
-                    under_way[pool.submit(work, job, folder)] = job
-                done, _ = wait(under_way, return_when=FIRST_COMPLETED)
-                broken = [future for future in done if _broke(future)]
-                for future in done:
-                    if future not in broken:
-                        yield (job := under_way.pop(future)), *_answer(job, future)
-                if broken:
-                    if alone:
-                        job = under_way.pop(broken[0])
-                        yield job, *_answer(job, broken[0])
-                    else:
-                        suspects += under_way.values()
-                    break
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            row, seconds = work(job, folder)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is this trial's
+            row, seconds = _row(job.run, {}, "", f"{type(error).__name__}: {error}", ""), 0.0
+        tell(json.dumps([row.as_json(), seconds]).encode())
 
-
-def _broke(future: Future[Any]) -> bool:
-    return isinstance(future.exception(), BrokenProcessPool)
-
-
-def _answer(job: Job, future: Future[tuple[Row, float]]) -> tuple[Row, float]:
-    error = future.exception()
-    if error is None:
-        return future.result()
-    return _row(job.run, {}, "", f"{type(error).__name__}: {error}", ""), 0.0
-
-
-def _pool(workers: int) -> ProcessPoolExecutor:
-    """Processes that import once and start from there, each for many trials."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tonus.tools.paper.campaign"])
-    # Matrices of eight rows are no work for a second thread.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return ProcessPoolExecutor(
-        workers, mp_context=context, initializer=_go_with, initargs=(os.getpid(),)
-    )
-
-
-def _go_with(campaign: int) -> None:
-    """In a worker: Ctrl-C, or the end of the campaign's process however it comes, ends it at once.
-    What it has not finished is nowhere yet."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    # The worker's own parent is the fork server, which outlives the campaign as long as it lives.
-    threading.Thread(target=_end_with, args=(os.pidfd_open(campaign),), daemon=True).start()
-
-
-def _end_with(process: int) -> None:
-    select.select([process], [], [])
-    os._exit(1)
+    heard: set[str] = set()
+    for said in forked(jobs, workers, carry):
+        key = said.job.run.key
+        if said.line is not None:
+            heard.add(key)
+            row, seconds = json.loads(said.line)
+            yield said.job, Row.from_json(row), seconds
+        elif key not in heard:
+            yield said.job, _row(said.job.run, {}, "", crashed(said.exit_code), ""), 0.0
 
 
 def work(job: Job, folder: Path) -> tuple[Row, float]:
-    """In a worker: run a trial, measure it, keep what it came to. Returns its row and the s of
-    robot time it took."""
+    """Run a trial, measure it, keep what it came to. Returns its row and the s of robot time it
+    took."""
     run = job.run
     traced = run.seed == 1 and run.bus == "direct"
     trial = conduct(run, job.config, cycle=metrics.NEEDED_CYCLE, truth=metrics.NEEDED_TRUTH)

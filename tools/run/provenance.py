@@ -47,7 +47,7 @@ def attachments(config: Config, scenario: Scenario, others: Sequence[Scenario]) 
         catalogue["catalogue.yaml"] = _yaml({"scenarios": scenarios})
     return {
         "config.yaml": _of_model(config),
-        "environment.txt": _environment(),
+        "environment.txt": environment(),
         "scenario.yaml": _of_model(scenario),
         **catalogue,
     }
@@ -68,7 +68,7 @@ def _versions() -> dict[str, str]:
 
 
 @functools.cache
-def _environment() -> bytes:
+def environment() -> bytes:
     """Every installed distribution with its version, as pip takes them."""
     found = {each.metadata["Name"].lower(): each.version for each in distributions()}
     return "".join(f"{name}=={found[name]}\n" for name in sorted(found)).encode()

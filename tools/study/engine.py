@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tonus.config.schema.parameter_study import ParameterStudy
+from tonus.runtime.control.controllers.registry import CONTROLLERS
 from tonus.runtime.timing import clock
 from tonus.tools.campaign.campaign import Standing
 from tonus.tools.campaign.journal import Journal
@@ -19,10 +20,11 @@ from tonus.tools.campaign.station import cause, watch
 from tonus.tools.errors import ToolError
 from tonus.tools.forked_work import Tell, forked
 from tonus.tools.study.play import COMPLETED, Row, failed, play
-from tonus.tools.study.provenance import head
+from tonus.tools.study.provenance import firsts, head, loaded
 from tonus.tools.study.remote import played
 from tonus.tools.study.store import ANEW, JOURNAL
 from tonus.tools.study.trials import Trial, in_turn, share, trials
+from tonus.tools.warm_up import warm
 
 LOCAL = "local"
 DASK = "dask://"
@@ -92,6 +94,8 @@ def _local(study: ParameterStudy, todo: Sequence[Trial], workers: int, out: Path
         row = play(study, trial, out / "runs" / f"{trial.index:06d}")
         tell(json.dumps(row, separators=(",", ":")).encode())
 
+    if todo:
+        _warm(study)
     told: set[int] = set()
     for said in forked(todo, workers, work):
         trial = said.job
@@ -100,6 +104,18 @@ def _local(study: ParameterStudy, todo: Sequence[Trial], workers: int, out: Path
             yield json.loads(said.line)
         elif trial.index not in told:
             yield failed(study, trial, cause(said.exit_code, study.longest))
+
+
+def _warm(study: ParameterStudy) -> None:
+    """For the runs of each configuration. A controller that is not ours may do anything, and does
+    it in its run alone."""
+    done: set[str] = set()
+    for trial in firsts(study):
+        config, scenario = loaded(study, trial)
+        if trial.config in done or config.control.controller not in CONTROLLERS:
+            continue
+        done.add(trial.config)
+        warm(config, scenario)
 
 
 def _dask(study: ParameterStudy, todo: Sequence[Trial], engine: str) -> Iterator[Row]:
