@@ -2,148 +2,68 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cache
+import pytest
+from loop import QUICK
 
-from hil.runs import configured
+import tonus
+from tonus.tools.testing.held import Held, HeldFactory
+from tonus.tools.testing.player import Player
 
-from tonus.drivers.devices.tracker import TrackerInput
-from tonus.drivers.direct import DirectFieldbus
-from tonus.drivers.process_image import ProcessImage
-from tonus.runtime.daemon import Daemon, Outcome
-from tonus.runtime.operation.operator import Script
-from tonus.runtime.recording.taps import Level
-from tonus.runtime.safety.sequence import Sequence
-from tonus.runtime.states import Operator, State
-from tonus.runtime.timing import clock
-from tonus.runtime.timing.scheduler import VirtualPacing
-from tonus.sim.devices.tracker import DATAGRAM
-from tonus.sim.lab.engine import Lab
-
-Times = tuple[tuple[float, float], ...]
-"""s from and to, in ACTIVE"""
+pytestmark = pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK)
 
 
-@dataclass
-class Heard:
-    """Events and records kept in memory, as a ring and an event sink."""
-
-    events: list[tuple[int, str]] = field(default_factory=list)
-    cycles: int = 0
-
-    def __call__(
-        self, stamp_ns: int, tick: int, level: Level, name: str, where: str, text: str
-    ) -> None:
-        assert text
-        self.events.append((tick, name))
-
-    def publish(self, payload: object, stamp_ns: int) -> None:
-        self.cycles += 1
-
-    @property
-    def names(self) -> list[str]:
-        return [name for _, name in self.events]
+@pytest.fixture
+def robot(tonus_held: HeldFactory) -> Held:
+    return tonus_held(at="ACTIVE")
 
 
-class Camera:
-    """The lab's tracker on a tripod that somebody may knock against: poses are then ``shift`` m off
-    along x."""
-
-    def __init__(self, lab: Lab) -> None:
-        self._lab = lab
-        self.shift = 0.0
-
-    def poll(self, now_ns: int) -> list[bytes]:
-        return [self._seen(datagram) for datagram in self._lab.tracker.poll(now_ns)]
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-    def _seen(self, datagram: bytes) -> bytes:
-        parts = list(DATAGRAM.unpack(datagram))
-        parts[6] += self.shift
-        return DATAGRAM.pack(*parts)
+def told(robot: Held) -> list[str]:
+    return [event.name for event in robot.events]
 
 
-class Meddler(Script):
-    """A script that hides the platform from the tracker at times in ACTIVE, or knocks against its
-    camera after 0.3 s."""
-
-    def __init__(
-        self, duration: float, lab: Lab, camera: Camera, hidden: Times, knock: float
-    ) -> None:
-        super().__init__(duration)
-        self._lab, self._camera, self._hidden, self._knock = lab, camera, hidden, knock
-
-    def next(self, sequence: Sequence) -> Operator:
-        if sequence.state is State.ACTIVE:
-            at = sequence.elapsed
-            self._lab.tracker.blocked = any(first <= at < last for first, last in self._hidden)
-            if sequence.elapsed >= 0.3:
-                self._camera.shift = self._knock
-        return super().next(sequence)
-
-
-@cache
-def play(hidden: Times = (), knock: float = 0.0) -> tuple[Outcome, Heard]:
-    config, scenario = configured("config/direct.yaml", duration=1.2)
-    heard = Heard()
-
-    async def main() -> Outcome:
-        now = clock.loop_clock()
-        lab = Lab(config, scenario.lab, seed=1, clock=now)
-        image, camera = ProcessImage(8), Camera(lab)
-        daemon = Daemon(
-            config,
-            scenario,
-            DirectFieldbus(config, image, lab.direct, now),
-            TrackerInput(image, camera),
-            Meddler(scenario.duration, lab, camera, hidden, knock),
-            ring=heard,
-            events=heard,
-            stopwatch=clock.Stopwatch(running=False),
-        )
-        return await daemon.run(VirtualPacing, lambda _: None, lambda: None)
-
-    return clock.run(main(), virtual=True), heard
-
-
-def test_a_hidden_tracker_is_a_named_mode_and_no_fault() -> None:
+@pytest.mark.tonus_expect("tracker_lost")
+def test_a_hidden_tracker_is_a_named_mode_and_no_fault(robot: Held) -> None:
     """And a short gap before it is nothing to speak of."""
-    outcome, heard = play(hidden=((0.1, 0.14), (0.3, 0.8)))
-    assert outcome.state is State.STANDBY
-    assert heard.cycles == outcome.ticks
-    assert heard.names.count("tracker_lost") == 1
-    assert heard.names.count("tracker_back") == 1
-    lost, back = (
-        next(tick for tick, name in heard.events if name == wanted)
-        for wanted in ("tracker_lost", "tracker_back")
-    )
-    assert 380 <= back - lost <= 430
+    robot.fault(tonus.faults.TrackerHidden(duration=0.04))
+    robot.advance(200)
+    assert "tracker_lost" not in told(robot)
+    robot.fault(tonus.faults.TrackerHidden(duration=0.5))
+    robot.advance(600)
+    assert robot.state == "ACTIVE"
+    assert told(robot).count("tracker_lost") == told(robot).count("tracker_back") == 1
+    times = {event.name: event.time for event in robot.events}
+    assert 0.38 <= times["tracker_back"] - times["tracker_lost"] <= 0.43
+    robot.end()
 
 
-def test_a_tracker_that_insists_is_followed_and_that_is_said() -> None:
-    """A camera 2 mm aside cannot be told from cables that are; a pose every 8.3 ms, 24 of them."""
-    outcome, heard = play(knock=0.002)
-    assert outcome.state is State.STANDBY
-    assert heard.names.count("tracker_learnt") == 1
-    assert "tracker_lost" in heard.names
-    assert "tracker_back" in heard.names
+@pytest.mark.tonus_expect("tracker_*")
+def test_a_tracker_that_insists_is_followed_and_that_is_said(robot: Held) -> None:
+    """One 2 mm aside cannot be told from cables that are; a pose every 8.3 ms, 24 of them."""
+    robot.fault(tonus.faults.ShiftedTracker(shift=(0.002, 0.0, 0.0)))
+    robot.advance(900)
+    assert robot.state == "ACTIVE"
+    assert told(robot).count("tracker_learnt") == 1
+    assert {"tracker_lost", "tracker_back"} <= set(told(robot))
+    robot.end()
 
 
-def test_a_tracker_too_far_off_is_not_followed_and_that_is_said() -> None:
-    outcome, heard = play(knock=0.03)
-    assert outcome.state is State.STANDBY
-    assert heard.names.count("pose_tracker") == 1
-    assert "tracker_learnt" not in heard.names
+@pytest.mark.tonus_expect("pose_tracker", "tracker_lost")
+def test_a_tracker_too_far_off_is_not_followed_and_that_is_said(robot: Held) -> None:
+    robot.fault(tonus.faults.ShiftedTracker(shift=(0.03, 0.0, 0.0)))
+    robot.advance(900)
+    assert robot.state == "ACTIVE"
+    assert told(robot).count("pose_tracker") == 1
+    assert "tracker_learnt" not in told(robot)
+    robot.end()
 
 
-def test_sound_measurements_are_nothing_to_speak_of() -> None:
-    _, heard = play()
-    assert not [name for name in heard.names if name.startswith(("pose_", "tracker_"))]
-
-
-def test_every_state_is_told_once_and_in_order() -> None:
-    _, heard = play()
-    assert heard.names.count("state") == 7
-    assert heard.names.count("operator") == 3
+def test_sound_measurements_are_nothing_to_speak_of(tonus_run: Player) -> None:
+    """And every state is told once, in order."""
+    run = tonus_run("hold", duration=0.9)
+    assert run.state == "STANDBY"
+    names = [event.name for event in run.events]
+    assert not [name for name in names if name.startswith(("pose_", "tracker_"))]
+    states = [event.text.rpartition(" ")[2] for event in run.events if event.name == "state"]
+    on_the_way = ["STANDBY", "REFERENCING", "PRETENSION", "HOLD", "ACTIVE", "SAFE_STOP"]
+    assert states == [*on_the_way, "STANDBY"]
+    assert names.count("operator") == 3
