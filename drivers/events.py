@@ -192,6 +192,11 @@ EVENTS: dict[str, Meaning] = {
         "not used",
         "check who else sends to tracker.port, and the tracker's output format",
     ),
+    "tracker_second_sender": Meaning(
+        "another program sends datagrams to the tracker's port",
+        "not used while the first sender goes on",
+        "stop it, or give it another tracker.port; a lab that still runs is the usual one",
+    ),
     "tracker_receive_failure": Meaning(
         "the tracker's socket reports an error",
         "the estimate rests on the cables meanwhile",

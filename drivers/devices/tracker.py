@@ -38,10 +38,17 @@ class TrackerSource(Protocol):
 
 
 class UdpTracker:
-    """Datagrams from a UDP socket."""
+    """Datagrams from a UDP socket, of one sender: the first that is heard, until it is silent."""
 
-    def __init__(self, address: str, port: int) -> None:
-        """Raises `DriverError` if the port cannot be had."""
+    def __init__(
+        self, address: str, port: int, silence_ms: float, events: EventLog | None = None
+    ) -> None:
+        """``silence_ms``: after which another sender is listened to; until then it is refused, as
+        ``events`` tells. Raises `DriverError` if the port cannot be had."""
+        self._silence_ns = round(silence_ms * 1e6)
+        self._events = events or EventLog()
+        self._sender: tuple[str, int] | None = None
+        self._heard_ns = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._error: OSError | None = None
@@ -57,14 +64,13 @@ class UdpTracker:
         return port
 
     def poll(self, now_ns: int) -> list[bytes]:
-        del now_ns  # a socket gives what is there, whatever the time
         if self._error is not None:
             error, self._error = self._error, None
             raise error
-        datagrams = []
+        datagrams: list[bytes] = []
         for _ in range(PER_POLL):
             try:
-                datagrams.append(self._socket.recv(2 * DATAGRAM.size))
+                datagram, sender = self._socket.recvfrom(2 * DATAGRAM.size)
             except BlockingIOError:
                 break
             except OSError as error:
@@ -72,7 +78,20 @@ class UdpTracker:
                     raise
                 self._error = error  # the kernel tells it once; what came before it is not lost
                 break
+            if self._listens_to(sender, now_ns):
+                datagrams.append(datagram)
         return datagrams
+
+    def _listens_to(self, sender: tuple[str, int], now_ns: int) -> bool:
+        first = self._sender
+        if first is not None and first != sender and now_ns - self._heard_ns <= self._silence_ns:
+            other, own = (f"{host}:{port}" for host, port in (sender, first))
+            self._events.counted(
+                "tracker_second_sender", "tracker", f"{other} sends poses too; {own} is listened to"
+            )
+            return False
+        self._sender, self._heard_ns = sender, now_ns
+        return True
 
     def close(self) -> None:
         self._socket.close()
@@ -119,10 +138,13 @@ def parse(datagram: bytes) -> Pose | None:
 class TrackerInput:
     """Puts the newest pose into the image's tracker row."""
 
-    def __init__(self, image: ProcessImage, source: TrackerSource) -> None:
+    def __init__(
+        self, image: ProcessImage, source: TrackerSource, events: EventLog | None = None
+    ) -> None:
+        """``events``: where the ``source`` tells what it refuses."""
         self._row = image.tracker
         self._source = source
-        self._events = EventLog()
+        self._events = events or EventLog()
         self._newest: int | None = None
         self.malformed = 0
         """datagrams that were not believed, so far"""

@@ -10,6 +10,7 @@ import pytest
 
 from tonus.drivers.devices.tracker import TrackerInput, UdpTracker
 from tonus.drivers.errors import DriverError
+from tonus.drivers.events import EventLog
 from tonus.drivers.process_image import ProcessImage
 
 MS = 1_000_000
@@ -138,18 +139,18 @@ class BrokenSocket:
     def __init__(self) -> None:
         self.answers: list[bytes | OSError] = []
 
-    def recv(self, size: int) -> bytes:
+    def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
         answer = self.answers.pop(0) if self.answers else BlockingIOError(errno.EAGAIN, "none")
         if isinstance(answer, OSError):
             raise answer
-        return answer
+        return answer, ("127.0.0.1", 4711)
 
     def close(self) -> None:
         pass
 
 
 def test_what_came_before_an_error_of_the_socket_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    source = UdpTracker("127.0.0.1", 0)
+    source = UdpTracker("127.0.0.1", 0, 100.0)
     source.close()
     broken = BrokenSocket()
     monkeypatch.setattr(source, "_socket", broken)
@@ -165,7 +166,7 @@ def test_what_came_before_an_error_of_the_socket_is_used(monkeypatch: pytest.Mon
 
 
 def test_the_socket_gives_what_has_arrived_and_never_waits() -> None:
-    tracker = UdpTracker("127.0.0.1", 0)
+    tracker = UdpTracker("127.0.0.1", 0, 100.0)
     try:
         assert tracker.poll(0) == []
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -173,6 +174,39 @@ def test_the_socket_gives_what_has_arrived_and_never_waits() -> None:
                 sender.sendto(datagram(sequence, MS), ("127.0.0.1", tracker.port))
         assert len(tracker.poll(0)) == 3
         with pytest.raises(DriverError, match="tracker port"):
-            UdpTracker("127.0.0.1", tracker.port)
+            UdpTracker("127.0.0.1", tracker.port, 100.0)
     finally:
         tracker.close()
+
+
+def test_a_second_sender_is_named_and_not_used_while_the_first_is_heard() -> None:
+    events = EventLog()
+    source = UdpTracker("127.0.0.1", 0, 100.0, events)
+    image = ProcessImage(8)
+    tracker = TrackerInput(image, source, events)
+    ours, other = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    used = image.tracker["sequence"]
+    try:
+        to = ("127.0.0.1", source.port)
+        for number in range(1, 5):
+            ours.sendto(datagram(number, number * MS), to)
+            other.sendto(datagram(11, number * MS + 1), to)
+            tracker.collect(10 * MS * number)
+            assert used == number
+        told = tracker.take_events()
+        assert [event.name for event in told] == ["tracker_second_sender"] * 3
+        address = f"127.0.0.1:{other.getsockname()[1]}"
+        assert told[0].text.startswith(
+            f"{address} sends poses too; 127.0.0.1:{ours.getsockname()[1]}"
+        )
+        # The first was heard at 40 ms.
+        for now_ms, sequence in ((140, 4), (141, 12)):
+            other.sendto(datagram(12, now_ms * MS), to)
+            tracker.collect(now_ms * MS)
+            assert used == sequence
+        ours.sendto(datagram(5, 142 * MS), to)
+        tracker.collect(142 * MS)
+        assert used == 12, "it is the second one now"
+    finally:
+        for each in (ours, other, tracker):
+            each.close()

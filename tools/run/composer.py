@@ -18,6 +18,7 @@ from pathlib import Path
 
 from tonus.config.places import LAB_DOOR, runtime_dir
 from tonus.drivers.devices.tracker import TrackerInput, TrackerSource, UdpTracker
+from tonus.drivers.events import EventLog
 from tonus.drivers.fieldbus import Fieldbus, FrameTap
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.daemon import Daemon, Outcome
@@ -370,17 +371,19 @@ class _Stage:
     ) -> Daemon:
         config, image = self._order.config, self._image
         source: TrackerSource
+        heard, tracker = EventLog(), config.tracker
         if lab is not None:
             source = lab.tracker
         else:
-            source = UdpTracker(config.tracker.address, config.tracker.port)
+            silence_ms = tracker.maximum_age_ms
+            source = UdpTracker(tracker.address, tracker.port, silence_ms, heard)
             self._cleanup.callback(source.close)
         order = self._order
         daemon = self._daemon_made = Daemon(
             config,
             order.scenario,
             fieldbus,
-            TrackerInput(image, source),
+            TrackerInput(image, source, heard),
             self._console,
             ring=ring,
             events=self._rings.events.write,
