@@ -311,7 +311,8 @@ class TensionDistribution:
             tensions = self._bounded(tensions, scaled, target, centre, low, high)
             finite, self.deficit = _deliver(scaled, target, low, high, tensions)
         if not finite:
-            self.solver, tensions = Solver.FALLBACK, np.clip(centre, low, high)
+            # A centre that is no number becomes the lower bound; `np.clip` would keep it.
+            self.solver, tensions = Solver.FALLBACK, np.fmin(np.fmax(centre, low), high)
         return tensions
 
     def _bounded(
