@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from itertools import product
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from tonus.config import load
-from tonus.runtime.control.passivity import Limiter, Tank, damping, felt_inertia
+from tonus.runtime.control.passivity import Account, Limiter, Tank, damping, felt_inertia
 
 CONFIG, _ = load("config/can.yaml")
 CONTROL, ROBOT = CONFIG.control, CONFIG.robot
@@ -68,6 +71,51 @@ def test_the_tank_pays_for_a_rise_down_to_its_minimum() -> None:
     tank.reset()
     assert tank.admit(500.0, 1000.0, 0.01) == pytest.approx(660.0)
     assert tank.level == pytest.approx(0.2)
+
+
+def test_a_tank_at_its_minimum_admits_a_rise_that_costs_nothing() -> None:
+    """Without a stretch; with one, none of it."""
+    tank = Tank(PASSIVITY.model_copy(update={"tank_initial": 0.2}))
+    assert tank.admit(500.0, 600.0, 0.0) == 600.0
+    assert tank.admit(500.0, 600.0, 0.01) == 500.0
+    assert tank.level == 0.2
+
+
+@pytest.mark.parametrize("share", [1.0, 1e-6])
+def test_the_felt_inertia_is_the_largest_of_home_and_the_corners(share: float) -> None:
+    """Of level poses: the square of the largest singular value of the cables' directions, each
+    times the root of its drum's mass. With drums of some grams too."""
+    masses = share * np.linspace(3.0, 20.0, ROBOT.cables)
+    robot: Any = SimpleNamespace(
+        geometry=ROBOT.geometry,
+        workspace=ROBOT.workspace,
+        home=(0.05, -0.1, 0.02),
+        drum_mass=masses,
+        platform=ROBOT.platform,
+    )
+    frame, platform = np.array(ROBOT.geometry.frame), np.array(ROBOT.geometry.platform)
+    box, largest = ROBOT.workspace, []
+    for place in (robot.home, *product(box.x, box.y, box.z)):
+        way = frame - (np.array(place) + platform)
+        directions = way / np.linalg.norm(way, axis=1)[:, None]
+        pulled = np.sqrt(masses)[:, None] * directions
+        largest.append(float(np.linalg.svd(pulled, compute_uv=False)[0]) ** 2)
+    assert felt_inertia(robot) == pytest.approx(MASS + max(largest), rel=1e-12)
+    robot.workspace = SimpleNamespace(x=(robot.home[0],), y=(robot.home[1],), z=(robot.home[2],))
+    assert felt_inertia(robot) == pytest.approx(MASS + largest[0], rel=1e-12)
+
+
+def test_a_reset_fills_the_tank_as_at_the_beginning(limiter: Limiter) -> None:
+    follow(limiter, HUGE, np.array([0.0, 2.0, 0.0]))
+    assert limiter.tank.level == pytest.approx(0.2)
+    limiter.reset()
+    assert limiter.tank.level == 1.0
+
+
+def test_before_the_first_tick_there_is_no_energy_and_no_power(limiter: Limiter) -> None:
+    for account in (limiter.account, Account()):
+        assert (account.storage, account.stiffening, account.dissipated) == (0.0, 0.0, 0.0)
+        assert (account.external, account.stiffness_rate, account.storage_rate) == (0.0, 0.0, 0.0)
 
 
 def test_what_is_asked_for_stays_within_the_bounds(limiter: Limiter) -> None:
