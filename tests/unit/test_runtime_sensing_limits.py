@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from tonus.config import load
-from tonus.drivers.process_image import NEVER, ProcessImage
-from tonus.runtime.control.sensing import Sensing
+from tonus.drivers.process_image import NEVER, AxisState, ProcessImage
+from tonus.runtime.control.sensing import DEFECT, FAULTED, NOT_ENABLED, SILENT, Sensing
 
 CONFIG = load("config/can.yaml")[0]
 ROBOT, CONTROL = CONFIG.robot, CONFIG.control
@@ -264,3 +265,121 @@ def test_a_tare_begins_the_forces_anew(devices: Devices) -> None:
     devices.sensing.collect_tare(devices.image)
     devices.sensing.apply_tare(None)
     assert devices.sensing.tare.tolist() == [50.0] * CELLS, "of the readings since"
+
+
+# --- what is told of a sample --------------------------------------------------------------------
+
+
+def test_the_fastest_that_a_motor_can_turn_is_a_sample(devices: Devices) -> None:
+    """A thousand ticks are a second to the last bit."""
+    for angle, beyond in ((FASTEST, False), (np.nextafter(FASTEST, np.inf), True)):
+        devices = Devices().step()
+        devices.tick += 999
+        devices.image.axes["angle"] = angle
+        devices.step()
+        assert devices.sensing.implausible_axes.tolist() == [beyond] * N
+
+
+def test_a_repeated_sample_changes_no_interval(devices: Devices) -> None:
+    devices.step(2)
+    devices.image.axes["age"], devices.image.axes["angle"] = 1, 3.0
+    devices.step()
+    assert devices.sensing.interval == pytest.approx(PERIOD)
+    assert not devices.sensing.implausible_axes.any()
+
+
+def test_where_no_sample_comes_none_is_impossible(devices: Devices) -> None:
+    devices.step()
+    devices.image.axes["angle"][3] = 1e6
+    devices.step()
+    assert devices.sensing.implausible_axes[3]
+    devices.image.axes["age"][3] = NEVER
+    devices.step()
+    assert not devices.sensing.implausible_axes.any()
+
+
+def test_a_cable_is_reeled_in_by_its_drum(devices: Devices) -> None:
+    devices.step()
+    devices.image.axes["angle"] = PERIOD * np.linspace(-2.0, 3.0, N)
+    devices.step()
+    expected = ROBOT.drum_radius * np.linspace(-2.0, 3.0, N)
+    assert devices.sensing.winding == pytest.approx(expected)
+
+
+def test_a_cable_gets_torque_while_it_is_both_usable_and_present(devices: Devices) -> None:
+    """Too old a sample is still present; a good one after many impossible ones is not yet."""
+    devices.image.axes["age"][1] = FRESH + 1
+    devices.image.axes["angle"][4] = np.nan
+    devices.step(STALE)
+    assert np.flatnonzero(~devices.sensing.usable).tolist() == [1, 4]
+    assert devices.sensing.present.all()
+    assert np.flatnonzero(~devices.sensing.sound).tolist() == [1, 4]
+    devices.image.axes["age"][[1, 4]] = 0, 1
+    devices.image.axes["angle"][4] = 0.0
+    devices.step()
+    assert devices.sensing.usable.all()
+    assert np.flatnonzero(~devices.sensing.present).tolist() == [4]
+    assert np.flatnonzero(~devices.sensing.sound).tolist() == [4]
+    devices.image.axes["age"][4] = 0
+    assert devices.step().sensing.sound.all()
+
+
+def test_forces_are_filtered_at_the_rate_of_the_ticks(devices: Devices) -> None:
+    """Of the paper's filter by SciPy, with the cables apart from the contact port."""
+    random, readings = np.random.default_rng(5), []
+    b, a = butter(2, CONTROL.filters.force_cutoff_hz, fs=1.0 / PERIOD)
+    for _ in range(40):
+        devices.image.cells["force"] = random.normal(np.arange(CELLS), 1.0)
+        readings.append(devices.image.cells["force"].copy())
+        devices.step()
+        expected = lfilter(b, a, np.array(readings), axis=0)[-1]
+        assert devices.sensing.filtered == pytest.approx(expected[:N], rel=1e-9, abs=1e-12)
+        assert devices.sensing.contact == pytest.approx(expected[N], rel=1e-9)
+
+
+# --- alarms --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def enabled(devices: Devices) -> Devices:
+    assert devices.sensing.alarm == 0, "before the first tick"
+    devices.image.axes["state"] = int(AxisState.OPERATION_ENABLED)
+    assert devices.step().sensing.alarm == 0
+    return devices
+
+
+@pytest.mark.parametrize("state", AxisState)
+@pytest.mark.parametrize("axis", [0, N - 1])
+def test_a_drive_that_is_not_enabled_or_in_a_fault_is_an_alarm(
+    enabled: Devices, axis: int, state: AxisState
+) -> None:
+    """A fault at any age; not to be enabled, of a fresh statusword alone."""
+    faulted = state in (AxisState.FAULT, AxisState.FAULT_REACTION_ACTIVE)
+    disabled = state is not AxisState.OPERATION_ENABLED
+    enabled.image.axes["state"][axis] = int(state)
+    for age in (0, FRESH, FRESH + 1):
+        enabled.image.axes["age"][axis] = age
+        expected = (FAULTED if faulted else 0) | (NOT_ENABLED if disabled and age <= FRESH else 0)
+        assert enabled.step().sensing.alarm == expected
+
+
+@pytest.mark.parametrize("cell", [0, N - 1, N])
+def test_a_cell_that_reports_a_defect_is_an_alarm(enabled: Devices, cell: int) -> None:
+    for status in (1, 2, 128):
+        enabled.image.cells["status"][cell] = status
+        assert enabled.step().sensing.alarm == DEFECT
+    enabled.image.cells["status"][cell] = 0
+    assert enabled.step().sensing.alarm == 0
+
+
+@pytest.mark.parametrize(
+    ("devices_of", "which"), [("axes", 0), ("axes", N - 1), ("cells", 0), ("cells", N)]
+)
+def test_a_device_that_is_too_long_silent_is_an_alarm(
+    enabled: Devices, devices_of: str, which: int
+) -> None:
+    for silent in range(1, STALE + 3):
+        getattr(enabled.image, devices_of)["age"][which] = silent
+        assert enabled.step().sensing.alarm == (SILENT if silent > STALE else 0)
+    getattr(enabled.image, devices_of)["age"][which] = 0
+    assert enabled.step().sensing.alarm == 0

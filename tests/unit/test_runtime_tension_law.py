@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tonus.config import load
-from tonus.runtime.control.tension import TensionLoop, drum_motion, of_axis
+from tonus.runtime.control.tension import TensionLoop, drum_motion
 
 CONFIG = load("config/unlike_axes.yaml")[0]
 ROBOT, PERIOD = CONFIG.robot, CONFIG.control.rates.period
@@ -35,8 +35,8 @@ class Formula:
     """One tick after another, of all axes at once."""
 
     def __init__(self) -> None:
-        own = [of_axis(SETTINGS, train, ROBOT) for train in ROBOT.drive_trains]
-        self.damping = np.array([each.rate_damping for each in own])
+        # Stated for the robot's default drum; it goes with the inertia.
+        self.damping = SETTINGS.rate_damping * ROBOT.drum_inertia / ROBOT.drum.inertia
         self.last, self.slope, self.integral = np.full(N, np.nan), np.zeros(N), np.zeros(N)
 
     def expected(self, tension: Array, rate: Array, acceleration: Array) -> Array:
@@ -129,6 +129,27 @@ def test_a_reset_forgets_integral_and_slope() -> None:
     assert not loop.integral.any()
     given = (np.full(N, 50.0), np.full(N, 45.0), still, still, EVERY, np.ones(N))
     assert loop(*given) == pytest.approx(formula.torque(*given, (still, still)))
+
+
+def test_a_loop_that_takes_over_knows_of_the_other_its_integral_alone() -> None:
+    """Its own references of before are forgotten; any integral gain goes on."""
+    still, length = np.zeros(N), np.ones(N)
+    low = SETTINGS.model_copy(update={"integral": 0.5})
+    before, after, formula = (
+        TensionLoop(ROBOT, SETTINGS, PERIOD),
+        TensionLoop(ROBOT, low, PERIOD),
+        Formula(),
+    )
+    for reference in (40.0, 80.0, 60.0):
+        before(np.full(N, reference), np.full(N, 30.0), still, still, EVERY, length)
+        after(np.full(N, 2.0 * reference), np.full(N, 30.0), still, still, EVERY, length)
+    after.take_over(before)
+    assert after.integral.tolist() == before.integral.tolist()
+    assert before.integral.all()
+    # At the same tension the integral does not change, whatever its gain.
+    formula.integral = before.integral.copy()
+    given = (np.full(N, 50.0), np.full(N, 50.0), still, still, EVERY, length)
+    assert after(*given) == pytest.approx(formula.torque(*given, (still, still)))
 
 
 # --- the drums' motion ---------------------------------------------------------------------------

@@ -341,3 +341,13 @@ def test_a_tracker_that_is_turned_is_not_taken_out() -> None:
     still.gap[1] -= 8.0 * MM
     assert still.look(COUNT - AGREE) == [-1] * (COUNT - AGREE)
     assert still.look(AGREE)[-1] == 1, "the turn is as old as what it is compared with"
+
+
+def test_a_turn_is_left_in_whole() -> None:
+    """Of five cables the first changes 1.8 times as much as the others, and stands out."""
+    kinematics = Kinematics(ROBOT.geometry)
+    kinematics.evaluate(np.zeros(3), LEVEL)
+    turned = kinematics.matrix[3]
+    still = begun(prominence=1.5)
+    still.excluded[1:4] = True
+    assert slipped(still, dict(enumerate(10.0 * MM * turned / turned[0]))) == 0
