@@ -288,6 +288,13 @@ def stability(name: str, overrides: dict[str, Any] | None = None) -> list[Findin
     return [each for each in check(config, SCENARIO) if each.rule in rules]
 
 
+def test_what_margins_leave_out_is_said() -> None:
+    config, scenario = load("config/can.yaml", overrides={"control.controller": "bio_observer"})
+    told = [each.text for each in check(config, scenario) if each.rule == "margins"]
+    assert len(told) == 2
+    assert all(text.startswith("bio_observer without its observer of the load, ") for text in told)
+
+
 def test_a_robot_without_a_lab_has_its_margins_judged_as_well() -> None:
     """Its drives and cells are given as fast as the lab's, so that the figures are the same."""
     found = stability("robot")

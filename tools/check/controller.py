@@ -77,7 +77,9 @@ def _whole_loop(config: Config, name: str, *, foreign: bool) -> Iterator[Finding
     floors = config.control.tension_loop
     where = f"control.{name}"
     remedy = f"run tonus tune tension, then tonus tune {name}, or lower its gains"
-    how = name
+    how, without = name, controller_class(name).not_in_margins
+    if without:
+        how = f"{name} without {without}"
     if foreign:
         where, remedy = "control.controller", "lower its gains"
         how = f"{name}, linearised from its own output"

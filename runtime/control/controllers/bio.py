@@ -76,6 +76,8 @@ class BioObserver(Bio):
     are drawn to a share of the pretension; stiffness brings co-contraction with it.
     """
 
+    not_in_margins = "its observer of the load"
+
     def __init__(self, robot: Robot, control: Control) -> None:
         settings = self._settings = control.bio_observer
         super().__init__(robot, control, settings.damping_ratio)
