@@ -11,7 +11,6 @@ import can
 import pytest
 from hil.can_bench import CONFIG, PERIOD_S, Bench, enabled, on_lab
 from hil.runs import configured
-from hil.test_events import Heard
 
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.timeouts import master_timeout_ms
@@ -22,6 +21,7 @@ from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.control.tuning import NO_CHANGE
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Commander
+from tonus.runtime.recording.taps import Level
 from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.states import Operator, State
 from tonus.runtime.timing import clock
@@ -302,6 +302,21 @@ class Stalling(VirtualPacing):
         if due_ns >= self._at_ns:
             self._at_ns = 1 << 62
             await asyncio.sleep(SILENCE_S)
+
+
+class Heard:
+    """Names of events kept in memory, as a ring and an event sink."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def __call__(
+        self, stamp_ns: int, tick: int, level: Level, name: str, where: str, text: str
+    ) -> None:
+        self.names.append(name)
+
+    def publish(self, payload: object, stamp_ns: int) -> None:
+        """No record is kept."""
 
 
 def stalled(operator: Commander, at_s: float) -> tuple[Outcome, Heard]:
