@@ -3,10 +3,10 @@
     python -m tests.bench.view_pace [--minutes M] [--config FILE] [--set KEY=VALUE]
 
 A run of so many minutes in real time, with one viewer and one page that reads all it is sent. Then
-the log of that run is opened. Before both a browser opens the page of a viewer of its own, where
-there is one (`tests.bench.drawn`): it draws in software, beside everything else. A start is told in
-steps: the page is answered, the scene is sent, the first picture is told, and all that stands round
-it. Worth something on an idle host only.
+the log of that run is opened, by that page and by a browser, where there is one: it draws in
+software, which is too much beside a run (`tests.bench.drawn`). A start is told in steps: the page
+is answered, the scene is sent, the first picture is told, and all that stands round it. Worth
+something on an idle host only.
 """
 
 from __future__ import annotations
@@ -83,7 +83,6 @@ def main() -> None:
         folder = Path(name)
         seconds = 60.0 * given.minutes
         with _run(folder, given.config, seconds, given.set) as run:
-            _draw("live", folder, ["--run", str(run)])
             live = _watch(folder, ["--run", str(run)], seconds)
         _tell("live", live)
         if np.ptp(live.arrivals) < seconds:
