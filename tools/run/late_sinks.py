@@ -18,6 +18,7 @@ class LateSinks:
     def __init__(self, cables: int) -> None:
         self.rings: Rings | None = None
         self.record = np.zeros(1, truth_dtype(cables))
+        self._bytes = self.record.view(np.uint8)
         self.events: list[tuple[int, Level, str, str, str]] = []
         self._truth: Callable[[NDArray[np.void], int], None] | None = None
 
@@ -29,7 +30,8 @@ class LateSinks:
             self.rings.cycles.publish(payload, stamp_ns)
 
     def truth(self, record: NDArray[np.void], stamp_ns: int) -> None:
-        self.record[...] = record
+        # By way of bytes: numpy copies a record field by field, in 15 us instead of 1.
+        self._bytes[:] = record.view(np.uint8)
         if self._truth is not None:
             self._truth(record, stamp_ns)
 
