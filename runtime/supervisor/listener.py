@@ -49,17 +49,14 @@ class Heard:
         "numbers",
         "off",
         "same",
-        "size",
         "statusword",
         "totals",
         "values",
         "word",
     )
 
-    def __init__(
-        self, size: int, values: tuple[Value, ...], statusword: Value | None = None
-    ) -> None:
-        self.size, self.values, self.statusword = size, values, statusword
+    def __init__(self, values: tuple[Value, ...], statusword: Value | None = None) -> None:
+        self.values, self.statusword = values, statusword
         self.word = self.at_ns = self.count = self.same = self.off = 0
         self.totals = [0.0] * len(values)
         self.numbers: deque[float] = deque(maxlen=_MOST)
@@ -98,13 +95,12 @@ class Listener:
 
     def __init__(self, bus: can.BusABC, watched: Iterable[Watched]) -> None:
         self.bus = bus
-        self.heard = {
-            each.identifier: Heard(each.size, each.values, each.statusword) for each in watched
-        }
-        self._arrived: dict[tuple[int, int], list[int]] = {
-            (identifier, heard.size): [] for identifier, heard in self.heard.items()
-        }
+        self.heard: dict[int, Heard] = {}
+        self._arrived: dict[tuple[int, int], list[int]] = {}
         """data by identifier and length"""
+        for each in watched:
+            self.heard[each.identifier] = Heard(each.values, each.statusword)
+            self._arrived[each.identifier, each.size] = []
         self._fetch = _fetch(bus)
 
     def read(self, now_ns: int) -> None:

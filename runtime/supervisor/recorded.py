@@ -6,9 +6,8 @@ what the daemon read of its answer; in that form it is judged like what is read 
 
 from __future__ import annotations
 
-import math
-import struct
 from collections import deque
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +20,8 @@ from tonus.runtime.supervisor.record import Answers, Claim, Floats
 from tonus.runtime.supervisor.wiring import Axis, Cell, Value, Wiring
 
 _CHANNEL = ""
-_SENT, _DRIVE, _CELL, _STATUS = 0x100, 0x200, 0x300, 0x400
-"""first identifiers; there are no frames that these could be confused with"""
+_NO_FRAME = 0
+"""bytes of what is in no frame"""
 _TORQUE, _STATUSWORD, _POSITION = Value(0, 32), Value(0, 16), Value(16, 48)
 _FORCE = Value(0, 32, real=True)
 _METRE = 1e-9
@@ -31,7 +30,6 @@ _AT_A_LIMIT = 0x0800
 """CiA 402, statusword"""
 _NEVER = 0xFFFF
 """age of what was never measured"""
-_FLOAT = struct.Struct("<f")
 _DELAY_TICKS = 6
 """records in which a torque may come back as the drive's own figure: sent, acting, sampled, read;
 and as many lost frames as stop nothing"""
@@ -47,6 +45,7 @@ class RecordedWiring(Wiring):
         robot = config.robot
         self.channels = [(relay.interface, relay.channel, relay.bitrate)]
         self.axes = []
+        identifiers = count()  # without frames they only have to differ
         for number, (train, sign) in enumerate(zip(robot.drive_trains, robot.signs, strict=True)):
             ratio, radius = train.gearbox.ratio, train.drum.radius
             mille = sign * train.motor.rated_torque * 1e-3
@@ -54,10 +53,10 @@ class RecordedWiring(Wiring):
                 Axis(
                     number,
                     _CHANNEL,
-                    _SENT + number,
-                    _DRIVE + number,
-                    4,
-                    8,
+                    next(identifiers),
+                    next(identifiers),
+                    _NO_FRAME,
+                    _NO_FRAME,
                     _TORQUE,
                     _STATUSWORD,
                     _POSITION,
@@ -69,7 +68,7 @@ class RecordedWiring(Wiring):
                 )
             )
         self.cells = [
-            Cell(number, _CHANNEL, _CELL + number, 4, _FORCE, 1.0, _STATUS + number)
+            Cell(number, _CHANNEL, next(identifiers), _NO_FRAME, _FORCE, 1.0, next(identifiers))
             for number in range(robot.cells)
         ]
 
@@ -83,8 +82,8 @@ class Replayed:
         self._radius = np.array([train.drum.radius for train in config.robot.drive_trains])
         self._mille = np.array([axis.per_newton_metre for axis in wiring.axes])
         self._tick_ns = config.control.rates.period_ns
-        self._sampled_ns = np.full(len(wiring.axes), -1, np.int64)
-        self._measured_ns = np.full(len(wiring.cells), -1, np.int64)
+        self._sampled_ns = np.zeros(len(wiring.axes), np.int64)
+        self._measured_ns = np.zeros(len(wiring.cells), np.int64)
         self._commanded: deque[Floats] = deque(maxlen=_DELAY_TICKS + _RISE_TICKS)
         self.astray = np.zeros(len(wiring.axes))
         """N at each cable by which the drive's own torque was outside of what it was sent, at most
@@ -92,10 +91,10 @@ class Replayed:
         self.heard: Listened = {
             (_CHANNEL, identifier): heard
             for identifier, heard in (
-                *((axis.sent, Heard(4, (_TORQUE,))) for axis in wiring.axes),
-                *((axis.received, Heard(8, (), _STATUSWORD)) for axis in wiring.axes),
-                *((cell.received, Heard(4, (_FORCE,))) for cell in wiring.cells),
-                *((cell.emergency, Heard(2, ())) for cell in wiring.cells),
+                *((axis.sent, Heard((_TORQUE,))) for axis in wiring.axes),
+                *((axis.received, Heard((), _STATUSWORD)) for axis in wiring.axes),
+                *((cell.received, Heard((_FORCE,))) for cell in wiring.cells),
+                *((cell.emergency, Heard(())) for cell in wiring.cells),
             )
         }
 
@@ -120,20 +119,21 @@ class Replayed:
             sampled.tolist(),
             strict=True,
         ):
-            heard[_CHANNEL, axis.sent].take([mille & 0xFFFFFFFF], at_ns)
+            heard[_CHANNEL, axis.sent].take([mille], at_ns)
             if new:
-                packed = word | (position & (1 << 48) - 1) << 16
-                heard[_CHANNEL, axis.received].take([packed], at_ns)
+                heard[_CHANNEL, axis.received].take([position << 16 | word], at_ns)
+        with np.errstate(over="ignore"):  # infinite, which is beyond every bound as well
+            force = answers.force.astype(np.float32).view(np.uint32)
         measured = self._anew(at_ns, answers.force_age, self._measured_ns)
-        for cell, force, status, new in zip(
+        for cell, word, status, new in zip(
             self._cells,
-            answers.force.tolist(),
+            force.tolist(),
             answers.force_status.tolist(),
             measured.tolist(),
             strict=True,
         ):
             if new:
-                heard[_CHANNEL, cell.received].take([_word(force)], at_ns)
+                heard[_CHANNEL, cell.received].take([word], at_ns)
                 heard[_CHANNEL, cell.emergency].take([status], at_ns)
         self._compare(claim, answers, sampled)
 
@@ -155,13 +155,7 @@ class Replayed:
             low, high = lately.min(axis=0), lately.max(axis=0)
             beyond = np.maximum(answers.torque - high, low - answers.torque)
             # A drive that says that it is at a limit of its own gives what it can.
-            comparable = answers.statusword & (STATE | _AT_A_LIMIT) == OPERATION_ENABLED
-            astray = np.where(comparable & sampled, beyond / self._radius, 0.0)
-            self.astray = np.maximum(self.astray, astray)
+            compared = answers.statusword & (STATE | _AT_A_LIMIT) == OPERATION_ENABLED
+            compared &= sampled
+            np.maximum(self.astray, beyond / self._radius, out=self.astray, where=compared)
         commanded.append(np.nan_to_num(claim.torque))
-
-
-def _word(force: float) -> int:
-    if not math.isfinite(force):
-        force = math.nan
-    return int.from_bytes(_FLOAT.pack(force), "little")

@@ -126,11 +126,11 @@ class Stage:
         self.wiring = Wiring(config)
         self.heard: dict[tuple[str, int], Heard] = {}
         for axis in self.wiring.axes:
-            self.heard[axis.channel, axis.sent] = Heard(4, (axis.torque,))
-            self.heard[axis.channel, axis.received] = Heard(8, (axis.position,), axis.statusword)
+            self.heard[axis.channel, axis.sent] = Heard((axis.torque,))
+            self.heard[axis.channel, axis.received] = Heard((axis.position,), axis.statusword)
         for cell in self.wiring.cells:
-            self.heard[cell.channel, cell.received] = Heard(4, (cell.force,))
-            self.heard[cell.channel, cell.emergency] = Heard(8, ())
+            self.heard[cell.channel, cell.received] = Heard((cell.force,))
+            self.heard[cell.channel, cell.emergency] = Heard(())
         self.observe = Observer(self.wiring, config.supervisor, config.robot.contact_cell, MS)
 
     def tick(self, now_ns: int, *, newton: float, metre: float, force: float) -> None:

@@ -44,10 +44,10 @@ WATCHED = [Watched(0x201, 4, (Value(16, 16),))]
 
 def test_what_has_no_statusword_is_not_powered() -> None:
     """Whatever is in it; nor is a drive that has not answered yet."""
-    heard = Heard(4, (Value(16, 16),))
+    heard = Heard((Value(16, 16),))
     heard.take([0x0237], 1)
     assert not heard.powered
-    assert not Heard(8, (), Value(0, 16)).powered
+    assert not Heard((), Value(0, 16)).powered
 
 
 def test_a_listener_on_messages() -> None:
@@ -93,7 +93,7 @@ def test_frames_of_one_look_count_as_if_each_had_its_own(shift: int) -> None:
         )
     ]
     values = (Value(16 - shift, 16), Value(0, 8))
-    together, apart = (Heard(4, values, state) for _ in range(2))
+    together, apart = (Heard(values, state) for _ in range(2))
     together.take(words[:2], 1)
     together.take(words[2:], 2)
     for at, word in enumerate(words):

@@ -80,7 +80,7 @@ def test_a_frame_that_is_lost_shows_in_single_looks(config: Config, lost: int, l
     for tick in range(60):
         before = stage.heard[axis.channel, axis.received]
         if tick == lost:
-            stage.heard[axis.channel, axis.received] = Heard(8, (axis.position,), axis.statusword)
+            stage.heard[axis.channel, axis.received] = Heard((axis.position,), axis.statusword)
         stage.tick(tick * MS, newton=45.0, metre=0.226e-3 * tick, force=45.0)
         stage.heard[axis.channel, axis.received] = before
         if tick % 2 == 1:
@@ -224,7 +224,7 @@ def test_a_force_that_is_no_number_is_beyond_every_bound(config: Config, force: 
     stage.observe = Observer(stage.wiring, config.supervisor, config.robot.contact_cell, MS)
     word = int.from_bytes(struct.pack("<f", force), "little")
     for cell in stage.wiring.cells:
-        stage.heard[cell.channel, cell.received] = Heard(8, (cell.force,))
+        stage.heard[cell.channel, cell.received] = Heard((cell.force,))
         stage.heard[cell.channel, cell.received].take([word << cell.force.shift], 0)
     found = stage.observe(MS, stage.heard, [claim()])
     assert (found.tension == np.inf).all()
@@ -249,7 +249,7 @@ def test_a_cell_is_defective_until_its_amplifier_takes_the_error_back(config: Co
 @pytest.mark.parametrize("force", [float("nan"), float("inf")])
 def test_a_force_that_is_no_number_once_is_in_no_sum(force: float) -> None:
     value = Value(0, 32, real=True)
-    heard = Heard(4, (value,))
+    heard = Heard((value,))
     for each in (1.5, force, 2.5):
         heard.take([int.from_bytes(struct.pack("<f", each), "little")], 1)
     assert heard.totals == [4.0]

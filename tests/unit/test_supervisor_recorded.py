@@ -451,6 +451,18 @@ def test_the_numbers_of_a_record_in_their_units(config: Config) -> None:
     assert cell.force.number(heard["", cell.received].word) == pytest.approx(47.25)
 
 
+def test_a_force_beyond_what_a_frame_can_say_is_infinite(config: Config) -> None:
+    player = Player(config)
+
+    def change(record: Any) -> None:
+        record["force_cells"]["raw"][2] = -1e300
+
+    player.take(change)
+    cell = player.wiring.cells[2]
+    word = player.replayed.heard["", cell.received].word
+    assert cell.force.number(word) == -np.inf
+
+
 def test_a_claim_without_answers_shows_nothing(config: Config) -> None:
     player = Player(config)
     player.replayed.take(claims(([MS], np.array([_record(player.cables, 0)]))))
