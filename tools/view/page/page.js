@@ -5,7 +5,7 @@ const byId = (id) => document.getElementById(id);
 const ARMED = new Set(["REFERENCING", "PRETENSION", "HOLD", "ACTIVE"]);
 const ALIVE_MS = 100;
 let socket = null, hello = null, now = null, lab = null, plots = [], chosen = [], chosenPlot = null;
-let paused = false, seeking = false, watching = false, lastAlive = 0, number = 0;
+let operationShown = null, paused = false, seeking = false, watching = false, lastAlive = 0, number = 0;
 const waiting = new Map();
 
 function send(message) {
@@ -52,6 +52,7 @@ function notice(text) {
 
 function welcome(message) {
   hello = message;
+  operationShown = null;
   byId("title").textContent = `Tonus: ${hello.runs.join(" and ")}`;
   document.title = `Tonus ${hello.runs[0]}`;
   notice(hello.damage.length ? `The log is not complete: ${hello.damage.join("; ")}` : "");
@@ -113,7 +114,11 @@ function showNow() {
   if (hello && hello.asked) showOperation();
 }
 
+// Only what is new: pictures come more often than statuses, and a page that is slow falls behind.
 function showOperation() {
+  const told = JSON.stringify([now.status, now.choices]);
+  if (told === operationShown) return;
+  operationShown = told;
   const status = now.status, verbs = byId("verbs");
   byId("tests").hidden = !status;
   if (!status) {
