@@ -5,8 +5,9 @@
 A run of so many minutes in real time, with one viewer and one page that reads all it is sent. Then
 the log of that run is opened, by that page and by a browser, where there is one: it draws in
 software, which is too much beside a run (`tests.bench.drawn`). A start is told in steps: the page
-is answered, the scene is sent, the first picture is told, and all that stands round it. Worth
-something on an idle host only.
+is answered, the scene is sent, the first picture is told, and all that stands round it. The first
+picture is there when the page has got the first moment with a state of the robot. Worth something
+on an idle host only.
 """
 
 from __future__ import annotations
@@ -55,7 +56,9 @@ class Shown:
     complete_s: float
     """until all that stands round it"""
     processor_s: float
-    """of the viewer's own until then"""
+    """of the viewer's own until the first picture"""
+    waited_s: float
+    """until then, in which its main thread could have gone on and had no processor"""
     arrivals: np.ndarray
     """s, when each picture came"""
     times: np.ndarray
@@ -111,8 +114,9 @@ def _draw(what: str, folder: Path, arguments: list[str]) -> None:
 def _tell_start(what: str, shown: Shown) -> None:
     print(
         f"{what}: first picture after {shown.first_s:.2f} s (page answered {shown.answered_s:.2f}, "
-        f"scene sent {shown.scene_s:.2f}; plots and events {shown.complete_s:.2f}, by then "
-        f"{shown.processor_s:.2f} s of processor time)",
+        f"scene sent {shown.scene_s:.2f}; until it {shown.processor_s:.2f} s of processor time and "
+        f"{shown.waited_s:.2f} s of waiting for a processor; plots and events "
+        f"{shown.complete_s:.2f})",
         flush=True,
     )
 
@@ -198,9 +202,9 @@ def _watch(folder: Path, arguments: list[str], seconds: float) -> Shown:
         scene.start()
         address = f"ws://127.0.0.1:{_PORT}/channel"
         with connect(address, origin=origin, max_size=None) as page:  # type: ignore[arg-type]
-            first, complete, processor, arrivals, times = _read(page, seconds, viewer.pid)
+            first, complete, spent, arrivals, times = _read(page, seconds, viewer.pid)
         scene.join()
-    begun = (answered, sent[0], first - began, complete - began, processor)
+    begun = (answered, sent[0], first - began, complete - began, *spent)
     return Shown(*begun, np.array(arrivals), np.array(times))
 
 
@@ -219,30 +223,38 @@ def _scene_sent() -> float:
 
 def _read(
     page: ClientConnection, seconds: float, viewer: int
-) -> tuple[float, float, float, list[float], list[float]]:
-    """When the first picture came, and what stands round it; the viewer's processor time by then;
-    when each picture came, and its own time."""
+) -> tuple[float, float, tuple[float, float], list[float], list[float]]:
+    """When the first picture came, and what stands round it; until the first, the viewer's
+    processor time and its wait for a processor; when each picture came, and its own time."""
     arrivals: list[float] = []
     times: list[float] = []
-    complete = processor = 0.0
+    complete = 0.0
+    spent = (0.0, 0.0)
     while not arrivals or not complete or arrivals[-1] - arrivals[0] < seconds:
         message = json.loads(page.recv(_PATIENCE_S))
         if message["kind"] == "ended":
             break
         if message["kind"] == "hello":
-            complete, processor = clock.wall_seconds(), _processor_s(viewer)
+            complete = clock.wall_seconds()
         if message["kind"] == "now" and message["runs"][0]["state"]:
+            if not arrivals:
+                spent = _processor_s(viewer), _waited_s(viewer)
             arrivals.append(clock.wall_seconds())
             times.append(message["t"])
     if not arrivals:
         sys.exit("the run has ended before the first picture of it")
-    return arrivals[0], complete, processor, arrivals, times
+    return arrivals[0], complete, spent, arrivals, times
 
 
 def _processor_s(process: int) -> float:
     """User's and system's."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _waited_s(process: int) -> float:
+    """Of the main thread, ready to run (Linux, Documentation/scheduler/sched-stats)."""
+    return 1e-9 * float(Path(f"/proc/{process}/schedstat").read_text().split()[1])
 
 
 def _environment(folder: Path) -> dict[str, str]:
