@@ -259,6 +259,16 @@ class TensionLoop(Section):
     """floors that `tonus check` computes against, without friction and with the real delay"""
 
 
+class Mismatch(Section):
+    """By which share a robot may differ from its description where the margins of a load observer
+    are computed: to it a wrong mass or stiffness looks like a load."""
+
+    mass: Fraction = 0.0
+    """of the platform"""
+    axial_stiffness: Fraction = 0.0
+    """of all cables together"""
+
+
 class Sequence(Section):
     """How long each step of bringing up may take and how smoothly it goes."""
 
@@ -315,6 +325,7 @@ class Control(Section):
     constant_tension: ConstantTension = ConstantTension(settle_s=1.0)
     distribution: Distribution
     tension_loop: TensionLoop
+    mismatch: Mismatch = Mismatch()
     freshness: Freshness
     sequence: Sequence
     stop: Stop

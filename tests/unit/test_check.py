@@ -288,11 +288,16 @@ def stability(name: str, overrides: dict[str, Any] | None = None) -> list[Findin
     return [each for each in check(config, SCENARIO) if each.rule in rules]
 
 
-def test_what_margins_leave_out_is_said() -> None:
-    config, scenario = load("config/can.yaml", overrides={"control.controller": "bio_observer"})
-    told = [each.text for each in check(config, scenario) if each.rule == "margins"]
-    assert len(told) == 2
-    assert all(text.startswith("bio_observer without its observer of the load, ") for text in told)
+@pytest.mark.parametrize(("cutoff", "ok"), [(None, True), (8.903, False)])
+def test_the_margins_of_an_observer_are_judged_too(cutoff: float | None, *, ok: bool) -> None:
+    overrides: dict[str, Any] = {"control.controller": "bio_observer"}
+    if cutoff is not None:
+        overrides["control.bio_observer.cutoff_hz"] = cutoff
+    config, scenario = load("config/can.yaml", overrides=overrides)
+    told = [each for each in check(config, scenario) if each.rule == "margins"]
+    assert [each.ok for each in told] == [True, True, ok]
+    start = "the observer of bio_observer, cut at the load, mass 20 % and EA 6 % off: "
+    assert told[2].text.startswith(start + ("6.0 dB" if ok else "unstable"))
 
 
 def test_a_robot_without_a_lab_has_its_margins_judged_as_well() -> None:

@@ -22,7 +22,7 @@ from tonus.tools.check.controller_time import ROUNDS, TICKS, WARM_TICKS, control
 from tonus.tools.cli.main import main
 from tonus.tools.log import open as open_log
 from tonus.tools.margins.linearisation import linear_responses
-from tonus.tools.margins.task import _Loop, least_margins, margins
+from tonus.tools.margins.task import Loop, least_margins, margins
 
 pytestmark = pytest.mark.wide
 
@@ -218,7 +218,7 @@ def test_the_numeric_linearisation_is_what_our_own_controllers_state(name: str) 
         if each.stiffness != pytest.approx(response.stiffness):
             continue
         loops = [
-            _Loop(config, law.tension_loop, outer, response.axis, follows=True, response=own)
+            Loop(config, law.tension_loop, outer, response.axis, follows=True, response=own)
             for outer, own in ((each, None), (LinearLaw(), response))
         ]
         for cut in ("torque", "force"):

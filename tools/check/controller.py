@@ -8,19 +8,23 @@ from itertools import product
 import numpy as np
 
 from tonus.config import Config
+from tonus.config.schema.control import TensionLoop
 from tonus.runtime.control.controllers import controller_class
 from tonus.runtime.control.controllers.linear import NoLinearLawError
 from tonus.runtime.control.controllers.registry import is_foreign
 from tonus.runtime.errors import ControllerError
 from tonus.tools.check.controller_time import controller_time
 from tonus.tools.check.finding import Finding
+from tonus.tools.margins.observer import observer_margins
 from tonus.tools.margins.probe import Probe
 from tonus.tools.margins.task import least_margins, loops, worst_axes
+from tonus.tools.margins.tension_loop import Margins
 
 _PROBES = 200
 """motions of one kind"""
 _TURN = 0.05
 """of a quaternion's vector part: 6 degrees"""
+_UNSTABLE = "unstable: a pole of the closed loop lies outside the unit circle"
 _PUSHED = 100.0
 """N, external and desired, in the largest probe: the largest load of the paper"""
 
@@ -77,9 +81,7 @@ def _whole_loop(config: Config, name: str, *, foreign: bool) -> Iterator[Finding
     floors = config.control.tension_loop
     where = f"control.{name}"
     remedy = f"run tonus tune tension, then tonus tune {name}, or lower its gains"
-    how, without = name, controller_class(name).not_in_margins
-    if without:
-        how = f"{name} without {without}"
+    how = name
     if foreign:
         where, remedy = "control.controller", "lower its gains"
         how = f"{name}, linearised from its own output"
@@ -99,13 +101,31 @@ def _whole_loop(config: Config, name: str, *, foreign: bool) -> Iterator[Finding
             ok = True
             text += "unstable, as the paper prints it"
         elif not least.stable:
-            text += "unstable: a pole of the closed loop lies outside the unit circle"
+            text += _UNSTABLE
         else:
-            text += (
-                f"{least.least_gain_db:.1f} dB and {least.phase_deg:.1f} deg, floors "
-                f"{floors.gain_margin_db:g} dB and {floors.phase_margin_deg:g} deg"
-            )
+            text += _told(least, floors)
         yield Finding("margins", ok, where, text, remedy)
+    yield from _observer(config, name, where, f"run tonus tune {name}, or lower its cutoff_hz")
+
+
+def _observer(config: Config, name: str, where: str, remedy: str) -> Iterator[Finding]:
+    """An observer of the load, with the estimator in the loop."""
+    floors, off = config.control.tension_loop, config.control.mismatch
+    least = observer_margins(config, name)
+    if least is None:
+        return
+    how = f"the observer of {name}, cut at the load, "
+    how += f"mass {100.0 * off.mass:g} % and EA {100.0 * off.axial_stiffness:g} % off: "
+    text = how + (_told(least, floors) if least.stable else _UNSTABLE)
+    yield Finding("margins", least.meet(floors), where, text, remedy)
+
+
+def _told(least: Margins, floors: TensionLoop) -> str:
+    phase = f"{least.phase_deg:.1f} deg" if least.phase_deg < np.inf else "no crossing"
+    return (
+        f"{least.least_gain_db:.1f} dB and {phase}, floors "
+        f"{floors.gain_margin_db:g} dB and {floors.phase_margin_deg:g} deg"
+    )
 
 
 def _time(config: Config, name: str) -> Finding:

@@ -146,17 +146,19 @@ def _search(
 
 
 def _tell(found: list[Found]) -> None:
-    table = Table("controller", "gains", "cost", "before", "margins: torque", "force", "refused")
+    table = Table(
+        "controller", "gains", "cost", "before", "margins: torque", "force", "load", "refused"
+    )
     for one in found:
         gains = "\n".join(f"{key} {value:g}" for key, value in one.gains.items())
-        cuts = []
-        for margin in one.margins.values():
+        cuts = ["", "", ""]
+        for place, margin in enumerate(one.margins.values()):
             decibels = (
                 f"{margin.least_gain_db:.1f} dB"
                 if math.isfinite(margin.least_gain_db)
                 else "no limit"
             )
-            cuts.append(f"{decibels}, {margin.phase_deg:.1f}°")
+            cuts[place] = f"{decibels}, {margin.phase_deg:.1f}°"
         before = "below the floors" if one.before is None else f"{one.before:.3f}"
         table.add_row(one.controller, gains, f"{one.cost:.3f}", before, *cuts, str(one.refused))
     Console(width=120 if not Console().is_terminal else None).print(table)

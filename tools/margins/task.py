@@ -5,13 +5,14 @@ Translation along one axis at home, linear and frictionless, as in
 so that they are one drum behind one cable, and G = sum g_i^2 of them pull at the platform. Where
 axes differ, each kind is computed as if all were of it, and the worst counts. The
 estimator is taken as exact but for its delay, so a load observer, which then sees only what comes
-from outside, changes nothing here. The loop is cut at the torque, where everything acts, and at the
-force, where the outer loop alone does.
+from outside, changes nothing here; its own margins are in `tonus.tools.margins.observer`. The loop
+is cut at the torque, where everything acts, and at the force, where the outer loop alone does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,16 +40,36 @@ Array = NDArray[np.float64]
 _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 FREQUENCIES = 3000
 """points of an open loop's response"""
-_ANGLE, _CELL, _PLACE, _SPEED = 0, 3, 4, 5
+ANGLE, CELL, PLACE, SPEED = 0, 3, 4, 5
 _PLANT = 6
-_INTEGRAL, _LAST, _OUTER, _ASKED, _SLOPE, _PIPE = range(_PLANT, _PLANT + 6)
-_END = _PIPE + DELAY_TICKS
+_INTEGRAL, _LAST, OUTER, _ASKED, _SLOPE, _PIPE = range(_PLANT, _PLANT + 6)
+END = _PIPE + DELAY_TICKS
+_CUTS = ("torque", "force", "load")
 
 
-class _Loop:
+@dataclass(frozen=True)
+class Feedback:
+    """What the outer loop makes of a state."""
+
+    force: float
+    """N, asked of the cables"""
+    grown: float
+    """the outer integral"""
+    speed: float
+    """m/s of the platform, as the drums' damping knows it"""
+    inside: Array
+    """what is next inside a controller given by its response, or inside an estimator"""
+    load: float = 0.0
+    """N, as an observer in the loop knows it"""
+
+
+class Loop:
     """The sampled loop as a linear map of its state: plant, tension integral, last drum angle,
     outer integral, last tension reference and its filtered slope, torques under way; then what a
     controller given by its ``response`` has inside."""
+
+    INSIDE = 0
+    """states beyond these of a loop without a ``response``"""
 
     def __init__(
         self,
@@ -60,9 +81,12 @@ class _Loop:
         follows: bool,
         response: LinearResponse | None = None,
         train: DriveTrain | None = None,
+        mass: float = 1.0,
+        axial_stiffness: float = 1.0,
     ) -> None:
         """``outer`` is the feedback, or, where there is a ``response``, that is. All cables are
-        taken as driven by ``train``; None: by that of axis 0."""
+        taken as driven by ``train``; None: by that of axis 0. ``mass`` and ``axial_stiffness``: the
+        plant's, over those that the controller has been told."""
         self._response = response
         robot, bandwidth = config.robot, config.response
         train = train or robot.drive_trains[0]
@@ -70,16 +94,18 @@ class _Loop:
         """whose drive train it is"""
         kinematics = Kinematics(robot.geometry)
         kinematics.evaluate(np.array(robot.home), _LEVEL)
-        self._gather = gather = float((kinematics.matrix[axis] ** 2).sum())
-        self._radius = radius = train.drum.radius
+        self.gather = gather = float((kinematics.matrix[axis] ** 2).sum())
+        self.radius = radius = train.drum.radius
         self._follows = follows
         self._tension = tension = of_axis(tension, train, robot)
-        self._outer, self._period = outer, config.control.rates.period
-        k = train.cable.axial_stiffness / float(kinematics.lengths.mean())
-        self._turn = tension.lead / (k * radius * self._period)
+        self.outer, self._period = outer, config.control.rates.period
+        self.stiffness = train.cable.axial_stiffness / float(kinematics.lengths.mean())
+        """N/m of a cable, as it has been told"""
+        self._turn = tension.lead / (self.stiffness * radius * self._period)
         """rad/s of the drum for each newton by which the reference moves in a tick"""
         self._follow = 1.0 - np.exp(-2.0 * np.pi * tension.lead_cutoff_hz * self._period)
-        c, inertia, mass = train.cable.damping, train.drum.inertia, robot.platform.mass
+        k, mass = self.stiffness * axial_stiffness, robot.platform.mass * mass
+        c, inertia = train.cable.damping, train.drum.inertia
         drive = 2.0 * np.pi * bandwidth.current_loop_hz
         cell = 2.0 * np.pi * bandwidth.force_cell_hz
         pull = np.array([k * radius, c * radius, 0.0, 0.0, -k, -c])
@@ -97,54 +123,57 @@ class _Loop:
         enter[2] = drive
         self._step, effect = zero_order_hold(flow, enter, self._period)
         self._effect = effect[:, 0]
-        self.size = _END + (response.order if response is not None else 0)
+        self.size = END + (response.order if response is not None else self.INSIDE)
 
-    def _feedback(self, s: Array) -> tuple[float, float, Array]:
-        """Force asked of the cables, the outer integral, and what is next inside a controller
-        given by its response."""
+    def feedback(self, s: Array, load: float | None) -> Feedback:  # noqa: ARG002
+        """Of a state (size,); ``load``: what an observer is to have estimated instead."""
         if self._response is not None:
-            force, inside = self._response.step(s[_END:], s[_PLACE], s[_SPEED])
-            return force, 0.0, inside
-        o, h = self._outer, self._period
-        drum, speed = self._radius * s[_ANGLE], self._radius * s[1]
-        touch = o.body * s[_PLACE]
-        gains = (o.integral, self._gather * o.cable[2], o.contact[1])
+            force, inside = self._response.step(s[END:], s[PLACE], s[SPEED])
+            return Feedback(force, 0.0, s[SPEED], inside)
+        o, h = self.outer, self._period
+        drum, speed = self.radius * s[ANGLE], self.radius * s[1]
+        touch = o.body * s[PLACE]
+        gains = (o.integral, self.gather * o.cable[2], o.contact[1])
         grown = 0.0
         if any(gains):  # else an integral of nothing would count as a pole at one
-            grown = s[_OUTER] + h * float(np.dot(gains, (s[_PLACE], drum, touch)))
-        force = o.stiffness * s[_PLACE] + o.damping * s[_SPEED] + o.contact[0] * touch
-        force += self._gather * (o.cable[0] * drum + o.cable[1] * speed)
-        return -(force + grown), grown, s[_END:]
+            grown = s[OUTER] + h * float(np.dot(gains, (s[PLACE], drum, touch)))
+        force = o.stiffness * s[PLACE] + o.damping * s[SPEED] + o.contact[0] * touch
+        force += self.gather * (o.cable[0] * drum + o.cable[1] * speed)
+        return Feedback(-(force + grown), grown, s[SPEED], s[END:])
 
     def step(
-        self, s: Array, torque: float | None = None, force: float | None = None
-    ) -> tuple[Array, float, float]:
-        """Next state, and the torque and the force that the loop returns. One of them may be given
-        instead: there the loop is cut."""
-        t, h, r = self._tension, self._period, self._radius
-        returned, grown, inside = self._feedback(s)
-        reference = (returned if force is None else force) / self._gather
-        error = reference - s[_CELL]
+        self,
+        s: Array,
+        torque: float | None = None,
+        force: float | None = None,
+        load: float | None = None,
+    ) -> tuple[Array, float, float, float]:
+        """Next state, and the torque, the force and the load that the loop returns. One of them may
+        be given instead: there the loop is cut."""
+        t, h, r = self._tension, self._period, self.radius
+        back = self.feedback(s, load)
+        reference = (back.force if force is None else force) / self.gather
+        error = reference - s[CELL]
         # Else an integral of nothing would count as a pole at one.
         integral = s[_INTEGRAL] + t.integral * h * error if t.integral else 0.0
         asked = r * (t.feed_forward * reference + t.proportional * error + integral)
-        rate = (s[_ANGLE] - s[_LAST]) / h
+        rate = (s[ANGLE] - s[_LAST]) / h
         slope = s[_SLOPE] + self._follow * (reference - s[_ASKED] - s[_SLOPE])
-        wanted = self._follows * s[_SPEED] / r + self._turn * slope
+        wanted = self._follows * back.speed / r + self._turn * slope
         asked += t.rate_damping * (wanted - rate)
         new = np.empty(self.size)
-        new[:_PLANT] = self._step @ s[:_PLANT] + self._effect * s[_END - 1]
-        new[_INTEGRAL], new[_LAST], new[_OUTER] = integral, s[_ANGLE], grown
+        new[:_PLANT] = self._step @ s[:_PLANT] + self._effect * s[END - 1]
+        new[_INTEGRAL], new[_LAST], new[OUTER] = integral, s[ANGLE], back.grown
         new[_ASKED], new[_SLOPE] = reference, slope
         new[_PIPE] = asked if torque is None else torque
-        new[_PIPE + 1 : _END] = s[_PIPE : _END - 1]
-        new[_END:] = inside
-        return new, asked, returned
+        new[_PIPE + 1 : END] = s[_PIPE : END - 1]
+        new[END:] = back.inside
+        return new, asked, back.force, back.load
 
     def _columns(self, cut: str | None) -> tuple[Array, Array, Array, float]:
         """State matrix, entry, exit and direct part of the loop cut at ``cut``."""
         given = {} if cut is None else {cut: 0.0}
-        which = 1 if cut == "torque" else 2
+        which = 1 + _CUTS.index(cut or "torque")
         states = [self.step(unit, **given) for unit in np.eye(self.size)]
         matrix = np.array([state[0] for state in states]).T
         out = np.array([state[which] for state in states])
@@ -175,7 +204,7 @@ def responses_of(config: Config, controller: str) -> tuple[LinearResponse, ...]:
 
 def loops(
     config: Config, controller: str, responses: Sequence[LinearResponse] | None = None
-) -> list[_Loop]:
+) -> list[Loop]:
     """The loops whose margins are those of a controller by name, with its configured gains: over
     three axes and the ends of its stiffness. A shipped controller is taken by the laws it states;
     any other by its own output, linearised numerically, and by the laws it states besides, or by
@@ -198,12 +227,12 @@ def loops(
     found = []
     for train in config.robot.kinds_of_axes:
         found += [
-            _Loop(config, tension, outer, axis, follows=follows, train=train)
+            Loop(config, tension, outer, axis, follows=follows, train=train)
             for outer in laws
             for axis in range(3)
         ]
         found += [
-            _Loop(
+            Loop(
                 config, tension, LinearLaw(), each.axis, follows=follows, response=each, train=train
             )
             for each in responses
@@ -211,7 +240,7 @@ def loops(
     return found
 
 
-def least_margins(found: Iterable[_Loop], cut: str, points: int = FREQUENCIES) -> Margins:
+def least_margins(found: Iterable[Loop], cut: str, points: int = FREQUENCIES) -> Margins:
     """Cut at the ``torque``, the plant's input, every loop counts; at the ``force``, the outer one
     round all others."""
     least = Margins(np.inf, np.inf, 0.0)
@@ -228,7 +257,7 @@ def least_margins(found: Iterable[_Loop], cut: str, points: int = FREQUENCIES) -
     return least
 
 
-def worst_axes(found: Sequence[_Loop], cut: str, floors: TensionLoop) -> tuple[int, ...]:
+def worst_axes(found: Sequence[Loop], cut: str, floors: TensionLoop) -> tuple[int, ...]:
     """The axes whose loops have the least margins against their ``floors``."""
     kinds = dict.fromkeys(loop.axes for loop in found)
     least = {

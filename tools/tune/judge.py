@@ -12,7 +12,9 @@ from tonus.config.schema.scenario import Scenario
 from tonus.config.schema.tuning import Tuning
 from tonus.runtime.control.reference import trajectory
 from tonus.runtime.states import Fault
+from tonus.tools.margins.observer import CUT, observer_margins
 from tonus.tools.margins.task import margins
+from tonus.tools.margins.tension_loop import Margins
 from tonus.tools.tune.trial import Trial, play
 
 Array = NDArray[np.float64]
@@ -34,12 +36,18 @@ class Part:
     fault: str | None = None
 
 
+def all_margins(config: Config, controller: str) -> dict[str, Margins]:
+    """By where the loop is cut: those that the floors are for."""
+    found = {cut: margins(config, controller, cut=cut) for cut in CUTS}
+    of_observer = observer_margins(config, controller)
+    return found if of_observer is None else found | {CUT: of_observer}
+
+
 def lack(config: Config, controller: str) -> float:
     """How far the margins are below their floors at the worst, as a share of the floor; none: 0.
     Unstable loops lack more than any other."""
     loop, worst = config.control.tension_loop, 0.0
-    for cut in CUTS:
-        found = margins(config, controller, cut=cut)
+    for found in all_margins(config, controller).values():
         if not found.stable:
             return 2.0
         worst = max(worst, 1.0 - found.least_gain_db / loop.gain_margin_db)

@@ -15,9 +15,8 @@ from tonus.config import load
 from tonus.config.schema.root import Config
 from tonus.config.schema.tuning import Tuning
 from tonus.tools.errors import ToolError
-from tonus.tools.margins.task import margins
 from tonus.tools.margins.tension_loop import Margins
-from tonus.tools.tune.judge import CUTS, Part, lack
+from tonus.tools.tune.judge import Part, all_margins, lack
 from tonus.tools.tune.work import Evaluator, Gains
 
 Array = NDArray[np.float64]
@@ -130,7 +129,7 @@ class Search:
             before,
             self._done,
             self._refused,
-            {cut: margins(tuned, self._controller, cut=cut) for cut in CUTS},
+            all_margins(tuned, self._controller),
         )
 
     def _population(self, start: Gains) -> Array:

@@ -79,9 +79,6 @@ class Controller(ABC):
     tone = 1.0
     """share of the pretension that the tensions tend to at rest: baseline co-contraction"""
 
-    not_in_margins = ""
-    """what `linear_laws` leave out, for people"""
-
     def __init__(self, robot: Robot, control: Control, damping_ratio: float | None = None) -> None:
         """``damping_ratio``: the controller's own; None for the one under impedance."""
         self._robot, self._control = robot, control

@@ -76,8 +76,6 @@ class BioObserver(Bio):
     are drawn to a share of the pretension; stiffness brings co-contraction with it.
     """
 
-    not_in_margins = "its observer of the load"
-
     def __init__(self, robot: Robot, control: Control) -> None:
         settings = self._settings = control.bio_observer
         super().__init__(robot, control, settings.damping_ratio)
@@ -93,8 +91,9 @@ class BioObserver(Bio):
         self._reflex = 0.0
 
     def linear_laws(self) -> tuple[LinearLaw, ...]:
-        """Free, and touching a body; an exact observer sees what comes from outside alone."""
-        free, body = super().linear_laws(), self._control.force.body_stiffness
+        """Free, and touching a body."""
+        body, hz = self._control.force.body_stiffness, self._settings.cutoff_hz
+        free = tuple(replace(spring, load_hz=hz) for spring in super().linear_laws())
         reflex = (0.0, self._settings.reflex)
         return (*free, *(replace(spring, contact=reflex, body=body) for spring in free))
 

@@ -28,3 +28,6 @@ class LinearLaw:
     """gains on the contact force, proportional (no unit) and integral (1/s)"""
     body: float = 0.0
     """N/m, of the body in contact"""
+    load_hz: float = 0.0
+    """Hz, of the low-pass through which the estimated external force, less the contact's, is fed
+    forward; 0: it is not"""
