@@ -303,6 +303,7 @@ class ControlCycle:
         cell = image.cell
         self._isolation.step(
             estimator.innovations,
+            estimator.doubts,
             self._allocation.reference,
             sensing.filtered,
             watched,

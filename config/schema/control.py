@@ -39,9 +39,12 @@ class Estimator(Section):
     start_speed_sigma: NonNegative
     """m/s: how far from rest the platform may be when it has been referenced"""
     compliance_sigma: NonNegative
-    """relative uncertainty of EA before the first motion; 0, like its drift, for no calibration"""
+    """relative uncertainty of EA before the first motion, of what all cables have in common; 0,
+    like its spread and its drift, for no calibration"""
+    compliance_spread: NonNegative = 0.1
+    """the same of what each cable's EA differs by from the others'"""
     compliance_drift: NonNegative
-    """1/s per sqrt(Hz)"""
+    """1/s per sqrt(Hz): how fast what they have in common may change"""
     elongation_time: Positive
     """s over which elongations are averaged before they tell compliance from offset"""
     gate: Positive

@@ -119,6 +119,9 @@ class Isolation(Section):
     """m that the platform's motion shortens a cable by while its drum does not turn at all"""
     innovation: Positive
     """m, mean innovation of a cable's length that counts as a contradiction"""
+    elongation_doubt: NonNegative = 3.0
+    """sigmas of a changing elongation, with the cable's compliance as well known as it is so far,
+    that say nothing in it"""
     innovation_descent: Positive = 3.5e-3
     """m, the same in a descent, of a cable that pulls"""
     innovation_descent_s: Positive = 0.2

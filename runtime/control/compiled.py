@@ -25,12 +25,12 @@ _UNKNOWN = 1.0
 """m2, variance of a length that nobody measured"""
 TWIST, EXTERNAL, OFFSETS = 6, 12, 18
 """Where the parts of the error state begin after the pose: twist, external wrench, an offset of
-each length and, last, the excess of compliance."""
+each length and, last, the excess of each cable's compliance."""
 
 
 def error_size(cables: int) -> int:
     """Of the error state of a robot with so many cables."""
-    return OFFSETS + cables + 1
+    return OFFSETS + 2 * cables
 
 
 @njit(cache=True)
@@ -250,9 +250,12 @@ def _mobility(quaternion: Array, mass: float, inertia: Array) -> Array:
 
 
 @njit(cache=True)
-def _predict(covariance: Array, mobility: Array, noise: Array, h: float) -> None:
+def _predict(
+    covariance: Array, mobility: Array, noise: Array, creep: float, excess: int, h: float
+) -> None:
     """F P F' + Q in place, with F = [[1, h, h^2/2 B], [0, 1, h B], [0, 0, 1]] over pose, twist and
-    external wrench; B is the mobility, and the constants of calibration stay what they are."""
+    external wrench; B is the mobility, and the constants of calibration stay what they are, but for
+    the ``creep`` that all compliances, from ``excess`` on, have in common."""
     size = covariance.shape[0]
     pushed = np.zeros((6, size))
     for i in range(6):
@@ -279,6 +282,9 @@ def _predict(covariance: Array, mobility: Array, noise: Array, h: float) -> None
             # The two halves were computed in different orders, and differ in the last bit.
             covariance[i, j] = covariance[j, i]
         covariance[i, i] += noise[i]
+    for i in range(excess, size):
+        for j in range(excess, size):
+            covariance[i, j] += creep
 
 
 @njit(cache=True)
@@ -311,7 +317,8 @@ def _judge(
         if not usable[i]:
             continue
         stretch = elongation(wanted[i], tensions[i], axial_stiffness[i])
-        found = wanted[i] + rest[OFFSETS - TWIST + i] + rest[excess - TWIST] * stretch - lengths[i]
+        softer = rest[excess - TWIST + i] * stretch
+        found = wanted[i] + rest[OFFSETS - TWIST + i] + softer - lengths[i]
         if tensions[i] <= slack:
             innovations[i] = min(found, 0.0)
             continue
@@ -330,25 +337,27 @@ def filter_tick(
     state: tuple[Array, Array, Array, Array, Array],
     body: tuple[float, Array, float, Array],
     period: float,
-    noise: tuple[Array, float, float],
+    noise: tuple[Array, float, float, float],
     anchors: tuple[Array, Array],
     measured: tuple[Array, Array, NDArray[np.bool_]],
     limits: tuple[float, float],
     lengths: Array,
     matrix: Array,
     innovations: Array,
+    doubts: Array,
     believed: NDArray[np.bool_],
 ) -> float:
     """Predict over a period with the cables' wrench, then correct with each believed length.
 
-    ``state``: position (3,), quaternion (4,), rest (13 + n,), covariance (19 + n, 19 + n) and mean
-    elongations (n,), all changed. ``measured``: lengths with the nominal elongation, tensions, and
-    which cables are fresh. ``noise``: variances (19 + n,) a tick adds, a length's, and the share of
-    a tick in the mean elongations. ``limits``: tension (N) below which a cable is slack, and
+    ``state``: position (3,), quaternion (4,), rest (12 + 2n,), covariance (18 + 2n, 18 + 2n) and
+    mean elongations (n,), all changed. ``measured``: lengths with the nominal elongation, tensions,
+    and which cables are fresh. ``noise``: variances (18 + 2n,) a tick adds, a length's, the share
+    of a tick in the mean elongations, and the variance that a tick adds to all compliances in
+    common. ``limits``: tension (N) below which a cable is slack, and
     innovation (m) beyond which a length is left out. ``matrix`` comes in as of the last estimate.
     Writes the lengths' ``innovations`` (n,) m before any correction, not a number where there is
-    none, and which cables were ``believed`` (n,). Returns the mean squared innovation in sigmas:
-    about 1.
+    none; the ``doubts`` (n,) m, sigmas of what elongation has changed by since its mean; and which
+    cables were ``believed`` (n,). Returns the mean squared innovation in sigmas: about 1.
     """
     position, quaternion, rest, covariance, mean = state
     wanted, tensions, usable = measured
@@ -357,14 +366,15 @@ def filter_tick(
     position += period * (rest[:3] + 0.5 * period * acceleration[:3])
     quaternion[:] = rotate(quaternion, period * (rest[3:6] + 0.5 * period * acceleration[3:]))
     rest[:6] += period * acceleration
-    _predict(covariance, mobility, noise[0], period)
+    excess = OFFSETS + lengths.shape[0]
+    _predict(covariance, mobility, noise[0], noise[3], excess, period)
     geometry(position, quaternion, anchors[0], anchors[1], lengths, matrix)
     size = covariance.shape[0]
-    excess = size - 1
     error, seen = np.zeros(size), np.empty(size)
     total, count = 0.0, 0
     _judge(wanted, tensions, usable, rest, body[3], limits, lengths, innovations, believed)
     for i in range(lengths.shape[0]):
+        doubts[i] = 0.0
         if not believed[i]:
             continue
         stretch = elongation(wanted[i], tensions[i], body[3][i])
@@ -372,19 +382,22 @@ def filter_tick(
         # in H a mean, for the cells' noise would pass for a motion that tells excess from offset.
         # Where it lags behind, the difference is one more uncertainty of the length.
         mean[i] += noise[2] * (stretch - mean[i])
-        innovation = wanted[i] + rest[OFFSETS - TWIST + i] + rest[excess - TWIST] * stretch
+        own = excess + i
+        innovation = wanted[i] + rest[OFFSETS - TWIST + i] + rest[own - TWIST] * stretch
         innovation -= lengths[i]
-        variance = noise[1] + covariance[excess, excess] * (stretch - mean[i]) ** 2
+        lag = max(0.0, covariance[own, own]) * (stretch - mean[i]) ** 2
+        doubts[i] = math.sqrt(lag)
+        variance = noise[1] + lag
         for j in range(size):
-            value = -covariance[OFFSETS + i, j] - mean[i] * covariance[excess, j]
+            value = -covariance[OFFSETS + i, j] - mean[i] * covariance[own, j]
             for row in range(6):
                 value -= matrix[row, i] * covariance[row, j]
             seen[j] = value
         for row in range(6):
             innovation += matrix[row, i] * error[row]
             variance -= matrix[row, i] * seen[row]
-        innovation += error[OFFSETS + i] + mean[i] * error[excess]
-        variance -= seen[OFFSETS + i] + mean[i] * seen[excess]
+        innovation += error[OFFSETS + i] + mean[i] * error[own]
+        variance -= seen[OFFSETS + i] + mean[i] * seen[own]
         seen /= math.sqrt(variance)
         innovation /= math.sqrt(variance)
         for j in range(size):
@@ -421,23 +434,25 @@ def track(
     """
     position, quaternion, rest, covariance, mean = state
     cables, size = innovation.shape[0], covariance.shape[0]
-    excess = size - 1
+    excess = OFFSETS + cables
     geometry(seen[0], seen[1], anchors[0], anchors[1], innovation, matrix)
     cross = np.zeros((size, cables))
     spread = np.zeros((cables, cables))
     for i in range(cables):
         stretch = elongation(then[0][i], then[1][i], axial_stiffness[i])
-        innovation[i] -= then[0][i] + rest[OFFSETS - TWIST + i] + rest[excess - TWIST] * stretch
+        softer = rest[excess - TWIST + i] * stretch
+        innovation[i] -= then[0][i] + rest[OFFSETS - TWIST + i] + softer
         for j in range(size):
-            cross[j, i] = covariance[j, OFFSETS + i] + mean[i] * covariance[j, excess]
+            cross[j, i] = covariance[j, OFFSETS + i] + mean[i] * covariance[j, excess + i]
     for i in range(cables):
         for j in range(cables):
-            value = cross[OFFSETS + i, j] + mean[i] * cross[excess, j]
+            value = cross[OFFSETS + i, j] + mean[i] * cross[excess + i, j]
             for row in range(6):
                 value += matrix[row, i] * matrix[row, j] * variances[0 if row < 3 else 1]
             spread[i, j] = value
         stretch = elongation(then[0][i], then[1][i], axial_stiffness[i])
-        spread[i, i] += variances[2] + covariance[excess, excess] * (stretch - mean[i]) ** 2
+        own = covariance[excess + i, excess + i]
+        spread[i, i] += variances[2] + own * (stretch - mean[i]) ** 2
         if not then[2][i]:
             spread[i, i] += _UNKNOWN
     if not (np.isfinite(spread).all() and np.isfinite(innovation).all()):
@@ -491,6 +506,7 @@ def estimate_tick(
     lengths: Array,
     matrix: Array,
     innovations: Array,
+    doubts: Array,
     believed: NDArray[np.bool_],
     cables_position: Array,
     cables_quaternion: Array,
@@ -509,6 +525,7 @@ def estimate_tick(
     noise: Array,
     length_variance: float,
     share: float,
+    creep: float,
     slack: float,
     gate: float,
     measured: Array,
@@ -528,13 +545,14 @@ def estimate_tick(
         state,
         (*body, axial_stiffness),
         period,
-        (noise, length_variance, share),
+        (noise, length_variance, share, creep),
         anchors,
         (measured, tensions, usable),
         (slack, gate),
         lengths,
         matrix,
         innovations,
+        doubts,
         believed,
     )
     residual = forward(

@@ -2,9 +2,9 @@
 
 Two sources that fail differently: the cables (each tick, precise, but wrong by what calibration
 missed) and the optical tracker (its own rate and latency, coarse, but right). One error-state
-extended Kalman filter holds both, 19 + n states: pose, twist, external wrench, and the constants of
-calibration, an offset of each cable's length and the excess of the cables' compliance over the
-nominal one. The orientation is a quaternion; only its error, a rotation vector in the base frame,
+extended Kalman filter holds both, 18 + 2n states: pose, twist, external wrench, and the constants
+of calibration, an offset of each cable's length and the excess of its compliance over the nominal
+one. The orientation is a quaternion; only its error, a rotation vector in the base frame,
 has a covariance. Predict and correct are filterpy's algebra, compiled
 (`tonus.runtime.control.compiled`) and held against filterpy by test.
 
@@ -100,8 +100,7 @@ def _noise(
     density[TWIST + 3 : EXTERNAL] = settings.angular_acceleration_sigma * unrest
     density[EXTERNAL : EXTERNAL + 3] = settings.force_drift * load_unrest
     density[EXTERNAL + 3 : OFFSETS] = settings.moment_drift
-    density[OFFSETS:-1] = settings.offset_drift
-    density[-1] = settings.compliance_drift
+    density[OFFSETS : (OFFSETS + errors) // 2] = settings.offset_drift
     return np.asarray(density**2 * period)
 
 
@@ -131,11 +130,15 @@ class PoseEstimator:
         self._moment_length = robot.geometry.moment_length
         cables, errors = robot.cables, error_size(robot.cables)
         length, share = settings.length_sigma**2, period / settings.elongation_time
-        self._usual_noise = (_noise(settings, period, errors), length, share)
+        creep = settings.compliance_drift**2 * period
+        self._excesses = OFFSETS + cables
+        """where the offsets end in the error state, and the excesses of compliance begin"""
+        self._usual_noise = (_noise(settings, period, errors), length, share, creep)
         self._restless_noise = (
             _noise(settings, period, errors, doubts.unrest, doubts.load_unrest),
             doubts.length_sigma**2,
             share,
+            creep,
         )
         self._noise = self._usual_noise
         self._variances = (
@@ -145,7 +148,7 @@ class PoseEstimator:
         )
         self._position, self._quaternion = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
         self._rest = np.zeros(errors - TWIST)
-        """twist, external wrench, offsets, excess: the error state without the pose"""
+        """twist, external wrench, offsets, excesses: the error state without the pose"""
         self.covariance = np.zeros((errors, errors))
         """(errors, errors) of the error state, at the sampling instant"""
         self._stretch = np.zeros(cables)
@@ -168,6 +171,8 @@ class PoseEstimator:
         self._innovation = np.zeros(cables)
         self.innovations = np.zeros(cables)
         """m, of this tick's lengths before they corrected anything; not a number where none was"""
+        self.doubts = np.zeros(cables)
+        """m, how uncertain the part of them is that comes from a changing elongation"""
         self.believed = np.zeros(cables, dtype=bool)
         """whose lengths corrected the estimate in this tick"""
         self.cable_position, self._cable_quaternion = np.zeros(3), self._quaternion.copy()
@@ -201,6 +206,7 @@ class PoseEstimator:
             kinematics.lengths,
             kinematics.matrix,
             self.innovations,
+            self.doubts,
             self.believed,
             self.cable_position,
             self._cable_quaternion,
@@ -223,12 +229,17 @@ class PoseEstimator:
     @property
     def offsets(self) -> Array:
         """(n,) m, to be added to the cables' lengths."""
-        return self._rest[OFFSETS - TWIST : -1]
+        return self._rest[OFFSETS - TWIST : self._excesses - TWIST]
+
+    @property
+    def compliances(self) -> Array:
+        """(n,) of each cable, over its nominal one."""
+        return 1.0 + self._rest[self._excesses - TWIST :]
 
     @property
     def compliance(self) -> float:
-        """of the cables, over the nominal one."""
-        return 1.0 + float(self._rest[-1])
+        """of the cables, over the nominal one: their mean."""
+        return float(self.compliances.mean())
 
     @property
     def sigma(self) -> float:
@@ -272,22 +283,25 @@ class PoseEstimator:
         """Covariance after a reference: what was wrong in the pose, and in the elongation taken out
         of the lengths, is wrong in the offsets, the other way round."""
         covariance, settings, stretch = self.covariance, self._settings, self._stretch
+        offsets = slice(OFFSETS, self._excesses)
+        excesses = slice(self._excesses, len(covariance))
         position, rotation, length = self._variances
         pose = np.diag([position] * 3 + [rotation] * 3) / samples
-        loose = settings.compliance_sigma**2 * np.outer(stretch, stretch)
+        # What all cables have in common, and what each has by itself.
+        loose = settings.compliance_spread**2 * np.eye(len(stretch)) + settings.compliance_sigma**2
         shift = -self._kinematics.matrix.T
         covariance[:] = 0.0
         covariance[:TWIST, :TWIST] = pose
         speed = settings.start_speed_sigma
         turning = speed / self._moment_length
         covariance[TWIST:EXTERNAL, TWIST:EXTERNAL] = np.diag([speed**2] * 3 + [turning**2] * 3)
-        covariance[OFFSETS:-1, :TWIST] = shift @ pose
-        covariance[:TWIST, OFFSETS:-1] = pose @ shift.T
-        covariance[OFFSETS:-1, OFFSETS:-1] = shift @ pose @ shift.T + loose
-        covariance[OFFSETS:-1, OFFSETS:-1] += length * np.eye(len(stretch))
-        covariance[-1, OFFSETS:-1] = -(settings.compliance_sigma**2) * stretch
-        covariance[OFFSETS:-1, -1] = covariance[-1, OFFSETS:-1]
-        covariance[-1, -1] = settings.compliance_sigma**2
+        covariance[offsets, :TWIST] = shift @ pose
+        covariance[:TWIST, offsets] = pose @ shift.T
+        covariance[offsets, offsets] = shift @ pose @ shift.T + loose * np.outer(stretch, stretch)
+        covariance[offsets, offsets] += length * np.eye(len(stretch))
+        covariance[excesses, offsets] = -loose * stretch
+        covariance[offsets, excesses] = covariance[excesses, offsets].T
+        covariance[excesses, excesses] = loose
 
     def loosen(self) -> None:
         """From now on cables are gone and others go slack: the platform may move as it could not
@@ -414,17 +428,35 @@ class PoseEstimator:
         return bool(self._moved.any())
 
     def _doubt(self) -> None:
-        """A pose beyond the gate. Where many agree, the pose and the offsets are made as uncertain,
-        along the difference, as that is large, and the next pose is believed."""
+        """A pose beyond the gate. Where many agree, the estimate follows them."""
         matrix, disagreement = self._seen.matrix, self.disagreement
         shift = np.linalg.solve(matrix @ matrix.T, -matrix @ self._innovation)
         disagreement.add(np.asarray(shift, dtype=np.float64))
         if disagreement.learnable:
-            direction = np.zeros(len(self.covariance))
-            direction[:TWIST] = disagreement.shift
-            direction[OFFSETS:-1] = -matrix.T @ disagreement.shift
-            self.covariance += np.outer(direction, direction)
+            self._follow(disagreement.shift, disagreement.poses)
             disagreement.learn()
+
+    def _follow(self, shift: Array, samples: int) -> None:
+        """Reference the lengths again: the pose moves by ``shift`` (6,), the offsets so that every
+        length tells what it told before, and both are as uncertain as ``samples`` poses leave them.
+
+        To make them uncertain along the shift and leave the step to the next pose is not the same:
+        the lengths come first, in every tick, and where they contradict each other, in directions
+        in which no pose can move them, they drove the estimate along the only way that was open.
+        """
+        seen = self._seen
+        seen.evaluate(self._position, self._quaternion)
+        before = seen.lengths.copy()
+        self._position += shift[:3]
+        self._quaternion[:] = rotate(self._quaternion, shift[3:])
+        seen.evaluate(self._position, self._quaternion)
+        self.offsets[:] += seen.lengths - before
+        position, rotation, _ = self._variances
+        spread = np.vstack([np.eye(TWIST), -seen.matrix.T])
+        spread *= np.sqrt(np.array([position] * 3 + [rotation] * 3) / samples)
+        rows = np.r_[0:TWIST, OFFSETS : self._excesses]
+        self.covariance[np.ix_(rows, rows)] += spread @ spread.T
+        self._publish()
 
     def _publish(self) -> Estimate:
         """The estimate one period on."""

@@ -18,6 +18,9 @@ ROBOT = load("config/can.yaml")[0].robot
 EA, PERIOD = ROBOT.axial_stiffness, 1e-3
 BODY = (ROBOT.platform.mass, np.array(ROBOT.platform.inertia), ROBOT.gravity, EA)
 LENGTH_VARIANCE = 4e-10
+SIZE = 34
+CREEP = 1e-6
+"""what the compliances have in common"""
 USABLE = np.array([True, True, False, True, True, True, True, True])
 Array = NDArray[np.float64]
 State = tuple[Array, Array, Array, Array, Array]
@@ -28,9 +31,9 @@ def some_state(seed: int) -> State:
     random = np.random.default_rng(seed)
     turned = rotate(np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.1, -0.05, 0.08]))
     scale = np.repeat([1e-4, 1e-3, 1e-2, 1e-1, 1.0, 0.1], 3)
-    scale = np.concatenate([scale, np.full(8, 1e-4), [0.05]])
-    root = scale[:, None] * random.normal(size=(27, 27))
-    rest = scale[6:] * random.normal(size=21)
+    scale = np.concatenate([scale, np.full(8, 1e-4), np.full(8, 0.05)])
+    root = scale[:, None] * random.normal(size=(SIZE, SIZE))
+    rest = scale[6:] * random.normal(size=SIZE - 6)
     mean = np.full(8, 0.0144)
     return np.array([0.08, -0.05, 0.1]), turned, rest, root @ root.T, mean
 
@@ -47,14 +50,14 @@ def moved(state: State, error: Array) -> State:
 
 
 def difference(end: State, start: State) -> Array:
-    """(27,) error state that leads from ``start`` to ``end``."""
+    """(34,) error state that leads from ``start`` to ``end``."""
     turn = rotation_between(start[1], end[1])
     return np.concatenate([end[0] - start[0], turn, end[2] - start[2]])
 
 
 def slopes(function: Callable[[Array], Array]) -> Array:
-    """Central differences in each of the 27 directions."""
-    steps = 1e-5 * np.eye(27)
+    """Central differences in each of the 34 directions."""
+    steps = 1e-5 * np.eye(SIZE)
     return np.array([(function(step) - function(-step)) / 2e-5 for step in steps]).T
 
 
@@ -86,14 +89,14 @@ def predicted_lengths(state: State) -> Array:
     """What the cables will report: true length less offset and excess elongation."""
     kinematics = Kinematics(ROBOT.geometry)
     kinematics.evaluate(state[0], state[1])
-    return np.asarray(kinematics.lengths - state[2][12:20] - state[2][20] * state[4])
+    return np.asarray(kinematics.lengths - state[2][12:20] - state[2][20:] * state[4])
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_tick_is_filterpys_predict_and_update(seed: int) -> None:
     """To a thousandth of a sigma: how the moment arms turn within a tick is left out of F."""
     tensions = np.array([50.0, 48.0, 45.0, 52.0, 40.0, 44.0, 46.0, 43.0])
-    noise = np.linspace(1e-10, 1e-6, 27)
+    noise = np.linspace(1e-10, 1e-6, SIZE)
     state, start = some_state(seed), some_state(seed)
     kinematics = Kinematics(ROBOT.geometry)
     kinematics.evaluate(*state[:2])
@@ -105,23 +108,26 @@ def test_a_tick_is_filterpys_predict_and_update(seed: int) -> None:
         state,
         BODY,
         PERIOD,
-        (noise, LENGTH_VARIANCE, 0.5),
+        (noise, LENGTH_VARIANCE, 0.5, CREEP),
         (kinematics.frame, kinematics.platform),
         (reported, tensions, USABLE),
         (0.0, np.inf),
         kinematics.lengths,
         kinematics.matrix,
         np.zeros(8),
+        np.zeros(8),
         np.zeros(8, dtype=bool),
     )
 
     after = flown(start, tensions)
     transition = slopes(lambda e: difference(flown(moved(start, e), tensions), after))
-    _, covariance = predict(np.zeros((27, 1)), start[3], F=transition, Q=np.diag(noise))
+    common = np.arange(SIZE) >= 26
+    grown = np.diag(noise) + CREEP * np.outer(common, common)
+    _, covariance = predict(np.zeros((SIZE, 1)), start[3], F=transition, Q=grown)
     observed = slopes(lambda e: predicted_lengths(moved(after, e)))[USABLE]
     innovation = (reported - predicted_lengths(after))[USABLE]
     error, covariance = update(
-        np.zeros((27, 1)),
+        np.zeros((SIZE, 1)),
         covariance,
         innovation[:, None],
         LENGTH_VARIANCE * np.eye(USABLE.sum()),
@@ -159,11 +165,11 @@ def test_a_tracker_pose_is_filterpys_update_with_the_constants() -> None:
         kinematics.matrix,
     )
 
-    observed = np.zeros((8, 27))
-    observed[:, 18:26], observed[:, 26] = np.eye(8), mean
+    observed = np.zeros((8, SIZE))
+    observed[:, 18:26], observed[:, 26:] = np.eye(8), np.diag(mean)
     spread = turned.T @ np.diag(np.repeat(variances[:2], 3)) @ turned + variances[2] * np.eye(8)
-    expected = there - then - start[2][12:20] - start[2][20] * mean
-    error, covariance = update(np.zeros((27, 1)), start[3], expected[:, None], spread, observed)
+    expected = there - then - start[2][12:20] - start[2][20:] * mean
+    error, covariance = update(np.zeros((SIZE, 1)), start[3], expected[:, None], spread, observed)
     total = observed @ start[3] @ observed.T + spread
     np.testing.assert_allclose(innovation, expected, atol=1e-15)
     assert np.isclose(chi_square, expected @ np.linalg.solve(total, expected), rtol=1e-9)

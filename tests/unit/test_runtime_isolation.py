@@ -34,6 +34,7 @@ class Watched:
         self.isolation = Isolation(CONFIG.robot, SETTINGS, CONTROL.stop, PERIOD)
         self.given: dict[str, Array] = {
             "innovation": np.zeros(CABLES),
+            "doubt": np.zeros(CABLES),
             "reference": np.full(CABLES, PULL),
             "tension": np.full(CABLES, PULL),
             "angle": np.zeros(CABLES),
@@ -57,6 +58,7 @@ class Watched:
             self._raw = raw
             self.isolation.step(
                 given["innovation"],
+                given["doubt"],
                 given["reference"],
                 given["tension"],
                 self.watched,

@@ -37,7 +37,7 @@ class Residuals:
     def __init__(self, **settings: Any) -> None:
         known = SETTINGS.model_copy(update=settings)
         self.isolation = Isolation(CONFIG.robot, known, CONTROL.stop, PERIOD)
-        self.innovation = np.zeros(CABLES)
+        self.innovation, self.doubt = np.zeros(CABLES), np.zeros(CABLES)
         self.reference, self.tension = np.full(CABLES, PULL), np.full(CABLES, PULL)
         self.watched = np.ones(CABLES, dtype=bool)
         self.age = np.zeros(CELLS, dtype=np.uint16)
@@ -49,6 +49,7 @@ class Residuals:
             self._raw = np.where(self.frozen, self._raw, 2.0 * PULL - self._raw + 1.0)
             self.isolation.step(
                 self.innovation,
+                self.doubt,
                 self.reference,
                 self.tension,
                 self.watched,
@@ -248,6 +249,26 @@ def test_a_mean_follows_in_its_time_and_is_bounded(given: Residuals, ticks: int)
     given.watched[:] = False
     given.tick()
     assert not given.isolation.drift.any()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_an_elongation_may_be_wrong_by_is_not_in_the_mean(
+    given: Residuals, sign: float
+) -> None:
+    sigmas = SETTINGS.elongation_doubt
+    given.doubt[2] = 3.0 * MEAN / sigmas
+    given.innovation[2] = 3.9 * MEAN * sign
+    assert given.tick(300) == NOTHING
+    assert given.isolation.drift[2] == pytest.approx(0.9 * MEAN * sign, rel=1e-3)
+    given.doubt[2] = 0.0
+    assert given.until(Fault.LENGTH_DRIFT) < TIME
+
+
+def test_a_jump_counts_whatever_the_elongation_may_be_wrong_by(given: Residuals) -> None:
+    given.doubt[4] = JUMP
+    given.innovation[4] = 1.1 * JUMP
+    assert given.tick() == NOTHING
+    assert given.tick() == (Fault.LENGTH_JUMP, 4)
 
 
 def test_a_jump_is_not_named_by_the_mean_that_it_moves(given: Residuals) -> None:
