@@ -41,6 +41,12 @@ WITHOUT_FRICTION: dict[str, Any] = {
     "control.tension_loop.friction.coulomb": 0.0,
     "control.tension_loop.friction.load": 0.0,
 }
+UNCALIBRATED: dict[str, Any] = {
+    "control.estimator.compliance_sigma": 0.0,
+    "control.estimator.compliance_spread": 0.0,
+    "control.estimator.compliance_drift": 0.0,
+}
+"""The estimator never learns that a cable is stiffer than described, as the margins have it."""
 CONFIG, _ = load("config/direct.yaml")
 FLOORS = CONFIG.control.tension_loop
 
@@ -146,11 +152,6 @@ def test_a_light_robot_with_stiff_cables_does_not_oscillate_under_a_load() -> No
 
 
 @pytest.mark.wide
-def test_with_the_cut_off_as_it_was_that_robot_oscillates() -> None:
-    assert oscillation(DRAWN | BEFORE, 25.0) > 3.0
-
-
-@pytest.mark.wide
 @pytest.mark.parametrize(
     ("mass", "stiffness", "cutoff", "holds"),
     [(0.8, 1.06, 6.0, True), (0.8, 1.06, 10.0, False), (1.0, 1.0, 14.0, False)],
@@ -177,7 +178,7 @@ def test_the_loop_says_what_becomes_of_a_robot_without_friction(
     ]
     assert all(said) is holds
     plant = {"lab.plant.mass_scale": mass, "lab.plant.stiffness_scale": stiffness}
-    found = oscillation(overrides | WITHOUT_FRICTION | plant, 10.0)
+    found = oscillation(overrides | WITHOUT_FRICTION | UNCALIBRATED | plant, 10.0)
     assert found < 0.7 if holds else found > 3.0
 
 
