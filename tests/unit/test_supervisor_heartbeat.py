@@ -48,6 +48,11 @@ def test_the_heartbeat_begins_when_nothing_was_enabled_for_a_while(watchdog: Wat
     assert all(bus.closed for bus in watchdog.buses)
 
 
+def test_where_frames_are_read_it_needs_no_record_to_begin(watchdog: Watchdog) -> None:
+    assert all(sent == [] for sent in watchdog.steps(0, 300, enabled=False, tick=False))
+    assert watchdog.step(300, enabled=False, tick=False) == BEAT
+
+
 def test_a_supervisor_that_finds_the_robot_armed_stays_silent(watchdog: Watchdog) -> None:
     assert all(sent == [] for sent in watchdog.steps(0, 2000, enabled=True))
     assert not watchdog.supervisor.beating

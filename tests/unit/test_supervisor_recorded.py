@@ -51,6 +51,7 @@ class FakeBus:
         del timeout
         if self.broken:
             raise can.CanError("gone")
+        assert not message.is_extended_id
         self.sent.append((message.arbitration_id, bytes(message.data)))
 
     def shutdown(self) -> None:
@@ -169,6 +170,12 @@ def test_a_relay_that_does_not_answer_is_not_held(held: Held) -> None:
     assert sent[151:] == [[]] * 49
 
 
+def test_a_relay_that_answered_a_moment_ago_is_held(held: Held) -> None:
+    list(held.steps(150, disarmed))
+    held.answers = False
+    assert held.step(disarmed) == [BEAT, HELD]
+
+
 def test_without_a_record_it_holds_nothing(held: Held) -> None:
     held.recorded = False
     assert all(sent == [] for sent in held.steps(400))
@@ -185,6 +192,14 @@ def test_a_record_that_ends_while_nothing_is_enabled_releases_the_relay(held: He
     assert held.supervisor.violation is None
     held.recorded = True
     assert held.step(disarmed) == [BEAT, HELD]
+
+
+def test_a_record_may_be_as_old_as_the_patience_while_nothing_is_enabled() -> None:
+    held = Held(load("config/ethercat.yaml", overrides=ROBOT | {"supervisor.patience_ms": 6})[0])
+    list(held.steps(160, disarmed))
+    held.recorded = False
+    assert [held.step(disarmed) for _ in range(4)] == [*[[BEAT, HELD]] * 3, [RELEASED]]
+    held.supervisor.close()
 
 
 def test_a_record_that_ends_while_the_robot_is_armed_stops_it(held: Held) -> None:
