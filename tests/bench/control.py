@@ -104,12 +104,14 @@ def _estimator(config: Config) -> list[Figure]:
     tensions, usable = np.full(8, 45.0), np.ones(8, dtype=bool)
     estimator.start(position, quaternion, tensions, 60)
     lengths = kinematics.lengths.copy()
-    state, covariance = np.zeros((27, 1)), estimator.covariance.copy()
-    seen, innovation = np.hstack([np.eye(8), np.zeros((8, 19))]), np.zeros((8, 1))
+    covariance = estimator.covariance.copy()
+    size = len(covariance)
+    state = np.zeros((size, 1))
+    seen, innovation = np.eye(8, size), np.zeros((8, 1))
     noise = 4e-10 * np.eye(8)
 
     def dense() -> None:
-        _, predicted = predict(state, covariance, F=np.eye(27), Q=1e-12)
+        _, predicted = predict(state, covariance, F=np.eye(size), Q=1e-12)
         update(state, predicted, innovation, noise, seen)
 
     step = partial(estimator.step, lengths, tensions, usable)
