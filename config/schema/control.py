@@ -42,7 +42,7 @@ class Estimator(Section):
     """relative uncertainty of EA before the first motion, of what all cables have in common; 0,
     like its spread and its drift, for no calibration"""
     compliance_spread: NonNegative = 0.1
-    """the same of what each cable's EA differs by from the others'"""
+    """the same of what each cable's EA differs by from the others'; not used with six cables"""
     compliance_drift: NonNegative
     """1/s per sqrt(Hz): how fast what they have in common may change"""
     elongation_time: Positive

@@ -287,8 +287,10 @@ class PoseEstimator:
         excesses = slice(self._excesses, len(covariance))
         position, rotation, length = self._variances
         pose = np.diag([position] * 3 + [rotation] * 3) / samples
-        # What all cables have in common, and what each has by itself.
-        loose = settings.compliance_spread**2 * np.eye(len(stretch)) + settings.compliance_sigma**2
+        # What all cables have in common, and what each has by itself. The lengths of six cables fit
+        # a pose whatever they are: there each one's own would only make them doubtful.
+        spread = settings.compliance_spread if len(stretch) > TWIST else 0.0
+        loose = spread**2 * np.eye(len(stretch)) + settings.compliance_sigma**2
         shift = -self._kinematics.matrix.T
         covariance[:] = 0.0
         covariance[:TWIST, :TWIST] = pose
