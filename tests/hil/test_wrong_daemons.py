@@ -80,7 +80,8 @@ def test_torques_that_are_kept_where_control_raises_and_has_no_fallback(
     """They hold the platform for a while. From the instant at which a drum's rate has truly changed
     by what the supervisor takes for motion."""
     nothing = instead(Fallback, "step", lambda *_, **__: None)
-    run, seen = _run(monkeypatch, both(instead(ControlCycle, "act", raises), nothing))
+    change = both(instead(ControlCycle, "act", raises), nothing)
+    run, seen = _run(monkeypatch, change, seconds=2.0)
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert {number for number, _ in run.said} == {Requirement.FROZEN}
     after = seen.truth_ns > run.changed_ns
