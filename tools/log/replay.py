@@ -282,7 +282,10 @@ class _Replayer:
         try:
             self._cycle = restore(state, self._fresh())
         except KeyframeError as error:
-            raise ToolError(f"{self._log.path}: the keyframe of tick {tick}: {error}") from error
+            raise ToolError(
+                f"{self._log.path}: the keyframe of tick {tick}: {error}; replay from a keyframe "
+                "with the version that recorded it"
+            ) from error
         self._next = sequence + 1
         self.result.keyframes.append(tick)
 
