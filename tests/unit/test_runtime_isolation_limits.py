@@ -264,6 +264,28 @@ def test_what_an_elongation_may_be_wrong_by_is_not_in_the_mean(
     assert given.until(Fault.LENGTH_DRIFT) < TIME
 
 
+def test_an_elongation_that_may_be_wrong_by_more_says_nothing(given: Residuals) -> None:
+    given.doubt[2] = 3.0 * MEAN
+    given.innovation[2] = 0.5 * MEAN
+    assert given.tick(300) == NOTHING
+    assert given.isolation.drift[2] == 0.0
+
+
+def test_a_tick_without_an_innovation_changes_no_count_and_no_mean(given: Residuals) -> None:
+    given.innovation[2] = 0.9 * MEAN
+    assert given.tick(300) == NOTHING
+    drift = given.isolation.drift[2]
+    given.innovation[2] = np.nan
+    assert given.tick(300) == NOTHING
+    assert given.isolation.drift[2] == drift
+    given.innovation[2] = 1.1 * JUMP
+    assert given.tick() == NOTHING
+    given.innovation[2] = np.nan
+    assert given.tick() == NOTHING
+    given.innovation[2] = 1.1 * JUMP
+    assert given.tick() == (Fault.LENGTH_JUMP, 2)
+
+
 def test_a_jump_counts_whatever_the_elongation_may_be_wrong_by(given: Residuals) -> None:
     given.doubt[4] = JUMP
     given.innovation[4] = 1.1 * JUMP
