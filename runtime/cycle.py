@@ -72,9 +72,11 @@ class ControlCycle:
         self._envelope = Envelope(
             control.envelope, control.tension, control.stiffness, robot, period
         )
-        self._referencing = Referencing(robot, control.sequence, Kinematics(robot.geometry))
-        self._isolation = Isolation(robot, control.isolation, control.stop, period)
         taut = control.stop.taut_tension
+        self._referencing = Referencing(
+            robot, control.sequence, Kinematics(robot.geometry), taut, period
+        )
+        self._isolation = Isolation(robot, control.isolation, control.stop, period)
         self._witness = Witness(robot, control.isolation, tracker, taut, period)
         self.sequence = Sequence(
             control,
@@ -211,7 +213,7 @@ class ControlCycle:
         """A tick of a passive stop, or of a descent that has landed and lets go."""
         sequence, stop, sensing = self.sequence, self._control.stop, self._sensing
         if sequence.referenced:
-            lengths = self._referencing.lengths(sensing.angle, sensing.tension)
+            lengths = self._referencing.lengths(sensing.angle, sensing.tension, self._skipped)
             self._witness.step(image, lengths, sensing.tension, sequence.faults.failed)
         fresh = image.axis.age <= self._control.freshness.measurement_ticks
         trusted = sequence.faults.drums_trusted & sequence.faults.drums_obedient & fresh
@@ -286,15 +288,15 @@ class ControlCycle:
             self._isolation.descend()
             descent.begin(sensing.tension)
             self._change_loop(descent.loop)
-        lengths = self._referencing.lengths(sensing.angle, sensing.tension)
+        lengths = self._referencing.lengths(sensing.angle, sensing.tension, self._skipped)
         faults = sequence.faults
         self._witness.step(image, lengths, sensing.tension, faults.failed)
         believed = sensing.usable & ~faults.failed if faults.count else sensing.usable
         self._pulling = descent.pulling(sensing.tension, faults)
-        estimator = self._estimator
+        estimator, elastic = self._estimator, self._referencing.elastic
         for _ in range(min(self._skipped, _MOST_SKIPPED) if self._skipped else 0):
-            estimator.step(lengths, self._pulling, self._nobody)
-        estimate = estimator.step(lengths, self._pulling, believed)
+            estimator.step(lengths, self._pulling, elastic, self._nobody)
+        estimate = estimator.step(lengths, self._pulling, elastic, believed)
         watched = sequence.sound
         if sequence.descending:
             slack = watched & ~descent.taut

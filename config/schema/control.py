@@ -264,12 +264,14 @@ class TensionLoop(Section):
 
 class Mismatch(Section):
     """By which share a robot may differ from its description where the margins of a load observer
-    are computed: to it a wrong mass or stiffness looks like a load."""
+    are computed: to it a wrong mass, stiffness or damping looks like a load."""
 
     mass: Fraction = 0.0
     """of the platform"""
     axial_stiffness: Fraction = 0.0
     """of all cables together"""
+    damping: Fraction = 0.0
+    """of all cables"""
 
 
 class Sequence(Section):

@@ -73,6 +73,8 @@ class Plant(Section):
     """true EA over the nominal one"""
     stiffness_spread: Spread = 0.0
     """each cable by itself, about stiffness_scale"""
+    damping_scale: NonNegative = 1.0
+    """true damping of the cables over the nominal one"""
     mass_scale: Positive = 1.0
     """of the platform's mass and inertia"""
     mass_spread: Spread = 0.0

@@ -299,6 +299,7 @@ def _absorb(position: Array, quaternion: Array, rest: Array, error: Array) -> No
 def _judge(
     wanted: Array,
     tensions: Array,
+    elastic: Array,
     usable: NDArray[np.bool_],
     rest: Array,
     axial_stiffness: Array,
@@ -316,7 +317,7 @@ def _judge(
         innovations[i], believed[i] = math.nan, False
         if not usable[i]:
             continue
-        stretch = elongation(wanted[i], tensions[i], axial_stiffness[i])
+        stretch = elongation(wanted[i], elastic[i], axial_stiffness[i])
         softer = rest[excess - TWIST + i] * stretch
         found = wanted[i] + rest[OFFSETS - TWIST + i] + softer - lengths[i]
         if tensions[i] <= slack:
@@ -339,7 +340,7 @@ def filter_tick(
     period: float,
     noise: tuple[Array, float, float, float],
     anchors: tuple[Array, Array],
-    measured: tuple[Array, Array, NDArray[np.bool_]],
+    measured: tuple[Array, Array, Array, NDArray[np.bool_]],
     limits: tuple[float, float],
     lengths: Array,
     matrix: Array,
@@ -351,16 +352,17 @@ def filter_tick(
 
     ``state``: position (3,), quaternion (4,), rest (12 + 2n,), covariance (18 + 2n, 18 + 2n) and
     mean elongations (n,), all changed. ``measured``: lengths with the nominal elongation, tensions,
-    and which cables are fresh. ``noise``: variances (18 + 2n,) a tick adds, a length's, the share
-    of a tick in the mean elongations, and the variance that a tick adds to all compliances in
-    common. ``limits``: tension (N) below which a cable is slack, and
-    innovation (m) beyond which a length is left out. ``matrix`` comes in as of the last estimate.
+    the part of them that stretches the cables, and which cables are fresh. ``noise``: variances
+    (18 + 2n,) a tick adds, a length's, the share of a tick in the mean elongations, and the
+    variance that a tick adds to all compliances in common. ``limits``: tension (N) below which a
+    cable is slack, and innovation (m) beyond which a length is left out. ``matrix`` comes in as of
+    the last estimate.
     Writes the lengths' ``innovations`` (n,) m before any correction, not a number where there is
     none; the ``doubts`` (n,) m, sigmas of what elongation has changed by since its mean; and which
     cables were ``believed`` (n,). Returns the mean squared innovation in sigmas: about 1.
     """
     position, quaternion, rest, covariance, mean = state
-    wanted, tensions, usable = measured
+    wanted, tensions, elastic, usable = measured
     mobility = _mobility(quaternion, body[0], body[1])
     acceleration = accelerations(matrix @ tensions, mobility, rest, body)
     position += period * (rest[:3] + 0.5 * period * acceleration[:3])
@@ -372,12 +374,12 @@ def filter_tick(
     size = covariance.shape[0]
     error, seen = np.zeros(size), np.empty(size)
     total, count = 0.0, 0
-    _judge(wanted, tensions, usable, rest, body[3], limits, lengths, innovations, believed)
+    _judge(wanted, tensions, elastic, usable, rest, body[3], limits, lengths, innovations, believed)
     for i in range(lengths.shape[0]):
         doubts[i] = 0.0
         if not believed[i]:
             continue
-        stretch = elongation(wanted[i], tensions[i], body[3][i])
+        stretch = elongation(wanted[i], elastic[i], body[3][i])
         # The measured length is l(x) - offset - excess * stretch, so H = [-W', 0, 0, -1, -stretch];
         # in H a mean, for the cells' noise would pass for a motion that tells excess from offset.
         # Where it lags behind, the difference is one more uncertainty of the length.
@@ -422,7 +424,7 @@ def track(
     innovation: Array,
     matrix: Array,
 ) -> float:
-    """Correct with a tracker pose ``seen`` against what the cables said ``then``: lengths,
+    """Correct with a tracker pose ``seen`` against what the cables said ``then``: lengths, elastic
     tensions, which to believe. How long ago that was costs neither time nor accuracy, for the pose
     of that instant cancels, and what is left of the comparison are the constants of calibration,
 
@@ -518,7 +520,7 @@ def estimate_tick(
     turning: Array,
     external: Array,
     past_lengths: Array,
-    past_tensions: Array,
+    past_elastic: Array,
     past_positions: Array,
     past_quaternions: Array,
     past_believed: NDArray[np.bool_],
@@ -530,6 +532,7 @@ def estimate_tick(
     gate: float,
     measured: Array,
     tensions: Array,
+    elastic: Array,
     usable: NDArray[np.bool_],
     count: int,
     iterations: int,
@@ -547,7 +550,7 @@ def estimate_tick(
         period,
         (noise, length_variance, share, creep),
         anchors,
-        (measured, tensions, usable),
+        (measured, tensions, elastic, usable),
         (slack, gate),
         lengths,
         matrix,
@@ -566,7 +569,7 @@ def estimate_tick(
         iterations,
     )
     row = count % past_lengths.shape[0]
-    past_lengths[row], past_tensions[row] = measured, tensions
+    past_lengths[row], past_elastic[row] = measured, elastic
     past_positions[row], past_quaternions[row] = position, quaternion
     past_believed[row] = believed
     wrench, estimate = matrix @ tensions, (there, oriented, velocity, turning)

@@ -162,7 +162,7 @@ class PoseEstimator:
         )
         depth = math.ceil(tracker.maximum_age_ms * 1e-3 / period) + 2
         self._past_lengths = np.zeros((depth, cables))
-        self._past_tensions = np.zeros((depth, cables))
+        self._past_elastic = np.zeros((depth, cables))
         self._past_usable = np.zeros((depth, cables), dtype=bool)
         self._past_positions = np.zeros((depth, 3))
         self._past_quaternions = np.zeros((depth, 4))
@@ -215,7 +215,7 @@ class PoseEstimator:
             *self._published,
             self.estimate.external,
             self._past_lengths,
-            self._past_tensions,
+            self._past_elastic,
             self._past_positions,
             self._past_quaternions,
             self._past_usable,
@@ -319,9 +319,12 @@ class PoseEstimator:
     def _loose(self) -> bool:
         return self._noise is self._restless_noise
 
-    def step(self, lengths: Array, tensions: Array, usable: NDArray[np.bool_]) -> Estimate:
-        """One tick with measured cable lengths (n,), nominal elongation included, and tensions
-        (n,). A cable that is not ``usable``, slack or far off says nothing about the pose."""
+    def step(
+        self, lengths: Array, tensions: Array, elastic: Array, usable: NDArray[np.bool_]
+    ) -> Estimate:
+        """One tick with measured cable lengths (n,), nominal elongation included, tensions (n,),
+        and the part ``elastic`` (n,) of them that stretches the cables. A cable that is not
+        ``usable``, slack or far off says nothing about the pose."""
         settings = self._settings
         self._tensions[:] = tensions
         squared, self.residual = estimate_tick(
@@ -330,6 +333,7 @@ class PoseEstimator:
             *self._limits,
             lengths,
             tensions,
+            elastic,
             usable,
             self._count,
             _FIT_ITERATIONS,
@@ -362,7 +366,7 @@ class PoseEstimator:
             return self._correct(position, quaternion, share, newer, older)
         then = (
             (1.0 - share) * self._past_lengths[newer] + share * self._past_lengths[older],
-            (1.0 - share) * self._past_tensions[newer] + share * self._past_tensions[older],
+            (1.0 - share) * self._past_elastic[newer] + share * self._past_elastic[older],
             self._past_usable[newer] & self._past_usable[older],
         )
         seen, gate = self._seen, self._settings.gate

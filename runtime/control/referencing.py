@@ -1,7 +1,13 @@
 """Absolute cable lengths from incremental encoders: the tracker says where the platform lies, the
-cells how much each cable is stretched, and the drum angles are counted from there."""
+cells how much each cable is stretched, and the drum angles are counted from there.
+
+A cable has damping too: of a tension that changes, only a part stretches it yet. Taken as spring
+alone, its length would be told 2 ms early, and at some tens of hertz that passes for a load.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numba import njit
@@ -19,30 +25,69 @@ Array = NDArray[np.float64]
 @njit(cache=True)
 def _lengths(
     unstretched: Array,
-    angle: Array,
-    tension: Array,
     radius: Array,
     axial_stiffness: Array,
+    damping: Array,
+    slack: float,
     wound: Array,
+    last: Array,
+    elastic: Array,
     lengths: Array,
+    angle: Array,
+    tension: Array,
+    passed: float,
 ) -> None:
+    """Of a cable that is a spring and a damper side by side, `c de/dt + k e = T` with the tension
+    linear from sample to sample, ``passed`` s apart; ``elastic`` is k e. Below ``slack`` nothing
+    holds a cable stretched that its damper could delay."""
     for i in range(angle.shape[0]):
         wound[i] = unstretched[i] - radius[i] * angle[i]
-        lengths[i] = wound[i] * (1.0 + tension[i] / axial_stiffness[i])
+        time = damping[i] * wound[i] / axial_stiffness[i]
+        if tension[i] <= slack or not time > 0.0:
+            elastic[i] = tension[i]
+        else:
+            kept = math.exp(-passed / time)
+            mean = (1.0 - kept) * time / passed
+            elastic[i] = kept * elastic[i] + (mean - kept) * last[i] + (1.0 - mean) * tension[i]
+        last[i] = tension[i]
+        lengths[i] = wound[i] * (1.0 + elastic[i] / axial_stiffness[i])
 
 
 class Referencing:
     """Averages while the platform lies still, then fixes the unstretched lengths (n,) at drum angle
     zero, or says why it cannot."""
 
-    def __init__(self, robot: Robot, sequence: Sequence, kinematics: Kinematics) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        sequence: Sequence,
+        kinematics: Kinematics,
+        slack: float,
+        period: float,
+    ) -> None:
+        """``slack``: N up to which a cable does not pull."""
         self._robot, self._sequence, self._kinematics = robot, sequence, kinematics
         self._radius, self._axial_stiffness = robot.drum_radius, robot.axial_stiffness
+        self._period = period
         self.unstretched = np.zeros(robot.cables)
         """m, at drum angle zero"""
         self.wound = np.zeros(robot.cables)
         """m, the same at the present angles"""
+        self.elastic = np.zeros(robot.cables)
+        """N (n,), the part of the tensions that stretches the cables"""
+        self._last = np.zeros(robot.cables)
         self._lengths = np.zeros(robot.cables)
+        self._kept = (
+            self.unstretched,
+            self._radius,
+            self._axial_stiffness,
+            robot.cable_damping,
+            slack,
+            self.wound,
+            self._last,
+            self.elastic,
+            self._lengths,
+        )
         self.position = np.zeros(3)
         self.quaternion = np.array([1.0, 0.0, 0.0, 0.0])
         self.poses = 0
@@ -92,20 +137,19 @@ class Referencing:
             self.astray = np.flatnonzero(~near).tolist()
             return f"a cable's tension is {error:.1f} N away from {wanted_tension:.0f} N"
         self._kinematics.evaluate(self.position, self.quaternion)
-        stretch = 1.0 + tension / self._axial_stiffness
-        self.unstretched = self._kinematics.lengths / stretch + self._radius * angle
+        self.rest(self._kinematics.lengths, angle, tension)
         return ""
 
-    def lengths(self, angle: Array, tension: Array) -> Array:
-        """Anchor-to-anchor lengths (n,) in m from drum angles (rad) and tensions (N); they stay
-        until the next call, and so do the unstretched ones in `wound`."""
-        _lengths(
-            self.unstretched,
-            angle,
-            tension,
-            self._radius,
-            self._axial_stiffness,
-            self.wound,
-            self._lengths,
-        )
+    def rest(self, lengths: Array, angle: Array, tension: Array) -> None:
+        """The cables are ``lengths`` (n,) m long, at drum angles (n,) rad and with tensions (n,) N
+        that have not changed for a while."""
+        stretch = 1.0 + tension / self._axial_stiffness
+        self.unstretched[:] = lengths / stretch + self._radius * angle
+        self.elastic[:] = self._last[:] = tension
+
+    def lengths(self, angle: Array, tension: Array, skipped: int = 0) -> Array:
+        """Anchor-to-anchor lengths (n,) in m from drum angles (rad) and tensions (N) of a tick,
+        before which so many were ``skipped``; they stay until the next call, and so do the
+        unstretched ones in `wound` and the tensions in `elastic`."""
+        _lengths(*self._kept, angle, tension, self._period * (1 + skipped))
         return self._lengths

@@ -59,7 +59,7 @@ def parameters(
         "tips": robot.geometry.platform,
         "pulley_radius": plant.pulley_radius,
         "axial_stiffness": robot.axial_stiffness * plant.stiffness_scale * stiffness,
-        "cable_damping": robot.cable_damping,
+        "cable_damping": robot.cable_damping * plant.damping_scale,
         "radius": robot.drum_radius,
         "drum_inertia": robot.drum_inertia,
         "viscous": robot.viscous_friction,

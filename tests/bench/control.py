@@ -114,7 +114,7 @@ def _estimator(config: Config) -> list[Figure]:
         _, predicted = predict(state, covariance, F=np.eye(size), Q=1e-12)
         update(state, predicted, innovation, noise, seen)
 
-    step = partial(estimator.step, lengths, tensions, usable)
+    step = partial(estimator.step, lengths, tensions, tensions, usable)
     for _ in range(100):
         step()
     return [

@@ -288,7 +288,7 @@ def stability(name: str, overrides: dict[str, Any] | None = None) -> list[Findin
     return [each for each in check(config, SCENARIO) if each.rule in rules]
 
 
-@pytest.mark.parametrize(("cutoff", "ok"), [(None, True), (8.903, False)])
+@pytest.mark.parametrize(("cutoff", "ok"), [(None, True), (30.0, False)])
 def test_the_margins_of_an_observer_are_judged_too(cutoff: float | None, *, ok: bool) -> None:
     overrides: dict[str, Any] = {"control.controller": "bio_observer"}
     if cutoff is not None:
@@ -296,8 +296,8 @@ def test_the_margins_of_an_observer_are_judged_too(cutoff: float | None, *, ok: 
     config, scenario = load("config/can.yaml", overrides=overrides)
     told = [each for each in check(config, scenario) if each.rule == "margins"]
     assert [each.ok for each in told] == [True, True, ok]
-    start = "the observer of bio_observer, cut at the load, mass 20 % and EA 6 % off: "
-    assert told[2].text.startswith(start + ("6.0 dB" if ok else "unstable"))
+    start = "the observer of bio_observer, cut at the load, mass 20 %, EA 6 % and damping 25 % off: "
+    assert told[2].text.startswith(start + ("10.1 dB" if ok else "3.2 dB"))
 
 
 def test_a_robot_without_a_lab_has_its_margins_judged_as_well() -> None:

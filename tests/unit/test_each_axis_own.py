@@ -112,7 +112,8 @@ def sensing(robot: Robot, _: DriveTrain | None) -> Array:
 
 
 def referencing(robot: Robot, _: DriveTrain | None) -> Array:
-    made = Referencing(robot, CONTROL.sequence, Kinematics(robot.geometry))
+    kinematics = Kinematics(robot.geometry)
+    made = Referencing(robot, CONTROL.sequence, kinematics, 2.0, CONTROL.rates.period)
     image = ProcessImage(8)
     image.tracker["fresh"], image.tracker["quaternion"] = 1, (1.0, 0.0, 0.0, 0.0)
     image.tracker["position"] = robot.rest
@@ -120,7 +121,7 @@ def referencing(robot: Robot, _: DriveTrain | None) -> Array:
         made.collect(image, drawn(1), np.full(CABLES, 12.0))
     assert not made.conclude(12.0)
     lengths = made.lengths(drawn(2), 50.0 + drawn(3))
-    return np.array([made.unstretched, made.wound, lengths])
+    return np.array([made.unstretched, made.wound, made.elastic, lengths])
 
 
 def exchange(robot: Robot, _: DriveTrain | None) -> Array:

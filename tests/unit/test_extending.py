@@ -70,7 +70,7 @@ CALLED = (
     ),
     Edit(
         "runtime/cycle.py",
-        "        estimate = estimator.step(lengths, self._pulling, believed)\n",
+        "        estimate = estimator.step(lengths, self._pulling, elastic, believed)\n",
         "        self._heave(float(estimate.external[2]))\n",
     ),
     Edit(

@@ -159,8 +159,8 @@ def test_a_step_of_load_comes_when_it_should_and_the_truth_lies_beside_the_recor
 
 
 def test_a_fault_ends_a_trial_and_says_why() -> None:
-    trial = carried(Run(named("eq9_literal"), "eq9_literal", "model", 1, "direct"))
-    assert trial.fault in ("speed_limit", "slack_cable", "over_tension")
+    trial = carried(Run(named("eq9_literal"), "eq9_literal", "lab", 1, "direct"))
+    assert trial.fault == "drum_torque"
     assert trial.state == "FAULT"
     assert trial.reason
     assert trial.time[-1] < 2.0

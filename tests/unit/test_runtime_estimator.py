@@ -78,7 +78,7 @@ class Flight:
         for _ in range(ticks):
             self.tick += 1
             lengths, tensions = self._cables((self.tick - 1) * PERIOD)
-            self.estimator.step(lengths, tensions, self.usable)
+            self.estimator.step(lengths, tensions, tensions, self.usable)
             if tracked and self.tick % POSE_TICKS == 0 and self.tick > 20:
                 exposed = (self.tick - self.delay_ticks) * PERIOD
                 delay = self.delay_ticks * PERIOD

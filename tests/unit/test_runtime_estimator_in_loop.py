@@ -46,7 +46,8 @@ def test_the_estimate_is_true_on_a_robot_that_is_not_as_configured(
     assert pose["compliance"][-1] == pytest.approx(softer, abs=0.02)
     assert trace.cycle["tracker"]["accepted"].sum() == trace.cycle["tracker"]["fresh"].sum()
     assert (pose["consistency"] == Consistency.GOOD).all()
-    assert pose["inconsistency"].mean() == pytest.approx(0.75, abs=0.35)
+    # Without the cables' damping in the elongation it was 0.75.
+    assert pose["inconsistency"].mean() == pytest.approx(0.12, abs=0.06)
 
 
 def test_a_load_that_steps_is_known_within_twenty_milliseconds() -> None:

@@ -110,7 +110,7 @@ def test_a_tick_is_filterpys_predict_and_update(seed: int) -> None:
         PERIOD,
         (noise, LENGTH_VARIANCE, 0.5, CREEP),
         (kinematics.frame, kinematics.platform),
-        (reported, tensions, USABLE),
+        (reported, tensions, tensions, USABLE),
         (0.0, np.inf),
         kinematics.lengths,
         kinematics.matrix,

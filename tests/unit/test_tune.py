@@ -131,7 +131,7 @@ def test_no_simulation_is_spent_on_gains_below_the_floors() -> None:
 
 def test_an_unstable_loop_lacks_more_than_one_that_is_merely_below_the_floor() -> None:
     wild, _ = load(CONFIG, overrides={"control.pid.integral.gain": 1.0e6})
-    weak, _ = load(CONFIG, overrides={"control.pid.integral.gain": 7.0e4})
+    weak, _ = load(CONFIG, overrides={"control.pid.integral.gain": 9.0e4})
     good, _ = load(CONFIG)
     assert lack(good, "pid") == 0.0 < lack(weak, "pid") < lack(wild, "pid")
 

@@ -115,7 +115,8 @@ def _observer(config: Config, name: str, where: str, remedy: str) -> Iterator[Fi
     if least is None:
         return
     how = f"the observer of {name}, cut at the load, "
-    how += f"mass {100.0 * off.mass:g} % and EA {100.0 * off.axial_stiffness:g} % off: "
+    how += f"mass {100.0 * off.mass:g} %, EA {100.0 * off.axial_stiffness:g} % and "
+    how += f"damping {100.0 * off.damping:g} % off: "
     text = how + (_told(least, floors) if least.stable else _UNSTABLE)
     yield Finding("margins", least.meet(floors), where, text, remedy)
 

@@ -3,10 +3,10 @@
 Translation along one axis at home, linear and frictionless, as in
 `tonus.tools.margins.tension_loop`: the drums move in the pattern g_i = u_i . d of that axis,
 so that they are one drum behind one cable, and G = sum g_i^2 of them pull at the platform. Where
-axes differ, each kind is computed as if all were of it, and the worst counts. The
-estimator is taken as exact but for its delay, so a load observer, which then sees only what comes
-from outside, changes nothing here; its own margins are in `tonus.tools.margins.observer`. The loop
-is cut at the torque, where everything acts, and at the force, where the outer loop alone does.
+axes differ, each kind is computed as if all were of it, and the worst counts. The estimator is in
+the loop, as is the low-pass of a load that a controller feeds forward. It is cut at the torque,
+where everything acts, at the force, where the outer loop alone does, and at the load, where an
+observer does (`tonus.tools.margins.observer`).
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from tonus.config.schema.axis import DriveTrain
 from tonus.config.schema.control import TensionLoop
 from tonus.config.schema.root import Config
 from tonus.runtime.control.controllers import make_controller
+from tonus.runtime.control.controllers.base import share
 from tonus.runtime.control.controllers.linear import LinearLaw, NoLinearLawError
 from tonus.runtime.control.controllers.registry import is_foreign
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.control.tension import of_axis
+from tonus.tools.margins.estimate import EXTERNAL, PLACE, SPEED, STATES, AxisEstimator
 from tonus.tools.margins.hold import zero_order_hold
 from tonus.tools.margins.linearisation import LinearResponse, commands_tensions, linear_responses
 from tonus.tools.margins.tension_loop import (
@@ -40,10 +42,12 @@ Array = NDArray[np.float64]
 _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 FREQUENCIES = 3000
 """points of an open loop's response"""
-ANGLE, CELL, PLACE, SPEED = 0, 3, 4, 5
+_ANGLE, _CELL, _PLACE = 0, 3, 4
 _PLANT = 6
-_INTEGRAL, _LAST, OUTER, _ASKED, _SLOPE, _PIPE = range(_PLANT, _PLANT + 6)
-END = _PIPE + DELAY_TICKS
+_INTEGRAL, _LAST, _OUTER, _ASKED, _SLOPE, _PIPE = range(_PLANT, _PLANT + 6)
+_ESTIMATE = _PIPE + DELAY_TICKS
+_LOAD = _ESTIMATE + STATES
+_INSIDE = _LOAD + 1
 _CUTS = ("torque", "force", "load")
 
 
@@ -57,19 +61,16 @@ class Feedback:
     """the outer integral"""
     speed: float
     """m/s of the platform, as the drums' damping knows it"""
-    inside: Array
-    """what is next inside a controller given by its response, or inside an estimator"""
-    load: float = 0.0
+    load: float
     """N, as an observer in the loop knows it"""
+    inside: Array
+    """what is next inside the estimator, the observer, and a controller given by its response"""
 
 
 class Loop:
     """The sampled loop as a linear map of its state: plant, tension integral, last drum angle,
-    outer integral, last tension reference and its filtered slope, torques under way; then what a
-    controller given by its ``response`` has inside."""
-
-    INSIDE = 0
-    """states beyond these of a loop without a ``response``"""
+    outer integral, last tension reference and its filtered slope, torques under way; the estimator
+    and the load fed forward; then what a controller given by its ``response`` has inside."""
 
     def __init__(
         self,
@@ -83,10 +84,11 @@ class Loop:
         train: DriveTrain | None = None,
         mass: float = 1.0,
         axial_stiffness: float = 1.0,
+        damping: float = 1.0,
     ) -> None:
         """``outer`` is the feedback, or, where there is a ``response``, that is. All cables are
-        taken as driven by ``train``; None: by that of axis 0. ``mass`` and ``axial_stiffness``: the
-        plant's, over those that the controller has been told."""
+        taken as driven by ``train``; None: by that of axis 0. ``mass``, ``axial_stiffness`` and
+        ``damping`` of the cables: the plant's, over those that the controller has been told."""
         self._response = response
         robot, bandwidth = config.robot, config.response
         train = train or robot.drive_trains[0]
@@ -105,7 +107,10 @@ class Loop:
         """rad/s of the drum for each newton by which the reference moves in a tick"""
         self._follow = 1.0 - np.exp(-2.0 * np.pi * tension.lead_cutoff_hz * self._period)
         k, mass = self.stiffness * axial_stiffness, robot.platform.mass * mass
-        c, inertia = train.cable.damping, train.drum.inertia
+        c, inertia = train.cable.damping * damping, train.drum.inertia
+        self._estimator = AxisEstimator(config, gather, self.stiffness, train.cable.damping)
+        self._taken = share(outer.load_hz, self._period)
+        """of a tick in the load fed forward"""
         drive = 2.0 * np.pi * bandwidth.current_loop_hz
         cell = 2.0 * np.pi * bandwidth.force_cell_hz
         pull = np.array([k * radius, c * radius, 0.0, 0.0, -k, -c])
@@ -123,23 +128,29 @@ class Loop:
         enter[2] = drive
         self._step, effect = zero_order_hold(flow, enter, self._period)
         self._effect = effect[:, 0]
-        self.size = END + (response.order if response is not None else self.INSIDE)
+        self.size = _INSIDE + (response.order if response is not None else 0)
 
-    def feedback(self, s: Array, load: float | None) -> Feedback:  # noqa: ARG002
+    def feedback(self, s: Array, load: float | None) -> Feedback:
         """Of a state (size,); ``load``: what an observer is to have estimated instead."""
+        drum = self.radius * s[_ANGLE]
+        state, now = self._estimator.step(s[_ESTIMATE:_LOAD], drum, s[_CELL])
+        place, speed = now[PLACE], now[SPEED]
         if self._response is not None:
-            force, inside = self._response.step(s[END:], s[PLACE], s[SPEED])
-            return Feedback(force, 0.0, s[SPEED], inside)
+            force, inside = self._response.step(s[_INSIDE:], place, speed)
+            return Feedback(force, 0.0, speed, 0.0, np.array([*state, 0.0, *inside]))
         o, h = self.outer, self._period
-        drum, speed = self.radius * s[ANGLE], self.radius * s[1]
-        touch = o.body * s[PLACE]
+        touch = o.body * s[_PLACE]  # the contact cell's, taken as exact
         gains = (o.integral, self.gather * o.cable[2], o.contact[1])
         grown = 0.0
         if any(gains):  # else an integral of nothing would count as a pole at one
-            grown = s[OUTER] + h * float(np.dot(gains, (s[PLACE], drum, touch)))
-        force = o.stiffness * s[PLACE] + o.damping * s[SPEED] + o.contact[0] * touch
-        force += self.gather * (o.cable[0] * drum + o.cable[1] * speed)
-        return Feedback(-(force + grown), grown, s[SPEED], s[END:])
+            grown = s[_OUTER] + h * float(np.dot(gains, (place, drum, touch)))
+        found = 0.0  # the same where no load is fed forward
+        if self._taken:  # what the contact cell accounts for is no load
+            found = s[_LOAD] + self._taken * (now[EXTERNAL] + touch - s[_LOAD])
+        force = o.stiffness * place + o.damping * speed + o.contact[0] * touch
+        force += self.gather * (o.cable[0] * drum + o.cable[1] * self.radius * s[_ANGLE + 1])
+        force += grown + (found if load is None else load)
+        return Feedback(-force, grown, speed, found, np.array([*state, found]))
 
     def step(
         self,
@@ -153,21 +164,21 @@ class Loop:
         t, h, r = self._tension, self._period, self.radius
         back = self.feedback(s, load)
         reference = (back.force if force is None else force) / self.gather
-        error = reference - s[CELL]
+        error = reference - s[_CELL]
         # Else an integral of nothing would count as a pole at one.
         integral = s[_INTEGRAL] + t.integral * h * error if t.integral else 0.0
         asked = r * (t.feed_forward * reference + t.proportional * error + integral)
-        rate = (s[ANGLE] - s[_LAST]) / h
+        rate = (s[_ANGLE] - s[_LAST]) / h
         slope = s[_SLOPE] + self._follow * (reference - s[_ASKED] - s[_SLOPE])
         wanted = self._follows * back.speed / r + self._turn * slope
         asked += t.rate_damping * (wanted - rate)
         new = np.empty(self.size)
-        new[:_PLANT] = self._step @ s[:_PLANT] + self._effect * s[END - 1]
-        new[_INTEGRAL], new[_LAST], new[OUTER] = integral, s[ANGLE], back.grown
+        new[:_PLANT] = self._step @ s[:_PLANT] + self._effect * s[_ESTIMATE - 1]
+        new[_INTEGRAL], new[_LAST], new[_OUTER] = integral, s[_ANGLE], back.grown
         new[_ASKED], new[_SLOPE] = reference, slope
         new[_PIPE] = asked if torque is None else torque
-        new[_PIPE + 1 : END] = s[_PIPE : END - 1]
-        new[END:] = back.inside
+        new[_PIPE + 1 : _ESTIMATE] = s[_PIPE : _ESTIMATE - 1]
+        new[_ESTIMATE:] = back.inside
         return new, asked, back.force, back.load
 
     def _columns(self, cut: str | None) -> tuple[Array, Array, Array, float]:

@@ -255,7 +255,8 @@ def runs(
             found += [Run(cycles, CONSTANT_TENSION, "model", 1, "direct")]
             found += [Run(case, CONSTANT_TENSION, "lab", seed, "direct") for seed in seeds]
         elif case.name in (LITERAL, OPEN_LITERAL):
-            found += [Run(case, LITERAL, "model", 1, "direct")]
+            # Where nothing starts it, an unstable loop rests.
+            found += [Run(case, LITERAL, "lab", 1, "direct")]
         else:
             for controller in selection.controllers:
                 if controller in protocol.contact_only and case.kind not in _TOUCHING:
