@@ -296,7 +296,9 @@ def test_the_margins_of_an_observer_are_judged_too(cutoff: float | None, *, ok: 
     config, scenario = load("config/can.yaml", overrides=overrides)
     told = [each for each in check(config, scenario) if each.rule == "margins"]
     assert [each.ok for each in told] == [True, True, ok]
-    start = "the observer of bio_observer, cut at the load, mass 20 %, EA 6 % and damping 25 % off: "
+    start = (
+        "the observer of bio_observer, cut at the load, mass 20 %, EA 6 % and damping 25 % off: "
+    )
     assert told[2].text.startswith(start + ("10.1 dB" if ok else "3.2 dB"))
 
 
