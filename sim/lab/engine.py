@@ -19,9 +19,12 @@ from tonus.config.schema.lab import LabScript
 from tonus.config.schema.root import Config
 from tonus.sim.can import registry
 from tonus.sim.can.canopen.node import Node
+from tonus.sim.can.canopen.sync_plan import Reaction
 from tonus.sim.can.wire.channel import NEVER
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.can.wire.latency import Latency
+from tonus.sim.can.wire.regular import WireTable
+from tonus.sim.can.wire.timing import LONGEST_FRAME_BITS
 from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.devices.samples import Samples
@@ -121,6 +124,7 @@ class Lab:
         )
         self.tracker = TrackerFeed(self, self._tracker)
         self._order: list[FaultyChannel] = []
+        self._reaction = Reaction(self.samples)
         built = build(self, config, nodes, self._rewire)
         self.channels: dict[str, FaultyChannel] = built.channels
         self.nodes: dict[tuple[str, int], Node] = built.nodes
@@ -203,6 +207,9 @@ class Lab:
         self._order[:] = [
             wire for channel in self.channels.values() for wire in (channel, *channel.severed)
         ]
+        self._table = WireTable(len(self._order), LONGEST_FRAME_BITS + 1)
+        for row, channel in enumerate(self._order):
+            channel.wire.move(self._table, row)
 
     # -- time ------------------------------------------------------------------------------------
 
@@ -240,23 +247,29 @@ class Lab:
         while True:
             due = self.next_work_ns()
             limit = min(due, to_ns)
-            for channel in channels:
-                channel.run(limit)
+            row = self._table.run(0, limit)
+            while row < len(channels):
+                channels[row].run(limit)
+                row = self._table.run(row + 1, limit)
             while True:
-                when = NEVER
-                first = None
-                for channel in channels:
-                    if channel.wide_ns < when:
-                        when = channel.wide_ns
-                        first = channel
-                if first is None or when > limit:
+                row, when = self._table.waiting()
+                if when > limit:
                     break
                 self.now_ns = when
-                first.deliver()
+                left = None
+                if channels[row].ready:
+                    row, left = self._reaction(self._table, when, limit)
+                    if row == len(channels):
+                        continue
+                channel = channels[row]
+                if left is None:
+                    channel.deliver()
+                else:
+                    channel.follow(left, when)
                 # The frame may have set a timer before the limit.
                 if self._timers and self._timers[0][0] < limit:
                     limit = self._timers[0][0]
-                first.run(limit)
+                channel.run(limit)
             due = self.next_work_ns()
             if due > to_ns:
                 break

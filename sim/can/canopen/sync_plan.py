@@ -16,25 +16,39 @@ from tonus.sim.can.canopen.node import SYNC, Node
 from tonus.sim.can.canopen.pdo import ReceivePdo, TransmitPdo
 from tonus.sim.can.wire.channel import Channel
 from tonus.sim.can.wire.regular import (
+    ANSWERS,
     DATA,
+    DELIVERED,
     DLC,
+    DONE,
     DUE,
+    FLYING,
     FREE,
     HELD,
     HELD_DATA,
     IDENTIFIER,
     KEY,
     LEAST,
+    MOST,
+    NEVER,
     NEXT,
+    ON,
     PENDING,
     PLAIN,
     PORT,
+    RESPONSE,
+    ROOM,
+    SET_POINTS,
     STOPS,
     WAITS,
+    WIDE,
     Integers,
     RegularWire,
+    WireTable,
     land,
+    run_wire,
 )
+from tonus.sim.can.wire.regular import SYNC as SYNC_IDENTIFIER
 from tonus.sim.devices.cia402.axis_table import Floats, follow
 from tonus.sim.devices.samples import Samples
 
@@ -44,6 +58,8 @@ _FIRST, _FIELDS = DATA, DATA + 1
 """Columns of an answer, instead of a frame's data: its first field, and how many."""
 _PLACE, _SHIFT, _MASK = range(3)
 _AXIS, _WORD, _TORQUE = range(3)
+_ITSELF = -1
+"""The channel has to deliver the frame itself."""
 
 
 @njit(cache=True)
@@ -62,7 +78,7 @@ def _react(
     frames: Integers,
     delivered: Integers,
     held: Integers,
-    due_ns: int,
+    now_ns: int,
     answers: Integers,
     fields: Integers,
     values: Integers,
@@ -75,14 +91,15 @@ def _react(
     """First all that is sent, then what was received before; how many set-points are left to their
     drives."""
     land(state, frames, delivered)
-    for i in range(answers.shape[0]):
+    state[WIDE] = NEVER
+    for i in range(state[ANSWERS]):
         answer = answers[i]
         data = 0
         for field in range(answer[_FIRST], answer[_FIRST] + answer[_FIELDS]):
             place, shift, mask = fields[field]
             data |= (values[place] & mask) << shift
         row = frames[state[PENDING]]
-        row[DUE] = due_ns
+        row[DUE] = now_ns + state[RESPONSE]
         row[PORT] = answer[PORT]
         row[KEY] = answer[KEY]
         row[IDENTIFIER] = answer[IDENTIFIER]
@@ -91,7 +108,7 @@ def _react(
         state[PENDING] += 1
     state[NEXT] = state[FREE]
     count = 0
-    for i in range(set_points.shape[0]):
+    for i in range(state[SET_POINTS]):
         if held[WAITS, i] == 0:
             continue
         data = held[HELD_DATA, i]
@@ -103,6 +120,74 @@ def _react(
             left[count] = i
             count += 1
     return count
+
+
+@njit(
+    "int64(int64[:, ::1], int64[:, :, ::1], int64[:, :, ::1], int64[:, ::1], int64[:, :, ::1],"
+    " int64[:, ::1], int64[:, :, ::1], int64[:, :, ::1], int64[:, :, ::1], int64, int64,"
+    " int64[::1], int64[:, ::1], float64[:, ::1], float64[::1], int64[::1])",
+    cache=True,
+)
+def _react_all(
+    states: Integers,
+    frames: Integers,
+    delivered: Integers,
+    kinds: Integers,
+    held: Integers,
+    durations: Integers,
+    answers: Integers,
+    fields: Integers,
+    set_points: Integers,
+    now_ns: int,
+    to_ns: int,
+    values: Integers,
+    integers: Integers,
+    currents: Floats,
+    reference: Floats,
+    left: Integers,
+) -> int:
+    """Channel by channel, where a SYNC has ended now: `_react`, and let time pass up to ``to_ns``.
+    Returns the number of rows, or the row where it stopped; then the end of ``left`` is how many
+    set-points are left to their drives there, or `_ITSELF`."""
+    rows: int = states.shape[0]
+    for row in range(rows):
+        state = states[row]
+        if state[WIDE] != now_ns:
+            continue
+        if (
+            not state[ON]
+            or not state[FLYING]
+            or state[PENDING] + state[ANSWERS] > state[MOST]
+            or state[DELIVERED] >= ROOM
+        ):
+            left[-1] = _ITSELF
+            return row
+        count = _react(
+            state,
+            frames[row],
+            delivered[row],
+            held[row],
+            now_ns,
+            answers[row],
+            fields[row],
+            values,
+            set_points[row],
+            integers,
+            currents,
+            reference,
+            left,
+        )
+        done = count == 0 and (
+            to_ns < state[NEXT]
+            or run_wire(
+                state, frames[row], delivered[row], kinds[row], held[row], durations[row], to_ns
+            )
+            == DONE
+        )
+        if not done:
+            left[-1] = count
+            return row
+    return rows
 
 
 class NodesPlan:
@@ -140,7 +225,7 @@ class NodesPlan:
             for node, pdo in set_points
         ]
         self._table = np.array(table, np.int64).reshape(len(table), 3)
-        self._left = np.zeros(len(table), np.int64)
+        self._left = np.zeros(ROOM + 1, np.int64)
 
     def begin(self, wire: RegularWire) -> None:
         """Tell the wire its identifiers, and hand over what waits for the SYNC."""
@@ -148,7 +233,13 @@ class NodesPlan:
         for identifier in self._channel.subscribed:
             if identifier < len(wire.kinds):
                 wire.kinds[identifier] = STOPS
-        wire.held = np.zeros((3, len(self._set_points)), np.int64)
+        state = wire.state
+        state[SYNC_IDENTIFIER], state[RESPONSE] = self.identifier, self._channel.response_ns
+        state[ANSWERS], state[SET_POINTS] = self.answers, len(self._set_points)
+        wire.answers[: self.answers] = self._answers
+        wire.fields[: len(self._fields)] = self._fields
+        wire.set_points[: len(self._table)] = self._table
+        wire.held[:] = 0
         for number, (_, pdo) in enumerate(self._set_points):
             wire.kinds[pdo.identifier] = HELD + number
             wire.held[LEAST, number] = pdo.length
@@ -178,23 +269,63 @@ class NodesPlan:
             wire.frames,
             wire.delivered,
             wire.held,
-            now_ns + self._channel.response_ns,
-            self._answers,
-            self._fields,
+            now_ns,
+            wire.answers,
+            wire.fields,
             samples.values,
-            self._table,
+            wire.set_points,
             axes.integers,
             axes.currents,
             axes.reference,
             self._left,
         )
+        self.follow(wire, self._left[:count].tolist(), now_ns)
+
+    def follow(self, wire: RegularWire, left: list[int], now_ns: int) -> None:
+        """Have drives apply the set-points that were left to them."""
         # A copy, and data taken at once: a drive may end the plan.
-        waiting = [(number, self._take(wire, number)) for number in self._left[:count].tolist()]
+        waiting = [(number, self._take(wire, number)) for number in left]
         for number, data in waiting:
             node, pdo = self._set_points[number]
             assert data is not None
             pdo.apply(data)
             node.device.received(now_ns)
+
+
+class Reaction:
+    """Delivers a SYNC that has ended on several channels at one instant."""
+
+    def __init__(self, samples: Samples) -> None:
+        self._samples = samples
+        self._left = np.zeros(ROOM + 1, np.int64)
+
+    def __call__(self, table: WireTable, now_ns: int, to_ns: int) -> tuple[int, list[int] | None]:
+        """Do what every device does at it, and let time pass up to ``to_ns``. Returns the row whose
+        channel has to go on by itself, or the number of rows, and what set-points are left to their
+        drives there; None: the SYNC is still to be delivered there."""
+        samples, axes, left = self._samples, self._samples.axes, self._left
+        samples.at(now_ns)
+        row = _react_all(
+            table.states,
+            table.frames,
+            table.delivered,
+            table.kinds,
+            table.held,
+            table.durations,
+            table.answers,
+            table.fields,
+            table.set_points,
+            now_ns,
+            to_ns,
+            samples.values,
+            axes.integers,
+            axes.currents,
+            axes.reference,
+            left,
+        )
+        if row == len(table.states):
+            return row, []
+        return row, None if left[-1] == _ITSELF else left[: left[-1]].tolist()
 
 
 def plan(channel: Channel, nodes: Sequence[Node], samples: Samples) -> NodesPlan | None:
@@ -204,6 +335,8 @@ def plan(channel: Channel, nodes: Sequence[Node], samples: Samples) -> NodesPlan
         return None
     answers = [(node, pdo) for node in hearing for pdo in node.transmitted]
     set_points = [(node, pdo) for node in hearing for pdo in node.received if pdo.synchronous]
+    if max(len(answers), len(set_points)) > ROOM:
+        return None
     usual = all(pdo.rate == 1 and None not in dict(pdo.fields) for _, pdo in answers)
     usual = usual and all(
         node.device.axis is not None

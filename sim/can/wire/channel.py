@@ -59,6 +59,9 @@ class SyncPlan(Protocol):
     def react(self, wire: RegularWire, now_ns: int) -> None:
         """Deliver the SYNC that has ended now, and do what every device does at it."""
 
+    def follow(self, wire: RegularWire, left: list[int], now_ns: int) -> None:
+        """Have drives apply the set-points that were left to them."""
+
 
 Planner = Callable[[], SyncPlan | None]
 """Makes a channel's plan, or says that there is none for it as it is."""
@@ -162,13 +165,11 @@ class Channel:
         "name",
         "planner",
         "response_ns",
-        "wide_ns",
     )
 
     def __init__(self, name: str, bitrate: int, queue_depth: int, response_ns: int) -> None:
         """``response_ns`` is how long a device takes until its answer is in its queue."""
         self.name = name
-        self.wide_ns = NEVER
         self._busy_ns = self._frames = 0
         self.planner: Planner | None = None
         self._latency: Latency | None = None
@@ -203,6 +204,19 @@ class Channel:
     def regular(self) -> bool:
         """Whether compiled code has the frames: nothing is there that is not as usual."""
         return self._regular
+
+    @property
+    def wire(self) -> RegularWire:
+        """What compiled code has of the channel."""
+        return self._wire
+
+    @property
+    def wide_ns(self) -> int:
+        return self._wire.words[regular.WIDE]
+
+    @wide_ns.setter
+    def wide_ns(self, wide_ns: int) -> None:
+        self._wire.words[regular.WIDE] = wide_ns
 
     @property
     def busy_ns(self) -> int:
@@ -418,6 +432,7 @@ class Channel:
         self._regular = False
         wire, plan = self._wire, self._plan
         assert plan is not None
+        wire.end()
         plan.end(wire)
         self.hand_out()
         state = wire.state
@@ -472,11 +487,8 @@ class Channel:
                 self.hand_out()
                 continue
             if self._plan is not None and wire.flying == self._plan.identifier:
-                if wire.flying_bytes == 0:
-                    self.wide_ns = stopped_ns
-                else:  # with a counter, which is for each device to heed
-                    self._leave()
-                    self.run(to_ns)
+                self._leave()  # a SYNC with a counter, which is for each device to heed
+                self.run(to_ns)
                 return
             self.hand_out()
             self._land()
@@ -504,6 +516,16 @@ class Channel:
             self.hand_out()
         plan.react(wire, now_ns)
         return True
+
+    @property
+    def ready(self) -> bool:
+        """Whether a SYNC waits that compiled code may deliver."""
+        return self._regular and self._wire.ready
+
+    def follow(self, left: list[int], now_ns: int) -> None:
+        """After a SYNC: have drives apply the set-points that were left to them."""
+        assert self._plan is not None
+        self._plan.follow(self._wire, left, now_ns)
 
     # -- otherwise -------------------------------------------------------------------------------
 

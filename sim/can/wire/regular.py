@@ -3,6 +3,7 @@ errors, no faults. `Channel` works by itself whenever anything else is there, an
 
 Three kinds of frames are told apart by their identifiers: most concern hosts only; a held one is
 an RPDO that waits for the next SYNC; at all others the wire stops, for the channel to deliver them.
+At a SYNC as it should be it waits for the lab, which delivers those of all channels at once.
 """
 
 from __future__ import annotations
@@ -25,6 +26,11 @@ PLAIN, STOPS, HELD = range(3)
 PENDING, FLYING, END, FREE, DELIVERED, BUSY, FRAMES, NEXT = range(8)
 """Places in the state: frames that wait; 1 while one is on the wire; when that ends; when the next
 may begin; frames delivered; time on the wire and frames in all; when something happens next."""
+ON, WIDE, SYNC, GAP, MOST, ANSWERS, SET_POINTS, RESPONSE = range(8, 16)
+"""And further ones: 1 while the wire has the channel; when a frame ended that waits for the lab, or
+`NEVER`; identifier of the SYNC; ns between frames; frames that may wait; of the plan, its answers
+and its held frames, and how long an answer takes, ns."""
+_STATE = 16
 DUE, PORT, KEY, IDENTIFIER, DLC, DATA = range(6)
 """Columns of a frame; `DUE` is when it enters its queue, `DATA` as a little-endian integer."""
 _COLUMNS = 6
@@ -32,11 +38,14 @@ _ROW = struct.Struct("<5q8s")
 LEAST, WAITS, HELD_DATA = range(3)
 """Rows of held frames: shortest length, length of the one that waits or 0, its data."""
 ROOM = 48
-"""Frames that may wait, at most."""
+"""Frames that may wait, at most; no plan has more answers, nor more held frames."""
+_PLACES = 8
+"""Fields of an answer, at most: a byte each."""
 _SIZE = 64
 _FLIGHT = _SIZE - 1
 """Row of the frame on the wire."""
-_DONE, _STOPPED, _FULL = range(3)
+DONE, _STOPPED, _FULL = range(3)
+"""Why a wire went no further."""
 
 
 @njit("int64(int64, int64)", cache=True)
@@ -97,18 +106,16 @@ def land(state: Integers, frames: Integers, delivered: Integers) -> None:
 
 
 @njit(
-    "int64(int64[::1], int64[:, ::1], int64[:, ::1], int64[::1], int64[:, ::1], int64[::1], int64,"
-    " int64)",
+    "int64(int64[::1], int64[:, ::1], int64[:, ::1], int64[::1], int64[:, ::1], int64[::1], int64)",
     cache=True,
 )
-def _run(
+def run_wire(
     state: Integers,
     frames: Integers,
     delivered: Integers,
     kinds: Integers,
     held: Integers,
     durations: Integers,
-    gap_ns: int,
     to_ns: int,
 ) -> int:
     """``kinds``: (2048,) by identifier; ``held``: a column for each held frame; ``durations``: ns
@@ -118,21 +125,24 @@ def _run(
             start = _start_ns(state, frames)
             state[NEXT] = start
             if start >= to_ns:
-                return _DONE
+                return DONE
             _take_off(state, frames, start)
             flight = frames[_FLIGHT]
             value = _big_endian(flight[DATA], flight[DLC])
             length = durations[stuffed_bits(flight[IDENTIFIER], flight[DLC], value)]
             state[END] = start + length
-            state[FREE] = state[END] + gap_ns
-            state[BUSY] += length + gap_ns
+            state[FREE] = state[END] + state[GAP]
+            state[BUSY] += length + state[GAP]
             state[FRAMES] += 1
         state[NEXT] = state[END]
         if state[END] > to_ns:
-            return _DONE
+            return DONE
         kind = kinds[frames[_FLIGHT, IDENTIFIER]]
         hold = kind - HELD
         if kind == STOPS or (hold >= 0 and frames[_FLIGHT, DLC] < held[LEAST, hold]):
+            if frames[_FLIGHT, IDENTIFIER] == state[SYNC] and frames[_FLIGHT, DLC] == 0:
+                state[WIDE] = state[END]
+                return DONE
             return _STOPPED
         if state[DELIVERED] == delivered.shape[0]:
             return _FULL
@@ -140,6 +150,50 @@ def _run(
             held[WAITS, hold] = frames[_FLIGHT, DLC]
             held[HELD_DATA, hold] = frames[_FLIGHT, DATA]
         land(state, frames, delivered)
+
+
+@njit(
+    "int64(int64[:, ::1], int64[:, :, ::1], int64[:, :, ::1], int64[:, ::1], int64[:, :, ::1],"
+    " int64[:, ::1], int64, int64)",
+    cache=True,
+)
+def run_wires(
+    states: Integers,
+    frames: Integers,
+    delivered: Integers,
+    kinds: Integers,
+    held: Integers,
+    durations: Integers,
+    first: int,
+    to_ns: int,
+) -> int:
+    """Let time pass on each wire from row ``first`` on. Returns the first row whose channel has to
+    do it itself, or their number."""
+    rows: int = states.shape[0]
+    for row in range(first, rows):
+        state = states[row]
+        if state[WIDE] <= to_ns:
+            continue
+        if not state[ON]:
+            return row
+        if state[WIDE] != NEVER or to_ns < state[NEXT]:
+            continue
+        code = run_wire(
+            state, frames[row], delivered[row], kinds[row], held[row], durations[row], to_ns
+        )
+        if code != DONE:
+            return row
+    return rows
+
+
+@njit("int64(int64[:, ::1])", cache=True)
+def first_wide(states: Integers) -> int:
+    """The row whose frame waits for the lab for longest, of equal ones the first; -1: none."""
+    best, when = -1, NEVER
+    for row in range(states.shape[0]):
+        if states[row, WIDE] < when:
+            best, when = row, int(states[row, WIDE])
+    return best
 
 
 @njit("int64(int64[:, ::1], int64, int64, boolean, int64[:, ::1], int64)", cache=True)
@@ -160,32 +214,110 @@ def _for_host(
     return taken
 
 
+class WireTable:
+    """Wires that compiled code runs together: a row for each. ``bits``: how many lengths of a frame
+    there are."""
+
+    def __init__(self, rows: int, bits: int) -> None:
+        self.states = np.zeros((rows, _STATE), np.int64)
+        self.states[:, WIDE] = NEVER
+        self._words: memoryview[int] = self.states.reshape(-1).data
+        self.frames = np.zeros((rows, _SIZE, _COLUMNS), np.int64)
+        self.delivered = np.zeros((rows, _SIZE, WORDS + 1), np.int64)
+        self.kinds = np.zeros((rows, BASE_ID + 1), np.int64)
+        self.held = np.zeros((rows, 3, ROOM), np.int64)
+        self.durations = np.zeros((rows, bits), np.int64)
+        self.answers = np.zeros((rows, ROOM, DATA + 2), np.int64)
+        """of the plan, as the other two: what answers a SYNC,"""
+        self.fields = np.zeros((rows, ROOM * _PLACES, 3), np.int64)
+        """what the answers consist of,"""
+        self.set_points = np.zeros((rows, ROOM, 3), np.int64)
+        """and what the held frames bring"""
+
+    def run(self, first: int, to_ns: int) -> int:
+        """`run_wires` on this table."""
+        row: int = run_wires(
+            self.states,
+            self.frames,
+            self.delivered,
+            self.kinds,
+            self.held,
+            self.durations,
+            first,
+            to_ns,
+        )
+        return row
+
+    def waiting(self) -> tuple[int, int]:
+        """The row whose frame waits for the lab for longest, and since when."""
+        row: int = first_wide(self.states)
+        return row, self._words[row * _STATE + WIDE] if row >= 0 else NEVER
+
+
 class RegularWire:
     """The wire of one channel. ``durations``: ns of a frame by its bits; ``room``: how many frames
     may wait, `ROOM` at most."""
 
     def __init__(self, durations: list[int], gap_ns: int, room: int) -> None:
-        self.state = np.zeros(8, np.int64)
-        # Python reads and writes single words of a memoryview in a third of an array's time.
-        self._words = self.state.data
-        self.frames = np.zeros((_SIZE, _COLUMNS), np.int64)
-        self._memory = self.frames.reshape(-1).view(np.uint8).data
-        self.delivered = np.zeros((_SIZE, WORDS + 1), np.int64)
-        self.kinds = np.zeros(BASE_ID + 1, np.int64)
-        self.held = np.zeros((3, 0), np.int64)
         self._rows = np.zeros((_SIZE, WORDS), np.int64)
-        self._durations = np.array(durations, np.int64)
-        self._gap_ns = gap_ns
+        self._sit(WireTable(1, len(durations)), 0)
+        self.durations[:] = durations
+        self.state[GAP], self.state[MOST] = gap_ns, room
         self._room = room
+
+    def _sit(self, table: WireTable, row: int) -> None:
+        self.state: Integers = table.states[row]
+        self.frames: Integers = table.frames[row]
+        self.delivered: Integers = table.delivered[row]
+        self.kinds: Integers = table.kinds[row]
+        self.held: Integers = table.held[row]
+        self.durations: Integers = table.durations[row]
+        self.answers: Integers = table.answers[row]
+        self.fields: Integers = table.fields[row]
+        self.set_points: Integers = table.set_points[row]
+        # Python reads and writes single words of a memoryview in a third of an array's time.
+        self.words: memoryview[int] = self.state.data
+        self._memory = self.frames.reshape(-1).view(np.uint8).data
+
+    def move(self, table: WireTable, row: int) -> None:
+        """Into a row of another table, with all that is here."""
+        for theirs, ours in (
+            (table.states, self.state),
+            (table.frames, self.frames),
+            (table.delivered, self.delivered),
+            (table.kinds, self.kinds),
+            (table.held, self.held),
+            (table.durations, self.durations),
+            (table.answers, self.answers),
+            (table.fields, self.fields),
+            (table.set_points, self.set_points),
+        ):
+            theirs[row] = ours
+        self._sit(table, row)
 
     def begin(self, free_ns: int) -> None:
         """An idle wire, free from ``free_ns`` on."""
-        self.state[:] = 0
+        self.state[: NEXT + 1] = 0
         self.state[FREE], self.state[NEXT] = free_ns, NEVER
+        self.state[ON] = 1
+
+    def end(self) -> None:
+        """The channel has the frames again."""
+        self.state[ON] = 0
 
     def fits(self, count: int) -> bool:
         """Whether so many more frames may wait."""
-        return self._words[PENDING] + count <= self._room
+        return self.words[PENDING] + count <= self._room
+
+    @property
+    def ready(self) -> bool:
+        """Whether a SYNC waits here to be delivered, and its answers fit."""
+        words = self.words
+        return (
+            words[FLYING] != 0
+            and words[PENDING] + words[ANSWERS] <= words[MOST]
+            and words[DELIVERED] < ROOM
+        )
 
     @property
     def flying(self) -> int:
@@ -193,18 +325,13 @@ class RegularWire:
         return int(self.frames[_FLIGHT, IDENTIFIER])
 
     @property
-    def flying_bytes(self) -> int:
-        """Data of the frame on the wire."""
-        return int(self.frames[_FLIGHT, DLC])
-
-    @property
     def delivered_frames(self) -> int:
         """Frames that hosts may have."""
-        return self._words[DELIVERED]
+        return self.words[DELIVERED]
 
     def put(self, port: int, key: int, identifier: int, data: bytes, due_ns: int) -> bool:
         """Let a frame enter its queue then; False: it is none for this wire."""
-        words = self._words
+        words = self.words
         pending = words[PENDING]
         if identifier > BASE_ID or pending >= self._room:
             return False
@@ -217,31 +344,31 @@ class RegularWire:
         return True
 
     def run(self, to_ns: int) -> int:
-        """Let time pass. Returns `NEVER`, or when a frame ended that others have to deliver; 0 if
-        there is no room for more that are delivered."""
-        if to_ns < self._words[NEXT]:
+        """Let time pass, at most to a SYNC, which waits for the lab. Returns `NEVER`, or when a
+        frame ended that others have to deliver; 0 if there is no room for more that are
+        delivered."""
+        if to_ns < self.words[NEXT]:
             return NEVER
-        code = _run(
+        code = run_wire(
             self.state,
             self.frames,
             self.delivered,
             self.kinds,
             self.held,
-            self._durations,
-            self._gap_ns,
+            self.durations,
             to_ns,
         )
-        if code == _DONE:
+        if code == DONE:
             return NEVER
-        return self._words[END] if code == _STOPPED else 0
+        return self.words[END] if code == _STOPPED else 0
 
     def next_ns(self) -> int:
         """When something happens next by itself, or `NEVER`."""
-        return self._words[NEXT]
+        return self.words[NEXT]
 
     def hand_over(self, port: int, inbox: Inbox, *, echo: bool) -> None:
         """Let a host have what it receives of the delivered frames."""
-        count = self._words[DELIVERED]
+        count = self.words[DELIVERED]
         if inbox.holds(count):
             inbox.end = _for_host(self.delivered, count, port, echo, inbox.rows, inbox.end)
         else:
@@ -249,7 +376,7 @@ class RegularWire:
 
     def handed_out(self) -> None:
         """Every host has the delivered frames."""
-        self._words[DELIVERED] = 0
+        self.words[DELIVERED] = 0
 
     def waiting(self, port: int) -> int:
         """Frames in a controller's queue."""
