@@ -84,6 +84,8 @@ class Channel:
         self._flood_frames = config.master.flood_frames
         self._flood_ticks = config.master.flood_ticks
         self._floods = 0
+        self._answers = self._answers_ns = 0
+        """to a SYNC, and their time on the wire"""
         self._stalled = False
         self._unsent = 0  # SYNCs in a row
         self._stamps = Stamps()
@@ -105,7 +107,10 @@ class Channel:
         self._unsent = 0
         self.syncs.bit_ns = self._bit_ns if self._stamps.exact else 0
         self.syncs.sent(tick, now, max(self._clock(), free_ns) - now)
-        self._free_ns += sum(arrival.frame_bits for arrival in self.arrivals) * self._bit_ns
+        if len(self.arrivals) != self._answers:
+            self._answers = len(self.arrivals)
+            self._answers_ns = self._bit_ns * sum(each.frame_bits for each in self.arrivals)
+        self._free_ns += self._answers_ns
 
     def _transmit(self, frames: Sequence[tuple[int, bytes]], now: int) -> bool:
         """Whether all of ``frames`` could be sent. A bus that takes several at once takes all or

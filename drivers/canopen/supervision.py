@@ -34,6 +34,8 @@ class Watched:
     """of itself: its configuration is gone"""
     standing: set[Reset] = field(default_factory=set)
     """what its errors need beyond a fault reset"""
+    allowed_ms: int = 0
+    """between two heartbeats"""
 
     @property
     def trusted(self) -> bool:
@@ -64,6 +66,8 @@ class Supervision:
     def add(self, watched: Watched) -> None:
         self.watched.append(watched)
         node = watched.node
+        device = node.role.device
+        watched.allowed_ms = node_timeout_ms(device, self._master, self._tolerance)
         handlers = node.channel.handlers
         handlers[HEARTBEAT + node.node_id] = lambda data: self._on_heartbeat(watched, data)
         handlers[EMCY + node.node_id] = lambda data: self._on_emcy(watched, data)
@@ -90,7 +94,7 @@ class Supervision:
             node.monitor.heard = False
             watched.heard_at = tick
             return
-        allowed_ms = node_timeout_ms(node.role.device, self._master, self._tolerance)
+        allowed_ms = watched.allowed_ms
         if (tick - watched.heard_at) * self._period_us > allowed_ms * 1000 and node.started:
             watched.silent = True
             self.trust(watched)

@@ -127,9 +127,9 @@ class CycleWriter:
             estimator.cable_position,
             estimator.bias,
             estimator.offsets,
+            estimator.compliances,
         )
         pose.residual[...] = estimator.residual
-        pose.compliance[...] = estimator.compliance
         pose.sigma[...] = estimator.sigma
         pose.inconsistency[...] = estimator.inconsistency
         pose.condition[...] = estimator.condition

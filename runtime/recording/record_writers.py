@@ -57,6 +57,21 @@ def write_measured(
     pose.fresh = seen.fresh
 
 
+@njit("float64(float64[::1])", cache=True)
+def mean(values: Table) -> float:
+    """Of up to fifteen values, to the bit as numpy computes it: from eight on it adds in pairs."""
+    count, total = values.shape[0], 0.0
+    paired = 0
+    if count >= 8:
+        paired = 8
+        total = ((values[0] + values[1]) + (values[2] + values[3])) + (
+            (values[4] + values[5]) + (values[6] + values[7])
+        )
+    for i in range(paired, count):
+        total += values[i]
+    return float(total / count)
+
+
 @njit(cache=True)
 def write_motion(
     record: Table,
@@ -66,6 +81,7 @@ def write_motion(
     cable_position: Table,
     bias: Table,
     length_offset: Table,
+    compliances: Table,
 ) -> None:
     """``estimate``: position, quaternion, velocity, angular velocity, external wrench; ``desired``:
     position, velocity, acceleration."""
@@ -86,3 +102,4 @@ def write_motion(
         wrench.external[k] = estimate[4][k]
     for k in range(length_offset.shape[0]):
         pose.length_offset[k] = length_offset[k]
+    pose.compliance = mean(compliances)

@@ -35,7 +35,7 @@ _VERSION = 1
 _WORD = 8
 _MADV_POPULATE_WRITE = 23
 """madvise(2); Python has no name for it"""
-_MAGIC_AT, _VERSION_AT, _PAYLOAD_AT, _CAPACITY_AT, _PUBLISHED_AT, _CURSOR_AT, _META_AT = range(7)
+_MAGIC_AT, _VERSION_AT, _PAYLOAD_AT, _CAPACITY_AT, PUBLISHED_AT, _CURSOR_AT, _META_AT = range(7)
 _META_START = 8 * _WORD
 SLOT_HEAD = 2 * _WORD
 """bytes before the payload of a slot"""
@@ -126,7 +126,7 @@ class RingWriter:
     def _publish(self, records: int) -> None:
         """Count so many more, whose slots carry their positions."""
         self.count += records
-        self._words[_PUBLISHED_AT] = self.count
+        self._words[PUBLISHED_AT] = self.count
 
     def close(self) -> None:
         self._words.release()
@@ -202,7 +202,7 @@ class RingReader:
     @property
     def published(self) -> int:
         """Records published so far, with the one whose writer died before it could count it."""
-        count = int(self._words[_PUBLISHED_AT])
+        count = int(self._words[PUBLISHED_AT])
         return count + int(self._slots["position"][count % self.capacity] == count + 1)
 
     def drain(self, limit: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:

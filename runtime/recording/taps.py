@@ -5,10 +5,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from tonus.drivers.fieldbus import RAW_FRAME
@@ -20,7 +21,7 @@ from tonus.runtime.recording.payloads import (
     SENT,
     Level,
 )
-from tonus.runtime.recording.ring import RingWriter
+from tonus.runtime.recording.ring import PUBLISHED_AT, RingWriter
 
 __all__ = [
     "EVENT",
@@ -39,34 +40,43 @@ _REMOTE = 1 << 30
 _CHANNEL_BIT, _LENGTH_BIT = 32, 40
 
 
+@intrinsic
+def _fence(typing_context: Any) -> Any:
+    """What stands before it is stored before what stands behind it. A compiler may else leave out,
+    or put off, what only another process sees; the processor keeps the order by itself."""
+    del typing_context
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        del signature, arguments
+        builder.fence("acq_rel")
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
 @njit(cache=True)
-def _invalidate(
-    words: NDArray[np.int64], ring: tuple[int, int, int], slot: int, frames: NDArray[np.void]
-) -> int:
-    """Take the positions of as many slots away as frames are not our own, and count them. A
-    function of its own, as the other two are: within one a compiler may leave out, or put off, what
-    only another process sees."""
+def _record(
+    words: NDArray[np.int64],
+    ring: tuple[int, int, int],
+    begin: int,
+    recorded: int,
+    frames: NDArray[np.void],
+    channel: int,
+    now_ns: int,
+) -> tuple[int, int]:
+    """All frames but our own, from slot ``begin`` on, after ``recorded`` ones: first the positions
+    are taken away, then the slots filled, then the positions given. Returns the slot behind the
+    last, and how many they are."""
     first, stride, end = ring
-    count = 0
+    slot, count = begin, 0
     for i in range(frames.shape[0]):
         if frames[i].own:
             continue
         count += 1
         words[slot] = 0
         slot = slot + stride if slot + stride != end else first
-    return count
-
-
-@njit(cache=True)
-def _fill(
-    words: NDArray[np.int64],
-    ring: tuple[int, int, int],
-    slot: int,
-    frames: NDArray[np.void],
-    channel: int,
-    now_ns: int,
-) -> None:
-    first, stride, end = ring
+    _fence()  # type: ignore[call-arg]  # numba gives the argument
+    slot = begin
     for i in range(frames.shape[0]):
         frame = frames[i]
         if frame.own:
@@ -77,18 +87,14 @@ def _fill(
         words[slot + 2] = head
         words[slot + 3] = frame.data & ((1 << 8 * length) - 1 if length < 8 else -1)
         slot = slot + stride if slot + stride != end else first
-
-
-@njit(cache=True)
-def _validate(
-    words: NDArray[np.int64], ring: tuple[int, int, int], slot: int, n: int, count: int
-) -> int:
-    """Give ``n`` slots their positions, the first after ``count``; gives the slot after them."""
-    first, stride, end = ring
-    for i in range(n):
-        words[slot] = count + i + 1
+    _fence()
+    slot = begin
+    for i in range(count):
+        words[slot] = recorded + i + 1
         slot = slot + stride if slot + stride != end else first
-    return slot
+    _fence()
+    words[PUBLISHED_AT] = recorded + count
+    return slot, count
 
 
 def compile_frames() -> None:
@@ -97,9 +103,7 @@ def compile_frames() -> None:
     for read_only in (False, True):  # a bus may give either
         frames = np.zeros(0, RAW_FRAME)
         frames.flags.writeable = not read_only
-        _invalidate(words, ring, 0, frames)
-        _fill(words, ring, 0, frames, 0, 0)
-    _validate(words, ring, 0, 0, 0)
+        _record(words, ring, 0, 0, frames, 0, 0)
 
 
 class FrameRing(RingWriter):
@@ -123,11 +127,10 @@ class FrameRing(RingWriter):
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         """As `tonus.drivers.fieldbus.FrameTap` has it, at most as many as the ring holds."""
-        words, ring, slot = self._array, self._shape, self._slot
-        count = _invalidate(words, ring, slot, frames)
-        _fill(words, ring, slot, frames, channel, now_ns)
-        self._slot = _validate(words, ring, slot, count, self.count)
-        self._publish(count)
+        self._slot, count = _record(
+            self._array, self._shape, self._slot, self.count, frames, channel, now_ns
+        )
+        self.count += count
 
     def close(self) -> None:
         del self._array
@@ -147,11 +150,16 @@ class FrameRing(RingWriter):
     def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
         """As `tonus.drivers.fieldbus.FrameTap` has it."""
         words, pack, memory = self._words, _FRAME.pack_into, self._memory
+        slot, count = self._slot, self.count
         for identifier, data in frames:
-            slot = self._slot
             words[slot] = 0
             pack(memory, slot * 8 + 8, now_ns, identifier, channel, len(data), True, data)
-            self._release(slot)
+            count += 1
+            words[slot] = words[PUBLISHED_AT] = count
+            slot += self._stride
+            if slot == self._end:
+                slot = self._first
+        self._slot, self.count = slot, count
 
 
 class EventRing(RingWriter):

@@ -33,12 +33,18 @@ _LINE = 300
 """characters of an exception's text in an event"""
 
 
+def _nobody() -> None:
+    """Who asks a part for its events each time."""
+
+
 class Part:
     """Calls the code of one part; gives None where it raised or is switched off."""
 
-    def __init__(self, name: str, limit: int, *, lasting: bool = False) -> None:
+    def __init__(
+        self, name: str, limit: int, *, lasting: bool = False, told: Callable[[], None] = _nobody
+    ) -> None:
         """``limit``: failures in a row after which it counts as ``failing``, and is switched off
-        unless it is ``lasting``."""
+        unless it is ``lasting``; ``told``: called with each failure."""
         self.name = name
         self.failures = 0
         """in all"""
@@ -46,6 +52,7 @@ class Part:
         self.first: Exception | None = None
         self._limit, self._lasting, self._row = limit, lasting, 0
         self._events: list[BusEvent] = []
+        self._told = told
 
     def __call__(
         self,
@@ -66,6 +73,7 @@ class Part:
     def failed(self, error: Exception) -> None:
         """Count it; the first, second, fourth, eighth ... is reported."""
         self.first = self.first or error
+        self._told()
         self.failures += 1
         self._row += 1
         if self.failures & (self.failures - 1) == 0:
@@ -81,8 +89,6 @@ class Part:
 
     def take_events(self) -> list[BusEvent]:
         """Events since the last call."""
-        if not self._events:
-            return []
         events, self._events = self._events, []
         return events
 
@@ -94,15 +100,23 @@ class Firewall:
         """``failures`` in a row switch a part off."""
         self._failures = failures
         self._parts: list[Part] = []
+        self._failed = False
+        """a part, since events were taken"""
+
+    def _told(self) -> None:
+        self._failed = True
 
     def part(self, name: str, *, lasting: bool = False) -> Part:
         """A new part; a ``lasting`` one is called again however often it fails."""
-        part = Part(name, self._failures, lasting=lasting)
+        part = Part(name, self._failures, lasting=lasting, told=self._told)
         self._parts.append(part)
         return part
 
     def take_events(self) -> list[BusEvent]:
         """Of every part; empty almost always."""
+        if not self._failed:
+            return []
+        self._failed = False
         return [event for part in self._parts for event in part.take_events()]
 
     def tracebacks(self) -> str:

@@ -12,6 +12,10 @@ from tonus.sim.lab.truth import truth_dtype
 from tonus.tools.run.rings import Rings
 
 
+def _nowhere(*_: object) -> None:
+    """Before there are rings."""
+
+
 class LateSinks:
     """What daemon and lab write goes nowhere, until there are rings for it."""
 
@@ -21,13 +25,16 @@ class LateSinks:
         self._bytes = self.record.view(np.uint8)
         self.events: list[tuple[int, Level, str, str, str]] = []
         self._truth: Callable[[NDArray[np.void], int], None] | None = None
+        # What comes several times a tick is passed on without a step between.
+        self.publish: Callable[[NDArray[np.void], int], None] = _nowhere
+        self.sent: Callable[[Sequence[tuple[int, bytes]], int, int], None] = _nowhere
+        self.received: Callable[[NDArray[np.void], int, int], None] = _nowhere
 
     def open(self, rings: Rings) -> None:
         self.rings, self._truth = rings, rings.truth().publish
-
-    def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None:
-        if self.rings is not None:
-            self.rings.cycles.publish(payload, stamp_ns)
+        self.publish = rings.cycles.publish
+        if rings.frames is not None:
+            self.sent, self.received = rings.frames.sent, rings.frames.received
 
     def truth(self, record: NDArray[np.void], stamp_ns: int) -> None:
         # By way of bytes: numpy copies a record field by field, in 15 us instead of 1.
@@ -51,11 +58,3 @@ class LateSinks:
     ) -> None:
         if self.rings is not None and self.rings.frames is not None:
             self.rings.frames.frame(stamp_ns, channel, identifier, data, sent=sent)
-
-    def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
-        if self.rings is not None and self.rings.frames is not None:
-            self.rings.frames.sent(frames, channel, now_ns)
-
-    def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
-        if self.rings is not None and self.rings.frames is not None:
-            self.rings.frames.received(frames, channel, now_ns)
