@@ -11,6 +11,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
+from functools import cache
 
 import numpy as np
 
@@ -106,9 +107,15 @@ def record_dtype(topics: Sequence[Topic]) -> np.dtype[np.void]:
 
 def to_json(topics: Sequence[Topic]) -> str:
     """For the head of a ring file."""
+    return _to_json(tuple(topics))
+
+
+@cache
+def _to_json(topics: tuple[Topic, ...]) -> str:
     return json.dumps([asdict(topic) for topic in topics], sort_keys=True)
 
 
+@cache
 def from_json(text: str) -> tuple[Topic, ...]:
     """The inverse of `to_json`."""
     return tuple(

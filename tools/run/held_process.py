@@ -9,6 +9,8 @@ import sys
 import traceback
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from tonus.config.places import RUNTIME_DIR
 from tonus.config.schema.root import Config
@@ -21,7 +23,6 @@ from tonus.runtime.operation.operator import Console, Script
 from tonus.runtime.operation.rehearsal import rehearse
 from tonus.runtime.recording.keyframe import FROM_A_KEYFRAME
 from tonus.runtime.recording.recorder import Recorder
-from tonus.runtime.recording.taps import compile_frames
 from tonus.runtime.recording.viewer import Scene
 from tonus.runtime.states import State
 from tonus.runtime.timing import clock
@@ -65,6 +66,8 @@ class HeldProcess:
         """in a child: number of the request that it began with"""
         self._lab: Lab | None = None
         self._daemon: Daemon | None = None
+        self._attached: dict[str, bytes] = {}
+        """to the log of a run with the scenario that the robot was brought up with"""
 
     def serve(self, theirs: Connection) -> None:
         theirs.close()
@@ -77,10 +80,6 @@ class HeldProcess:
                 raise ToolError(
                     "the control cycle does not reach ACTIVE even with an obedient robot"
                 )
-            # What would else be made in each run, for it alone.
-            compile_frames()
-            provenance.attachments(self._config, self._scenario, ())
-            provenance.metadata(self._config, self._scenario, seed=self._seed, virtual=True)
             outcome = clock.run(self._main(), virtual=True)
             if self._running is None:
                 raise ToolError(f"the robot did not reach {self._at.name}: {outcome.reason}")
@@ -145,6 +144,7 @@ class HeldProcess:
 
     def _stand(self) -> None:
         """In the parent for ever; in a child once there is one."""
+        self._rehearse_recording()
         # A run's collections would look through, and so copy, all that it has from here.
         gc.collect()
         gc.freeze()
@@ -169,6 +169,29 @@ class HeldProcess:
                 text = f"the run's process ended without an answer ({_how(code)})"
                 self._connection.send(Answer(request.number, error=text, over=True))
 
+    def _rehearse_recording(self) -> None:
+        """Record a tick and throw it away: what is made once for all logs, each run finds made."""
+        assert self._lab is not None
+        assert self._daemon is not None
+        with TemporaryDirectory() as folder:
+            place = Path(folder)
+            list(place.glob("run-*"))  # compiles the pattern, as where a run's rings lie
+            rings = Rings(place, self._config, touched=False)
+            rings.truth().publish(self._sinks.record, clock.now_ns())
+            rings.cycles.publish(self._daemon.cycle.record.data, clock.now_ns())
+            self._attached = provenance.attachments(self._config, self._scenario, ())
+            recorder = _recorder(
+                place,
+                place / LOG,
+                self._config,
+                self._scenario,
+                self._attached,
+                self._seed,
+                self._lab,
+            )
+            recorder.drain()
+            recorder.finish()
+
     def _take_up(self, request: Request) -> None:
         assert self._lab is not None
         assert self._daemon is not None
@@ -182,9 +205,11 @@ class HeldProcess:
             self._lab.extend_script(played.lab.faults)
             self._script.follow(played.operator)
             self._script.last(played.duration)
+        usual = played is self._scenario
         self._running = _Running(
             self._config,
             played,
+            self._attached if usual else provenance.attachments(self._config, played, ()),
             self._seed,
             request,
             self._lab,
@@ -204,6 +229,7 @@ class _Running:
         self,
         config: Config,
         scenario: Scenario,
+        attached: dict[str, bytes],
         seed: int,
         request: Request,
         lab: Lab,
@@ -229,20 +255,7 @@ class _Running:
         self._cleanup.enter_context(folder.occupied())
         sinks.open(Rings(rings, config, touched=False))
         self._log = folder.path / LOG
-        self.recorder = Recorder(
-            rings,
-            self._log,
-            config.recording,
-            {
-                **provenance.metadata(config, scenario, seed=seed, virtual=True),
-                **FROM_A_KEYFRAME,
-                SCRIPT_START: str(lab.script_start_ns),
-            },
-            provenance.attachments(config, scenario, ()),
-            0,
-            None,
-            Scene.of(config),
-        )
+        self.recorder = _recorder(rings, self._log, config, scenario, attached, seed, lab)
         folder.started()
 
     def before_tick(self) -> None:
@@ -305,6 +318,23 @@ class _Running:
 
     def close(self) -> None:
         self._cleanup.close()
+
+
+def _recorder(
+    rings: Path,
+    log: Path,
+    config: Config,
+    scenario: Scenario,
+    attached: dict[str, bytes],
+    seed: int,
+    lab: Lab,
+) -> Recorder:
+    metadata = {
+        **provenance.metadata(config, scenario, seed=seed, virtual=True),
+        **FROM_A_KEYFRAME,
+        SCRIPT_START: str(lab.script_start_ns),
+    }
+    return Recorder(rings, log, config.recording, metadata, attached, 0, None, Scene.of(config))
 
 
 def _how(code: int) -> str:
