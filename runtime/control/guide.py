@@ -30,11 +30,20 @@ _ACTIVE = State.ACTIVE
 
 
 @njit(cache=True)
+def _pace(origin: Array, sample: Sample, rate: float, bend: float, paced: Array) -> None:
+    offset, velocity, acceleration = sample
+    for i in range(3):
+        paced[0, i] = origin[i] + offset[i]
+        paced[1, i] = rate * velocity[i]
+        paced[2, i] = rate * rate * acceleration[i] + bend * velocity[i]
+
+
 def _paced(origin: Array, sample: Sample, rate: float, bend: float) -> Sample:
     """``sample``, relative to ``origin`` (3,), of a time that passes at ``rate`` and whose rate
     changes by ``bend`` (1/s)."""
-    offset, velocity, acceleration = sample
-    return origin + offset, rate * velocity, rate * rate * acceleration + bend * velocity
+    paced = np.empty((3, 3))
+    _pace(origin, sample, rate, bend, paced)
+    return paced[0], paced[1], paced[2]
 
 
 class Guide:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import TypeVar, TypeVarTuple
 
 from tonus.drivers.events import Meaning
 from tonus.drivers.fieldbus import BusEvent
 
-Arguments = ParamSpec("Arguments")
+Arguments = TypeVarTuple("Arguments")
 Result = TypeVar("Result")
 
 EVENTS: dict[str, Meaning] = {
@@ -55,15 +55,12 @@ class Part:
         self._told = told
 
     def __call__(
-        self,
-        action: Callable[Arguments, Result],
-        *arguments: Arguments.args,
-        **named: Arguments.kwargs,
+        self, action: Callable[[*Arguments], Result], *arguments: *Arguments
     ) -> Result | None:
         if self.off:
             return None
         try:
-            result = action(*arguments, **named)
+            result = action(*arguments)
         except Exception as error:  # noqa: BLE001 - whatever it is, control goes on
             self.failed(error)
             return None

@@ -20,7 +20,7 @@ class GuardedTap:
     def frame(
         self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
     ) -> None:
-        self._part(self._tap.frame, stamp_ns, channel, identifier, data, sent=sent)
+        self._part(lambda: self._tap.frame(stamp_ns, channel, identifier, data, sent=sent))
 
     def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
         self._part(self._tap.sent, frames, channel, now_ns)
