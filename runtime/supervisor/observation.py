@@ -123,7 +123,9 @@ class Observer:
     def __call__(self, now_ns: int, heard: Listened, claims: list[Claim]) -> Observation:
         if claims:
             torque = np.array([claim.torque for claim in claims])[:, self._numbers]
-            wanted = np.rint(np.nan_to_num(torque * self._per_newton_metre)).astype(np.int64)
+            scaled = torque * self._per_newton_metre
+            scaled[np.isnan(scaled)] = 0.0
+            wanted = np.rint(scaled).astype(np.int64)
             self._claimed.extend(map(tuple, wanted.tolist()))
             self._claim = claims[-1]
         tared = self._claim.tare if self._claim is not None else None
@@ -274,8 +276,9 @@ class _Since:
         self._low = np.where(anew, present, np.fmin(self._low, present))
         self._high = np.where(anew, present, np.fmax(self._high, present))
         with np.errstate(invalid="ignore"):
-            swing, jolt = np.nan_to_num(self._high - self._low)
-        return swing, jolt
+            far = self._high - self._low
+        far[np.isnan(far)] = 0.0
+        return far[0], far[1]
 
 
 def _beyond(sent: set[float], claimed: set[int]) -> bool:

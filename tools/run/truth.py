@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,6 @@ class TruthRing:
     def __init__(self, path: Path, capacity: int, cables: int, *, touched: bool) -> None:
         meta = {"kind": "record", "topics": to_json([TOPIC.sized(cables)])}
         size = truth_dtype(cables).itemsize
-        self._ring = RingWriter.create(path, size, capacity, meta, touched=touched)
-
-    def publish(self, record: NDArray[np.void], stamp_ns: int) -> None:
-        self._ring.publish(record, stamp_ns)
+        ring = RingWriter.create(path, size, capacity, meta, touched=touched)
+        self.publish: Callable[[NDArray[np.void], int], None] = ring.publish
+        """a record and its time, ns"""

@@ -90,7 +90,7 @@ def stuffed_bits(identifier: int, dlc: int, data: int) -> int:
         found = _OF_BIT[state, crc >> place & 1]
         state, stuffed = found & 0xF, stuffed + (found >> 4)
     stuffed += _OF_BYTE[state, crc & 0xFF] >> 4
-    return head_bits + 8 * size + 15 + stuffed + 10
+    return int(head_bits + 8 * size + 15 + stuffed + 10)
 
 
 def frame_bits(identifier: int, dlc: int, data: bytes) -> int:
