@@ -34,8 +34,6 @@ class Watched:
     """of itself: its configuration is gone"""
     standing: set[Reset] = field(default_factory=set)
     """what its errors need beyond a fault reset"""
-    allowed_ms: int = 0
-    """between two heartbeats"""
 
     @property
     def trusted(self) -> bool:
@@ -55,6 +53,8 @@ class Supervision:
         period_us: int,
     ) -> None:
         self.watched: list[Watched] = []
+        self._allowed_ms: list[int] = []
+        """of each, between two heartbeats"""
         self._exchange = exchange
         self._events = events
         self._master, self._tolerance = master, tolerance
@@ -67,13 +67,13 @@ class Supervision:
         self.watched.append(watched)
         node = watched.node
         device = node.role.device
-        watched.allowed_ms = node_timeout_ms(device, self._master, self._tolerance)
+        self._allowed_ms.append(node_timeout_ms(device, self._master, self._tolerance))
         handlers = node.channel.handlers
         handlers[HEARTBEAT + node.node_id] = lambda data: self._on_heartbeat(watched, data)
         handlers[EMCY + node.node_id] = lambda data: self._on_emcy(watched, data)
 
     def clear(self) -> None:
-        self.watched = []
+        self.watched, self._allowed_ms = [], []
 
     def begin(self, tick: int) -> None:
         """Count silence from ``tick`` on."""
@@ -94,7 +94,7 @@ class Supervision:
             node.monitor.heard = False
             watched.heard_at = tick
             return
-        allowed_ms = watched.allowed_ms
+        allowed_ms = self._allowed_ms[self._next]
         if (tick - watched.heard_at) * self._period_us > allowed_ms * 1000 and node.started:
             watched.silent = True
             self.trust(watched)

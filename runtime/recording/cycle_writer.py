@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from types import SimpleNamespace
 
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.control.allocation import Allocation
@@ -16,7 +15,13 @@ from tonus.runtime.control.passivity import Limiter
 from tonus.runtime.control.sensing import Sensing
 from tonus.runtime.control.tension import TensionLoop
 from tonus.runtime.control.tuning import GainChange, Tuning
-from tonus.runtime.recording.record_writers import write_measured, write_motion
+from tonus.runtime.recording.record_writers import (
+    write_found,
+    write_law,
+    write_margins,
+    write_measured,
+    write_motion,
+)
 from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.signals import CycleRecord, Solver
@@ -103,16 +108,24 @@ class CycleWriter:
             tension.solver[...] = Solver.NONE
             record.tracker.accepted[...] = False
             return
-        distribution = allocation.distribution
-        tension.solver[...] = distribution.solver
-        tension.iterations[...] = distribution.iterations
+        distribution, estimator = allocation.distribution, self._estimator
+        disagreement = estimator.disagreement
+        write_found(
+            record.data,
+            int(distribution.solver),
+            distribution.iterations,
+            accepted,
+            disagreement.distance,
+            disagreement.poses,
+            disagreement.learnt,
+            estimator.residual,
+            estimator.sigma,
+            estimator.inconsistency,
+            estimator.condition,
+            int(estimator.consistency),
+        )
         tension.co_contraction[:] = allocation.centre
         tension.agonism[:] = allocation.agonism
-        pose, estimator, tracker = record.pose, self._estimator, record.tracker
-        tracker.accepted[...] = accepted
-        tracker.disagreement[...] = estimator.disagreement.distance
-        tracker.refused[...] = estimator.disagreement.poses
-        tracker.learnt[...] = estimator.disagreement.learnt
         write_motion(
             record.data,
             (
@@ -129,45 +142,38 @@ class CycleWriter:
             estimator.offsets,
             estimator.compliances,
         )
-        pose.residual[...] = estimator.residual
-        pose.sigma[...] = estimator.sigma
-        pose.inconsistency[...] = estimator.inconsistency
-        pose.condition[...] = estimator.condition
-        pose.consistency[...] = estimator.consistency
-        self._write_law(record.stiffness, law)
-        self._write_energy(record.energy)
+        limiter, envelope = self._limiter, self._envelope
+        account, terms = limiter.account, self._controller.terms
+        write_law(
+            record.data,
+            law,
+            float(terms.velocity),
+            float(terms.force),
+            float(terms.deviation),
+            envelope.cap,
+            limiter.value,
+            allocation.geometric,
+            account.storage,
+            account.stiffening,
+            account.dissipated,
+            account.external,
+            limiter.tank.level,
+            account.stiffness_rate,
+            limiter.rise_bound(limiter.value),
+        )
+        write_margins(
+            record.data,
+            envelope.tension_high,
+            envelope.tension_low,
+            envelope.contact,
+            envelope.speed,
+            envelope.workspace,
+            envelope.progress,
+            int(envelope.grade),
+            int(envelope.bound),
+        )
         wrench = record.wrench
         wrench.commanded[:] = allocation.wrench
         wrench.delivered[:] = allocation.delivered
         wrench.deficit[...] = distribution.deficit
         wrench.contact[...] = self._sensing.contact
-        margins, envelope = record.envelope, self._envelope
-        margins.tension_high[...] = envelope.tension_high
-        margins.tension_low[...] = envelope.tension_low
-        margins.contact[...] = envelope.contact
-        margins.speed[...] = envelope.speed
-        margins.workspace[...] = envelope.workspace
-        margins.progress[...] = envelope.progress
-        margins.grade[...] = envelope.grade
-        margins.bound[...] = envelope.bound
-
-    def _write_law(self, stiffness: SimpleNamespace, law: float) -> None:
-        terms = self._controller.terms
-        stiffness.law[...] = law
-        stiffness.velocity_term[...] = terms.velocity
-        stiffness.force_term[...] = terms.force
-        stiffness.deviation_term[...] = terms.deviation
-        stiffness.cap[...] = self._envelope.cap
-        stiffness.k_eq[...] = self._limiter.value
-        stiffness.measured[...] = self._limiter.value + self._allocation.geometric
-
-    def _write_energy(self, energy: SimpleNamespace) -> None:
-        limiter, account = self._limiter, self._limiter.account
-        energy.storage[...] = account.storage
-        energy.storage_rate[...] = account.storage_rate
-        energy.stiffening[...] = account.stiffening
-        energy.dissipated[...] = account.dissipated
-        energy.external[...] = account.external
-        energy.tank[...] = limiter.tank.level
-        energy.k_rate[...] = account.stiffness_rate
-        energy.rise_bound[...] = limiter.rise_bound(limiter.value)

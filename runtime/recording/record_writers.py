@@ -103,3 +103,96 @@ def write_motion(
     for k in range(length_offset.shape[0]):
         pose.length_offset[k] = length_offset[k]
     pose.compliance = mean(compliances)
+
+
+@njit(cache=True)
+def write_found(
+    record: Table,
+    solver: int,
+    iterations: int,
+    accepted: bool,
+    disagreement: float,
+    refused: int,
+    learnt: int,
+    residual: float,
+    sigma: float,
+    inconsistency: float,
+    condition: float,
+    consistency: int,
+) -> None:
+    """What distribution, tracker and estimator say of themselves, number by number; an enumeration
+    as a plain integer, since its type would be another one."""
+    tension, tracker, pose = record[0].tension, record[0].tracker, record[0].pose
+    tension.solver = solver
+    tension.iterations = iterations
+    tracker.accepted = accepted
+    tracker.disagreement = disagreement
+    tracker.refused = refused
+    tracker.learnt = learnt
+    pose.residual = residual
+    pose.sigma = sigma
+    pose.inconsistency = inconsistency
+    pose.condition = condition
+    pose.consistency = consistency
+
+
+@njit(cache=True)
+def write_law(
+    record: Table,
+    law: float,
+    velocity_term: float,
+    force_term: float,
+    deviation_term: float,
+    cap: float,
+    value: float,
+    geometric: float,
+    storage: float,
+    stiffening: float,
+    dissipated: float,
+    external: float,
+    tank: float,
+    rate: float,
+    rise_bound: float,
+) -> None:
+    """The stiffness law's value and terms, the envelope's ``cap``, the limiter's ``value`` (N/m),
+    to which tensions add a ``geometric`` stiffness; and the account of the energy."""
+    stiffness, energy = record[0].stiffness, record[0].energy
+    stiffness.law = law
+    stiffness.velocity_term = velocity_term
+    stiffness.force_term = force_term
+    stiffness.deviation_term = deviation_term
+    stiffness.cap = cap
+    stiffness.k_eq = value
+    stiffness.measured = value + geometric
+    energy.storage = storage
+    energy.storage_rate = stiffening - dissipated + external
+    energy.stiffening = stiffening
+    energy.dissipated = dissipated
+    energy.external = external
+    energy.tank = tank
+    energy.k_rate = rate
+    energy.rise_bound = rise_bound
+
+
+@njit(cache=True)
+def write_margins(
+    record: Table,
+    tension_high: float,
+    tension_low: float,
+    contact: float,
+    speed: float,
+    workspace: float,
+    progress: float,
+    grade: int,
+    bound: int,
+) -> None:
+    """The envelope's, and what it makes of them."""
+    margins = record[0].envelope
+    margins.tension_high = tension_high
+    margins.tension_low = tension_low
+    margins.contact = contact
+    margins.speed = speed
+    margins.workspace = workspace
+    margins.progress = progress
+    margins.grade = grade
+    margins.bound = bound
