@@ -142,7 +142,9 @@ class Channel:
         bits = len(frames) * _EMPTY_BITS
         for _, data in frames:
             bits += 8 * len(data)
-        self._free_ns = max(now, self._free_ns) + bits * self._bit_ns
+        if self._free_ns < now:
+            self._free_ns = now
+        self._free_ns += bits * self._bit_ns
         if self._tap is not None:
             self._tap.sent(frames, self._number, now)
 

@@ -116,12 +116,11 @@ def rotation_between(start: Array, end: Array) -> Array:
 
 
 @njit(cache=True)
-def spring(error: Array, error_rate: Array, stiffness: float, damping: float) -> Array:
-    """Force (3,) of a spring and a damper."""
-    force = np.empty(3)
+def spring(error: Array, error_rate: Array, stiffness: float, damping: float, force: Array) -> None:
+    """``force`` (3,) of a spring and a damper. Into an array of the caller's: one that compiled
+    code makes takes as long to hand out as all the rest."""
     for k in range(3):
         force[k] = stiffness * error[k] + damping * error_rate[k]
-    return force
 
 
 @njit(cache=True)
@@ -137,18 +136,17 @@ def platform_wrench(
     level: Array,
     rotational_stiffness: float,
     rotational_damping: float,
-) -> Array:
-    """Wrench (6,): the sum of three forces and of inertia; and a rotational spring and damper
+    wrench: Array,
+) -> None:
+    """``wrench`` (6,): the sum of three forces and of inertia; and a rotational spring and damper
     towards the orientation ``level``. ``quaternion``: the platform's, ``turning`` and
     ``wanted_turning`` (rad/s) its angular velocity and the desired one."""
-    wrench = np.empty(6)
     turn = rotation_between(quaternion, level)
     for k in range(3):
         inertia = mass * acceleration[k]
         wrench[k] = force[k] + inertia + (weight[k] + push[k])
         rate = turning[k] - wanted_turning[k]
         wrench[3 + k] = rotational_stiffness * turn[k] - rotational_damping * rate
-    return wrench
 
 
 @njit(cache=True)

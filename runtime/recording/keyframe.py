@@ -36,6 +36,20 @@ _HEAP_TYPE = 1 << 9
 """Py_TPFLAGS_HEAPTYPE: a class made by a class statement, without memory in C"""
 _LEAVES = (float, int, str, type(None), np.generic, Enum)
 
+
+class _Among(dict[type, bool]):
+    """Whether a class is one of some, or made from one; asked once for each, since a class of
+    settings takes microseconds to say it."""
+
+    def __init__(self, kinds: tuple[type, ...]) -> None:
+        self._kinds = kinds
+
+    def __missing__(self, kind: type) -> bool:
+        self[kind] = issubclass(kind, self._kinds)
+        return self[kind]
+
+
+_LEAF, _FIXED = _Among(_LEAVES), _Among(_CONSTANT)
 Owner = TypeVar("Owner")
 Flat = dict[str, "Entry"]
 ENTRIES_A_STEP = 20
@@ -200,7 +214,7 @@ def _flat(owner: object) -> Flat:
 def _walk(
     path: str, value: Any, still: _Still, seen: dict[int, str]
 ) -> Iterator[tuple[str, Entry]]:
-    if isinstance(value, _LEAVES):
+    if _LEAF[type(value)]:
         yield path, _leaf(value)
         return
     key = id(value)
@@ -225,7 +239,7 @@ def _walk(
     else:
         yield path, Entry("object", type(value).__name__)
         for name, item in still.attributes[key].items():
-            if not isinstance(item, _CONSTANT):
+            if not _FIXED[type(item)]:
                 yield from _walk(f"{path}.{name}", item, still, seen)
 
 

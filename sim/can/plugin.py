@@ -187,13 +187,13 @@ class LocalBus(TonusBus):
 
     def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
         del sent_ns
-        lab, key = self._lab, self._keys.get(identifier)
+        port, key = self._port, self._keys.get(identifier)
         now_ns = self._clock()
         # Nearly every frame goes to compiled code, without a step between.
         if (
             key is None
-            or now_ns != lab.now_ns
-            or not self._port.channel.put(self._port, key, identifier, data, now_ns)
+            or now_ns != self._lab.now_ns
+            or not port.channel.wire.put(port.number, key, identifier, data, now_ns)
         ):
             self._send(identifier, data, len(data))
 
@@ -216,7 +216,7 @@ class LocalBus(TonusBus):
             if identifier <= BASE_ID:  # of the others there are too many to keep
                 self._keys[identifier] = key
         port, now_ns = self._port, self._lab.now_ns
-        if dlc == len(data) and port.channel.put(port, key, identifier, data, now_ns):
+        if dlc == len(data) and port.channel.wire.put(port.number, key, identifier, data, now_ns):
             return True
         return port.channel.send(port, Frame(identifier, data, dlc, key), now_ns)
 
@@ -272,7 +272,9 @@ class LocalBus(TonusBus):
     def _take(self, limit: int) -> NDArray[np.void]:
         # Even if something is there already: another fieldbus may have moved the lab on, in
         # mid-tick, to the first of several answers.
-        self._lab.advance(self._clock())
+        now_ns = self._clock()
+        if now_ns > self._lab.now_ns:
+            self._lab.advance(now_ns)
         return self._received.take(limit)
 
     def flush_tx_buffer(self) -> None:

@@ -139,7 +139,9 @@ class Controller(ABC):
         """Force (3,) N without gravity and inertia, at the permitted ``stiffness`` (N/m): spring
         and damper, F = K e + D de/dt with D = 2 zeta sqrt(K m)."""
         resistance = damping(self.damping_ratio, stiffness, self._robot.platform.mass)
-        return np.asarray(spring(motion.error, motion.error_rate, stiffness, resistance))
+        force = np.empty(3)
+        spring(motion.error, motion.error_rate, stiffness, resistance, force)
+        return force
 
     def wrench(self, motion: Motion, stiffness: float) -> Array:
         """Wrench (6,) N and N m for the cables, at the permitted ``stiffness`` (N/m): `force`, the
@@ -152,27 +154,29 @@ class Controller(ABC):
         self, motion: Motion, forces: tuple[Array, Array, Array], acceleration: Array = NOTHING
     ) -> Array:
         force, weight, push = forces
-        return np.asarray(
-            platform_wrench(
-                force,
-                weight,
-                push,
-                acceleration,
-                self._robot.platform.mass,
-                motion.quaternion,
-                motion.angular_velocity,
-                motion.desired_angular_velocity,
-                motion.desired_quaternion,
-                *self._rotational,
-            )
+        wrench = np.empty(6)
+        platform_wrench(
+            force,
+            weight,
+            push,
+            acceleration,
+            self._robot.platform.mass,
+            motion.quaternion,
+            motion.angular_velocity,
+            motion.desired_angular_velocity,
+            motion.desired_quaternion,
+            *self._rotational,
+            wrench,
         )
+        return wrench
 
     def descent(self, motion: Motion) -> Array:
         """Wrench (6,) of a stop without all cables, the same for every controller: weight, a damper
         of every motion, and a soft, bounded spring down to the cradle. There is no spring sideways:
         the remaining cables could not hold a position. A load is the descent's own matter."""
         stop, weight = self._control.stop, self._weight[2]
-        drag = spring(NOTHING, motion.error_rate, 0.0, stop.damping)
+        drag = np.empty(3)
+        spring(NOTHING, motion.error_rate, 0.0, stop.damping, drag)
         sink = self._control.stiffness.minimum * float(motion.error[2])
         drag[2] += min(max(sink, -stop.sink * weight), 0.0)
         return self._levelled(motion, (drag, self._weight, NOTHING))

@@ -160,11 +160,11 @@ class Channel:
         "_short",
         "_since",
         "_wide",
-        "_wire",
         "detour",
         "name",
         "planner",
         "response_ns",
+        "wire",
     )
 
     def __init__(self, name: str, bitrate: int, queue_depth: int, response_ns: int) -> None:
@@ -195,7 +195,7 @@ class Channel:
         self._all_ports: list[Port] = []
         self._notices: list[tuple[Port, Notice]] = []
         room = min(queue_depth, regular.ROOM)
-        self._wire = RegularWire(self._durations, self._gap_ns, room)
+        self.wire = RegularWire(self._durations, self._gap_ns, room)
         self._plan: SyncPlan | None = None
         self._planned = False  # whether the plan is that of the present channel
         self._regular = False  # whether the wire is where the frames are
@@ -206,27 +206,22 @@ class Channel:
         return self._regular
 
     @property
-    def wire(self) -> RegularWire:
-        """What compiled code has of the channel."""
-        return self._wire
-
-    @property
     def wide_ns(self) -> int:
-        return self._wire.words[regular.WIDE]
+        return self.wire.words[regular.WIDE]
 
     @wide_ns.setter
     def wide_ns(self, wide_ns: int) -> None:
-        self._wire.words[regular.WIDE] = wide_ns
+        self.wire.words[regular.WIDE] = wide_ns
 
     @property
     def busy_ns(self) -> int:
         """Time spent on frames and the spaces behind them, since the start."""
-        return self._busy_ns + int(self._wire.state[regular.BUSY])
+        return self._busy_ns + int(self.wire.state[regular.BUSY])
 
     @property
     def frames(self) -> int:
         """Frames on the wire since the start."""
-        return self._frames + int(self._wire.state[regular.FRAMES])
+        return self._frames + int(self.wire.state[regular.FRAMES])
 
     @property
     def latency(self) -> Latency | None:
@@ -362,7 +357,7 @@ class Channel:
     def next_ns(self) -> int:
         """The next time at which something happens here on its own, or `NEVER`."""
         if self._regular and self._frame is None:
-            return self._wire.next_ns()
+            return self.wire.next_ns()
         if self._frame is not None:
             return self._end_ns
         return self._start_ns()
@@ -421,8 +416,8 @@ class Channel:
             self._plan = self.planner() if self.planner is not None and usual else None
         if self._plan is not None:
             self._regular = True
-            self._wire.begin(self._free_ns)
-            self._plan.begin(self._wire)
+            self.wire.begin(self._free_ns)
+            self._plan.begin(self.wire)
 
     def _leave(self) -> None:
         """Take the frames back from the wire: something is not as usual."""
@@ -430,7 +425,7 @@ class Channel:
         if not self._regular:
             return
         self._regular = False
-        wire, plan = self._wire, self._plan
+        wire, plan = self.wire, self._plan
         assert plan is not None
         wire.end()
         plan.end(wire)
@@ -453,7 +448,7 @@ class Channel:
 
     def _land(self) -> None:
         """Take the frame on the wire as an object."""
-        wire = self._wire
+        wire = self.wire
         self._frame, number = wire.frame()
         self._frame.sender = next(port for port in self._all_ports if port.number == number)
         self._frame.stamp_ns = self._end_ns = int(wire.state[regular.END])
@@ -461,24 +456,20 @@ class Channel:
 
     def waiting(self, port: Port) -> int:
         """Frames of a controller that the wire has."""
-        return self._wire.waiting(port.number) if self._regular else 0
+        return self.wire.waiting(port.number) if self._regular else 0
 
     def disturb(self) -> None:
         """Something happens that is not as usual."""
         self._leave()
         self._calm = False
 
-    def put(self, port: Port, key: int, identifier: int, data: bytes, now_ns: int) -> bool:
-        """`send` without a frame's object; False: it takes one."""
-        return self._regular and self._wire.put(port.number, key, identifier, data, now_ns)
-
     def _puts(self, port: Port, frame: Frame, due_ns: int) -> bool:
         if frame.dlc != len(frame.data):
             return False
-        return self._wire.put(port.number, frame.key, frame.identifier, frame.data, due_ns)
+        return self.wire.put(port.number, frame.key, frame.identifier, frame.data, due_ns)
 
     def _run_regularly(self, to_ns: int) -> None:
-        wire = self._wire
+        wire = self.wire
         while self._regular:
             stopped_ns = wire.run(to_ns)
             if stopped_ns == NEVER:
@@ -498,7 +489,7 @@ class Channel:
 
     def hand_out(self) -> None:
         """Let every host have what has ended on the wire."""
-        wire = self._wire
+        wire = self.wire
         if wire.delivered_frames:
             for listener, received in self._hosts:
                 wire.hand_over(listener.number, received, echo=listener.echo)
@@ -506,7 +497,7 @@ class Channel:
 
     def _react(self, now_ns: int) -> bool:
         """A SYNC has ended. False: it has to be delivered to each device."""
-        wire, plan = self._wire, self._plan
+        wire, plan = self.wire, self._plan
         assert plan is not None
         if not wire.fits(plan.answers):
             self._leave()
@@ -520,12 +511,12 @@ class Channel:
     @property
     def ready(self) -> bool:
         """Whether a SYNC waits that compiled code may deliver."""
-        return self._regular and self._wire.ready
+        return self._regular and self.wire.ready
 
     def follow(self, left: list[int], now_ns: int) -> None:
         """After a SYNC: have drives apply the set-points that were left to them."""
         assert self._plan is not None
-        self._plan.follow(self._wire, left, now_ns)
+        self._plan.follow(self.wire, left, now_ns)
 
     # -- otherwise -------------------------------------------------------------------------------
 

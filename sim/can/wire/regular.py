@@ -330,17 +330,18 @@ class RegularWire:
         return self.words[DELIVERED]
 
     def put(self, port: int, key: int, identifier: int, data: bytes, due_ns: int) -> bool:
-        """Let a frame enter its queue then; False: it is none for this wire."""
+        """Let a data frame of base identifier enter its queue then; False: it takes an object."""
         words = self.words
         pending = words[PENDING]
-        if identifier > BASE_ID or pending >= self._room:
+        if not words[ON] or identifier > BASE_ID or pending >= self._room:
             return False
         _ROW.pack_into(
             self._memory, pending * _ROW.size, due_ns, port, key, identifier, len(data), data
         )
         words[PENDING] = pending + 1
         if not words[FLYING] and due_ns < words[NEXT]:
-            words[NEXT] = max(due_ns, words[FREE])
+            free_ns = words[FREE]
+            words[NEXT] = due_ns if due_ns > free_ns else free_ns  # noqa: FURB136 - in half the time
         return True
 
     def run(self, to_ns: int) -> int:
