@@ -17,6 +17,7 @@ from tonus.drivers.canopen.frames import (
     EXTENDED,
     IDENTIFIER,
     REMOTE,
+    FramesAtOnce,
     FramesTogether,
     data_of,
     frames_of,
@@ -72,6 +73,7 @@ class Channel:
         self._bus = bus
         self._frames = frames_of(bus)
         self._together = self._frames if isinstance(self._frames, FramesTogether) else None
+        self._at_once = self._frames if isinstance(self._frames, FramesAtOnce) else None
         self._clock = clock
         self._tap = tap
         self._events = events
@@ -116,6 +118,9 @@ class Channel:
         """Whether all of ``frames`` could be sent. A bus that takes several at once takes all or
         none; on another one a frame that is refused keeps back no other. A bus in software is told
         the time: devices answer a SYNC from the instant it is on the wire."""
+        if self._at_once is not None and self._at_once.send_at_once(frames, now):
+            self._book_sent(frames, now)
+            return True
         done, together = 0, self._together is not None and len(frames) > 1
         try:
             if self._together is not None and together:

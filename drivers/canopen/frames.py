@@ -53,6 +53,15 @@ class Frames(Protocol):
 
 
 @runtime_checkable
+class FramesAtOnce(Frames, Protocol):
+    """A bus that nearly always takes several frames in one call."""
+
+    def send_at_once(self, frames: Sequence[tuple[int, bytes]], sent_ns: int) -> bool:
+        """`Frames.send_frame` of each identifier and its data. False: nothing was done, and each
+        frame has to be sent by itself."""
+
+
+@runtime_checkable
 class FramesTogether(Frames, Protocol):
     """A bus that takes several frames in one go, or none of them."""
 

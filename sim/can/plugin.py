@@ -197,6 +197,14 @@ class LocalBus(TonusBus):
         ):
             self._send(identifier, data, len(data))
 
+    def send_at_once(self, frames: Sequence[tuple[int, bytes]], sent_ns: int) -> bool:
+        """`send_frame` of each identifier and its data, where nothing keeps them apart; False: none
+        has been sent, and each has to be by itself."""
+        port = self._port
+        return sent_ns == self._lab.now_ns and port.channel.wire.put_all(
+            port.number, frames, sent_ns
+        )
+
     def _send(self, identifier: int, data: bytes, dlc: int) -> None:
         lab = self._lab
         now_ns = self._clock()

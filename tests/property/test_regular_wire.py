@@ -25,7 +25,7 @@ from tonus.config.schema.faults import (
     Replug,
     Unplug,
 )
-from tonus.sim.can.plugin import TonusBus
+from tonus.sim.can.plugin import LocalBus, TonusBus
 
 _ON = (0x06, 0x07, 0x0F)
 _MOST = 1000
@@ -81,12 +81,16 @@ class Play:
         fieldbus = self.bench.config.fieldbus
         for spec in fieldbus.channels:
             bus = self.bench.buses[spec.name]
-            assert isinstance(bus, TonusBus)
-            with suppress(can.CanOperationError):
-                bus.send_frame(0x80, b"")
-                for drive in spec.drives:
-                    data = struct.pack("<Hh", self._word, torques[drive.axis])
-                    bus.send_frame(0x200 + drive.node_id, data)
+            frames = [(0x80, b"")]
+            for drive in spec.drives:
+                data = struct.pack("<Hh", self._word, torques[drive.axis])
+                frames.append((0x200 + drive.node_id, data))
+            assert isinstance(bus, LocalBus)
+            # One way or the other, as it comes: all at once where that goes, or frame by frame.
+            if torques[0] % 2 or not bus.send_at_once(frames, self.bench.now):
+                with suppress(can.CanOperationError):
+                    for identifier, data in frames:
+                        bus.send_frame(identifier, data)
         self.wait(1000)
         self.regular += all(channel.regular for channel in self.bench.lab.channels.values())
 

@@ -15,6 +15,10 @@ BASE_ID = 0x7FF
 EXTENDED_ID = 0x1FFFFFFF
 
 
+BASE_SHIFT = 21
+"""The key of a data frame of base identifier is that identifier, shifted."""
+
+
 def arbitration_key(identifier: int) -> int:
     """Order on the bus: of two frames that start together the smaller key wins.
 
@@ -24,8 +28,8 @@ def arbitration_key(identifier: int) -> int:
     remote = identifier >> 30 & 1
     if identifier & EXTENDED:
         base = identifier >> 18 & BASE_ID
-        return base << 21 | 3 << 19 | (identifier & 0x3FFFF) << 1 | remote
-    return (identifier & BASE_ID) << 21 | remote << 20
+        return base << BASE_SHIFT | 3 << 19 | (identifier & 0x3FFFF) << 1 | remote
+    return (identifier & BASE_ID) << BASE_SHIFT | remote << 20
 
 
 class Frame:
