@@ -37,7 +37,7 @@ from tonus.sim.lab.direct import DirectPort
 from tonus.sim.lab.faults import ActiveFault, Faults
 from tonus.sim.lab.robot_faults import RobotFaults
 from tonus.sim.lab.statistics import PERIOD_NS, LoadWindow, Statistics, channel_statistics
-from tonus.sim.lab.truth import fill, truth_dtype
+from tonus.sim.lab.truth import truth_dtype, words
 from tonus.sim.plant import Plant
 
 TRUTH_PERIOD_NS = 1_000_000
@@ -114,6 +114,7 @@ class Lab:
         self._timer_count = 0
         self._truth = truth
         self._record = np.zeros(1, truth_dtype(config.robot.cables))
+        self._record_words = words(self._record)
         self._grid_ns = start_ns
         self._script = script
         self._load_release = lab.load_release
@@ -293,7 +294,7 @@ class Lab:
             if self.script_start_ns is None:
                 self._start_script(now_ns)
             if self._truth is not None:
-                fill(self._record, self.plant)
+                self._record_words[:] = self.plant.truth
                 self._truth(self._record, now_ns)
 
     # -- script ----------------------------------------------------------------------------------

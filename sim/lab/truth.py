@@ -7,7 +7,7 @@ with them. The plant's state begins with exactly these fields, so that filling a
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,13 +68,6 @@ def truth_dtype(cables: int) -> np.dtype[np.void]:
 _WORD = np.dtype("<f8")
 
 
-class Truthful(Protocol):
-    """Anything that can tell the truth as one flat vector in the table's order."""
-
-    @property
-    def truth(self) -> NDArray[np.float64]: ...
-
-
-def fill(record: NDArray[Any], plant: Truthful) -> None:
-    """Write the plant's present state into a preallocated ``np.zeros(1, truth_dtype(n))``."""
-    record.view(_WORD)[:] = plant.truth
+def words(record: NDArray[Any]) -> NDArray[np.float64]:
+    """A ``np.zeros(1, truth_dtype(n))`` as one flat vector, which `Plant.truth` is too."""
+    return record.view(_WORD)

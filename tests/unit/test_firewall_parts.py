@@ -24,7 +24,7 @@ def names(part: Part) -> list[str]:
 def test_a_part_that_works_gives_what_it_gives() -> None:
     part = Part("record", LIMIT)
     assert part(good, 4) == 4
-    assert part(good, 4, twice=True) == 8
+    assert part(lambda: good(4, twice=True)) == 8
     assert (part.failures, part.failing, part.off, part.first) == (0, False, False, None)
     assert part.take_events() == []
 

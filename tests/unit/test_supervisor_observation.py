@@ -209,6 +209,7 @@ def test_before_anything_was_heard(config: Config) -> None:
     assert np.isinf(found.torque_age).all()
     assert np.isnan(found.tension).all()
     assert np.isnan(found.contact)
+    assert found.swing.tolist() == found.jolt.tolist() == [0.0] * N
     again = stage.observe(2 * MS, stage.heard, [claim()])
     assert np.isnan(again.tension).all()
 

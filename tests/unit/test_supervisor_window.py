@@ -152,6 +152,17 @@ def test_how_far_a_torque_may_be_from_its_record(stage: Stage, off: int, broken:
     assert logged.look([100], [100]) is broken
 
 
+@pytest.mark.parametrize("mille", [-1, 0, 1])
+def test_a_recorded_torque_that_is_no_number_counts_as_none(stage: Stage, mille: int) -> None:
+    for tick in range(BASE, BASE + 3):
+        for axis in stage.wiring.axes:
+            word = (mille & 0xFFFF) << axis.torque.shift
+            stage.heard[axis.channel, axis.sent].take([word], tick * MS)
+        said = claim(at_ms=float(tick), torque=np.full(N, np.nan))
+        found = stage.observe(tick * MS, stage.heard, [said])
+        assert not found.unlogged.any()
+
+
 def test_a_drive_that_alone_knows_its_scale_is_not_compared(config: Config) -> None:
     stage = Stage(config)
     stage.wiring.axes[:] = [replace(each, newton=None) for each in stage.wiring.axes]

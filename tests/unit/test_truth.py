@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plant_setup import KELVIN_VOIGT, placed, plant, run
 
-from tonus.sim.lab.truth import fill, truth_dtype, truth_fields
+from tonus.sim.lab.truth import truth_dtype, truth_fields, words
 
 TRUTH, TRUTH_FIELDS = truth_dtype(8), truth_fields(8)
 
@@ -25,7 +25,7 @@ def test_every_field_is_the_plants() -> None:
     p.velocity[:] = (0.1, 0.2, 0.3)
     run(p, 0.05)
     record = np.zeros(1, TRUTH)
-    fill(record, p)
+    words(record)[:] = p.truth
     energy = p.energy()
     for name, _, size, _, _ in TRUTH_FIELDS:
         if name == "load":
