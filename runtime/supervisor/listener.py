@@ -19,8 +19,9 @@ _CAN_FRAME = struct.Struct("<IB3xQ")
 """struct can_frame of linux/can.h"""
 _MOST = 4096
 """frames of one look: a flood must not hold the supervisor"""
-Fetch = Callable[[], Iterable[tuple[int, int, int]]]
-"""Identifier, length and data as a little-endian word of every frame that has arrived."""
+Arrived = Iterable[tuple[tuple[int, int], int]]
+"""Identifier and length, and data as a little-endian word, of every frame that has arrived."""
+Fetch = Callable[[], Arrived]
 
 
 STATE, _QUICK_STOP_ACTIVE, OPERATION_ENABLED = 0x6F, 0x07, 0x27
@@ -107,8 +108,8 @@ class Listener:
         """Raises `can.CanError` and OSError."""
         arrived = self._arrived
         try:
-            for identifier, size, word in self._fetch():
-                words = arrived.get((identifier, size))
+            for frame, word in self._fetch():
+                words = arrived.get(frame)
                 if words is not None:
                     words.append(word)
         finally:
@@ -131,12 +132,13 @@ def _fetch(bus: can.BusABC) -> Fetch:
     return lambda: _messages(bus)
 
 
-def _from_array(frames: NDArray[np.void]) -> Iterable[tuple[int, int, int]]:
+def _from_array(frames: NDArray[np.void]) -> Arrived:
     words = frames["data"].view(np.uint64).tolist()
-    return zip(frames["identifier"].tolist(), frames["dlc"].tolist(), words, strict=True)
+    kinds = zip(frames["identifier"].tolist(), frames["dlc"].tolist(), strict=True)
+    return zip(kinds, words, strict=True)
 
 
-def _from_kernel(bus: SocketcanBus) -> Iterable[tuple[int, int, int]]:
+def _from_kernel(bus: SocketcanBus) -> Arrived:
     """Without python-can's message, which takes longer than a millisecond has room for."""
     bus.socket.setblocking(False)
     for _ in range(_MOST):
@@ -144,14 +146,15 @@ def _from_kernel(bus: SocketcanBus) -> Iterable[tuple[int, int, int]]:
             data = bus.socket.recv(_CAN_FRAME.size)
         except BlockingIOError:
             return
-        yield _CAN_FRAME.unpack(data)
+        identifier, size, word = _CAN_FRAME.unpack(data)
+        yield (identifier, size), word
 
 
-def _messages(bus: can.BusABC) -> Iterable[tuple[int, int, int]]:
+def _messages(bus: can.BusABC) -> Arrived:
     for _ in range(_MOST):
         message = bus.recv(timeout=0)
         if message is None:
             return
         if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
             word = int.from_bytes(message.data, "little")
-            yield message.arbitration_id, message.dlc, word
+            yield (message.arbitration_id, message.dlc), word

@@ -27,7 +27,10 @@ class Value:
     """a float of 32 bits; else an integer with a sign"""
 
     def number(self, word: int) -> float:
-        return self.numbers((word,))[0]
+        if self.real:
+            return self.numbers((word,))[0]
+        sign = 1 << self.bits - 1
+        return ((word >> self.shift & (sign << 1) - 1) ^ sign) - sign
 
     def numbers(self, words: Iterable[int]) -> list[float]:
         """Of several frames, in their order."""

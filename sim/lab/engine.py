@@ -23,7 +23,7 @@ from tonus.sim.can.canopen.sync_plan import Reaction
 from tonus.sim.can.wire.channel import NEVER
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.can.wire.latency import Latency
-from tonus.sim.can.wire.regular import WireTable
+from tonus.sim.can.wire.regular import DELIVERED, WireTable
 from tonus.sim.can.wire.timing import LONGEST_FRAME_BITS
 from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.force_cell import ForceCell
@@ -278,7 +278,8 @@ class Lab:
             self._happen(due)
         self.now_ns = to_ns
         for channel in channels:
-            channel.hand_out()
+            if channel.wire.words[DELIVERED]:
+                channel.hand_out()
 
     def _happen(self, now_ns: int) -> None:
         """Timers, exposure and truth of one instant."""

@@ -35,6 +35,8 @@ def config() -> Config:
 
 def test_numbers_of_a_frame() -> None:
     assert Value(16, 16).number(0xFFFE_0001) == -2
+    assert Value(16, 16).number(0x8000_0001) == -32768
+    assert Value(16, 16).number(0x7FFF_FFFF) == 32767
     word = int.from_bytes(b"\0\0" + struct.pack("<f", -1.5), "little")
     assert Value(16, 32, real=True).number(word) == -1.5
 

@@ -489,11 +489,7 @@ class Channel:
 
     def hand_out(self) -> None:
         """Let every host have what has ended on the wire."""
-        wire = self.wire
-        if wire.delivered_frames:
-            for listener, received in self._hosts:
-                wire.hand_over(listener.number, received, echo=listener.echo)
-            wire.handed_out()
+        self.wire.hand_out(self._hosts)
 
     def _react(self, now_ns: int) -> bool:
         """A SYNC has ended. False: it has to be delivered to each device."""

@@ -9,7 +9,8 @@ At a SYNC as it should be it waits for the lab, which delivers those of all chan
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Protocol
 
 import numpy as np
 from numba import njit
@@ -215,6 +216,16 @@ def _for_host(
     return taken
 
 
+class Host(Protocol):
+    """A controller that receives."""
+
+    @property
+    def number(self) -> int: ...
+    @property
+    def echo(self) -> bool:
+        """Whether it receives what it sent itself."""
+
+
 class WireTable:
     """Wires that compiled code runs together: a row for each. ``bits``: how many lengths of a frame
     there are."""
@@ -385,16 +396,18 @@ class RegularWire:
         """When something happens next by itself, or `NEVER`."""
         return self.words[NEXT]
 
-    def hand_over(self, port: int, inbox: Inbox, *, echo: bool) -> None:
-        """Let a host have what it receives of the delivered frames."""
+    def hand_out(self, hosts: Iterable[tuple[Host, Inbox]]) -> None:
+        """Let every host have what it receives of the delivered frames."""
         count = self.words[DELIVERED]
-        if inbox.holds(count):
-            inbox.end = _for_host(self.delivered, count, port, echo, inbox.rows, inbox.end)
-        else:
-            inbox.extend(self._rows[: _for_host(self.delivered, count, port, echo, self._rows, 0)])
-
-    def handed_out(self) -> None:
-        """Every host has the delivered frames."""
+        if not count:
+            return
+        delivered, spare = self.delivered, self._rows
+        for host, inbox in hosts:
+            number, echo = host.number, host.echo
+            if inbox.holds(count):
+                inbox.end = _for_host(delivered, count, number, echo, inbox.rows, inbox.end)
+            else:
+                inbox.extend(spare[: _for_host(delivered, count, number, echo, spare, 0)])
         self.words[DELIVERED] = 0
 
     def waiting(self, port: int) -> int:
