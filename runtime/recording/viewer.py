@@ -5,6 +5,7 @@ as standard messages, a few times a second. Made by the recorder from the cycle 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -72,13 +73,7 @@ class ViewerEncoder:
             topic: file.channel(topic, message, DEFINITIONS[message])
             for topic, message in names.items()
         }
-        self._bodies = {
-            "/tf": _transform(),
-            "/viewer/pose": _pose(),
-            "/viewer/desired": _pose(),
-            "/viewer/winches": _winches(len(self._frame)),
-            "/viewer/markers": _markers(self._frame, self._anchors),
-        }
+        self._bodies = _bodies(scene)
 
     def __call__(self, log_time: NDArray[np.int64], cycles: NDArray[np.void]) -> list[Block]:
         """From UTC in ns (n,) and cycle records (n,)."""
@@ -161,6 +156,19 @@ def _winches(cables: int) -> NDArray[np.void]:
     for field in ("angle", "rate", "torque"):
         body.length(field, cables).put(field, "<f8", cables)
     return body.template()
+
+
+@cache
+def _bodies(scene: Scene) -> dict[str, NDArray[np.void]]:
+    """One message of each topic, to be repeated: the same for every log of a robot."""
+    frame = np.array(scene.frame)
+    return {
+        "/tf": _transform(),
+        "/viewer/pose": _pose(),
+        "/viewer/desired": _pose(),
+        "/viewer/winches": _winches(len(frame)),
+        "/viewer/markers": _markers(frame, np.array(scene.platform)),
+    }
 
 
 def _markers(frame: Array, anchors: Array) -> NDArray[np.void]:
