@@ -1,0 +1,24 @@
+"""Frames go into their ring in an order that a reader in another process may rely on."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from tonus.drivers.fieldbus import RAW_FRAME
+from tonus.runtime.recording import taps
+
+
+def test_the_compiler_keeps_the_order_of_the_stores() -> None:
+    """Positions away, slots filled, positions given, frames counted: between two of them stands a
+    fence in the code as it is optimised."""
+    record = njit(taps._record.py_func)
+    frames = np.zeros(3, RAW_FRAME)
+    frames["identifier"], frames["dlc"], frames["data"] = 0x181, 2, 0x1234
+    words = np.full(32, 9)
+    slot, count = record(words, (8, 6, 32), 8, 100, frames, 1, 50)
+    assert (slot, count) == (26, 3)
+    assert words[[8, 14, 20]].tolist() == [101, 102, 103]
+    assert words[[11, 17, 23]].tolist() == [0x1234] * 3
+    (code,) = record.inspect_llvm().values()
+    assert code.count("fence acq_rel") >= 3
