@@ -110,11 +110,11 @@ class CycleWriter:
             return
         distribution, estimator = allocation.distribution, self._estimator
         disagreement = estimator.disagreement
+        tension.solver[...] = distribution.solver
+        record.tracker.accepted[...] = accepted
         write_found(
             record.data,
-            int(distribution.solver),
             distribution.iterations,
-            accepted,
             disagreement.distance,
             disagreement.poses,
             disagreement.learnt,

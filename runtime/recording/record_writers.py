@@ -108,9 +108,7 @@ def write_motion(
 @njit(cache=True)
 def write_found(
     record: Table,
-    solver: int,
     iterations: int,
-    accepted: bool,
     disagreement: float,
     refused: int,
     learnt: int,
@@ -123,9 +121,7 @@ def write_found(
     """What distribution, tracker and estimator say of themselves, number by number; an enumeration
     as a plain integer, since its type would be another one."""
     tension, tracker, pose = record[0].tension, record[0].tracker, record[0].pose
-    tension.solver = solver
     tension.iterations = iterations
-    tracker.accepted = accepted
     tracker.disagreement = disagreement
     tracker.refused = refused
     tracker.learnt = learnt
