@@ -15,7 +15,7 @@ from functools import cache
 
 import numpy as np
 
-from tonus.config.schema.robot import cells_of
+from tonus.config.cables import cells_of
 
 _WIDTH = {
     "float64": 8,

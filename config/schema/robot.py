@@ -15,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from tonus.config.cables import LEAST_CABLES, MOST_CABLES, cells_of
 from tonus.config.errors import no_such
 from tonus.config.schema.axis import (
     AxisOverrides,
@@ -36,8 +37,6 @@ from tonus.config.schema.base import (
 )
 
 Array = NDArray[np.float64]
-LEAST_CABLES, MOST_CABLES = 6, 12
-"""Fewer do not hold a platform in six directions, even under gravity; more have not been tried."""
 Anchors = Annotated[tuple[Vector3, ...], Field(min_length=LEAST_CABLES, max_length=MOST_CABLES)]
 Interval = tuple[Finite, Finite]
 
@@ -67,11 +66,6 @@ class Geometry(Section):
                 f"frame has {frame} anchors, platform {platform}; give both one for each cable"
             )
         return self
-
-
-def cells_of(cables: int) -> int:
-    """Load cells of a robot: one for each cable and, last, the contact port's."""
-    return cables + 1
 
 
 def _axis_number(value: Any) -> Any:
@@ -314,6 +308,8 @@ class Rates(Section):
 
 
 __all__ = [
+    "LEAST_CABLES",
+    "MOST_CABLES",
     "Cable",
     "Drum",
     "Fraction",
@@ -326,4 +322,5 @@ __all__ = [
     "Robot",
     "Tension",
     "Workspace",
+    "cells_of",
 ]

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
-from tonus.config.schema.robot import Robot
 from tonus.runtime.states import Fault
+
+if TYPE_CHECKING:
+    from tonus.config.schema.robot import Robot
 
 CABLE_GONE = frozenset(
     {

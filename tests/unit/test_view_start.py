@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tonus.config.errors import ConfigError
 from tonus.config.loader import HERE, load
 from tonus.runtime.recording.payloads import EVENT
 from tonus.runtime.recording.ring import RingWriter
@@ -18,9 +19,11 @@ from tonus.runtime.states import Fault
 from tonus.runtime.words import TEXT
 from tonus.tools.errors import ToolError
 from tonus.tools.run.description import Description, describe_run
+from tonus.tools.view import settings as settings_module
 from tonus.tools.view.live import Live
 from tonus.tools.view.moment import Moment
 from tonus.tools.view.recorded import Recorded
+from tonus.tools.view.settings import held_against_its_schema, settings
 from tonus.tools.view.shape import Plane, Shape
 from tonus.tools.view.words import state_of
 
@@ -36,12 +39,71 @@ def test_a_picture_takes_from_a_configuration_what_the_whole_of_it_says(file: Pa
         yaml.safe_load(yaml.safe_dump(each.model_dump(mode="json"))) for each in (config, scenario)
     )
     shape = Shape.of(*written)
-    assert shape.robot == config.robot
-    assert shape.tension == config.control.tension
-    assert shape.rates == config.control.rates
+    robot, tension = config.robot, config.control.tension
+    assert shape.cables == robot.cables
+    assert np.array_equal(shape.frame, robot.geometry.frame)
+    assert np.array_equal(shape.platform, robot.geometry.platform)
+    assert np.array_equal(shape.drum_radius, robot.drum_radius)
+    box = robot.workspace
+    assert np.array_equal(shape.workspace, [box.x, box.y, box.z])
+    assert np.array_equal(shape.home, robot.home)
+    assert np.array_equal(shape.rest, robot.rest)
+    assert shape.levels == (tension.slack, tension.min, tension.pre, tension.max)
+    assert shape.period == config.control.rates.period
     assert shape.in_lab == (config.lab is not None)
     assert scenario.lab.phantom is not None
     assert shape.phantom == Plane(scenario.lab.phantom.point, scenario.lab.phantom.normal)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("robot", None),
+        ("robot", []),
+        ("robot.geometry.frame", [[0.0, 0.0, 0.0]] * 1000),
+        ("robot.geometry.frame", [[0.0, 0.0]] * 8),
+        ("robot.geometry.platform", [[0.0, 0.0, float("nan")]] * 8),
+        ("robot.drum.radius", None),
+        ("robot.axes", {"1": {"drum": {"radius": "wide"}}}),
+        ("robot.workspace.x", [0.0]),
+        ("robot.home", "here"),
+        ("control.tension.min", {}),
+        ("control.rates.period_us", 0),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(key: str, value: object) -> None:
+    """Each of these is what `Live` and `Recorded` take for another version's configuration."""
+    config = load("config/can.yaml")[0].model_dump(mode="json")
+    *path, name = key.split(".")
+    place = config
+    for part in path:
+        place = place[part]
+    place[name] = value
+    with pytest.raises((LookupError, TypeError, ValueError)):
+        Shape.of(config, None)
+
+
+def test_the_viewers_own_settings_are_held_against_their_schema(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are read without it, for the first picture; what is wrong is told all the same."""
+    text = settings_module._FILE.read_text()
+    assert vars(settings()) == held_against_its_schema().model_dump()
+    changed = {
+        "rate_hz: 30.0": "rate_hz: often",
+        "clients: 16": "clients: true",
+        "port: 8090": "prt: 8090",
+        "window_s: 30.0": "window_s: -1.0",
+    }
+    for number, (before, after) in enumerate(changed.items()):
+        assert before in text
+        file = tmp_path / f"{number}.yaml"
+        file.write_text(text.replace(before, after))
+        monkeypatch.setattr(settings_module, "_FILE", file)
+        settings.cache_clear()
+        with pytest.raises(ConfigError, match=r"config/view\.yaml:\d+"):
+            _ = settings().port, held_against_its_schema()
+    settings.cache_clear()
 
 
 def test_a_scenario_that_cannot_be_read_costs_the_phantom_only() -> None:
@@ -55,7 +117,7 @@ def test_a_first_picture_waits_for_neither_schema_nor_scipy_nor_compiler() -> No
     code = """
 import sys
 from tonus.tools.view import gate, live, viewer
-heavy = {"scipy", "numba", "mcap", "tonus.config.schema.root", "tonus.config.loader"}
+heavy = {"scipy", "numba", "mcap", "pydantic", "tonus.config.loader"}
 assert not heavy & set(sys.modules), heavy & set(sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -55,8 +55,8 @@ class Live:
             raise self._of_another_version() from error
         self.name = told.name
         self._trajectories: list[Trajectory] = []
-        cables = self.shape.robot.cables
-        self._period = self.shape.rates.period
+        cables = self.shape.cables
+        self._period = self.shape.period
         self._dtype, self._truth_dtype = cycle_dtype(cables), truth_dtype(cables)
         self._step = max(1, round(1.0 / (settings().sample_hz * self._period)))
         try:
@@ -133,7 +133,7 @@ class Live:
         ahead = np.arange(0.0, seconds, 1.0 / settings().sample_hz)
         times = float(states["scenario_time"][0]) + ahead
         offsets = np.array([played(t)[0] for t in times])
-        return np.asarray(self.shape.robot.home + offsets)
+        return np.asarray(self.shape.home + offsets)
 
     def _samples(self) -> Samples:
         parts = []

@@ -50,7 +50,7 @@ class Recorded:
             self.shape = Shape.of(self._document, _scenario(log))
         except (LookupError, TypeError, ValueError) as error:
             raise _of_another_version(log) from error
-        self._step = max(1, round(1.0 / (settings().sample_hz * self.shape.rates.period)))
+        self._step = max(1, round(1.0 / (settings().sample_hz * self.shape.period)))
         self._slabs: OrderedDict[int, Samples] = OrderedDict()
         self._ahead: tuple[int, Future[Samples]] | None = None
         self._reader = ThreadPoolExecutor(1, thread_name_prefix="log")
@@ -132,7 +132,7 @@ class Recorded:
         for topic in self._topics:
             ready &= rows[topic] >= 0
         # Zeros where an older log has no such topic.
-        known = cycle_dtype(self.shape.robot.cables)
+        known = cycle_dtype(self.shape.cables)
         names = [topic.name for topic in TABLE]
         members = [
             (short, part[name].dtype if name in self._topics else known[short])

@@ -42,11 +42,7 @@ class RobotScene:
         tint: Tint | None = None,
     ) -> None:
         self._server, self._shape, self._tint = server, shape, tint
-        geometry = shape.robot.geometry
-        self._exits, self._anchors = np.array(geometry.frame), np.array(geometry.platform)
-        tension = shape.tension
-        self._levels = tension.slack, tension.min, tension.pre, tension.max
-        self._radius = shape.robot.drum_radius
+        self._exits, self._anchors = shape.frame, shape.platform
         scene, n = server.scene, len(self._exits)
         if tint is None:
             self._surroundings(scene, name)
@@ -63,7 +59,9 @@ class RobotScene:
         )
         self._winches = [
             _winch(scene, f"{name}/winches/{number}", place, radius)
-            for number, (place, radius) in enumerate(zip(self._exits, self._radius, strict=True))
+            for number, (place, radius) in enumerate(
+                zip(self._exits, shape.drum_radius, strict=True)
+            )
         ]
         self._forces = {
             kind: scene.add_arrows(
@@ -93,8 +91,7 @@ class RobotScene:
         """What does not move."""
         low, high = self._exits.min(axis=0), self._exits.max(axis=0)
         scene.add_line_segments(f"{name}/frame", _box(low, high), (110, 110, 115), thickness=_BEAM)
-        box = self._shape.robot.workspace
-        corners = np.array([box.x, box.y, box.z])
+        corners = self._shape.workspace
         scene.add_line_segments(
             f"{name}/workspace",
             _box(corners[:, 0], corners[:, 1]),
@@ -102,7 +99,7 @@ class RobotScene:
             thickness=0.003,
         )
         lowest = self._anchors[:, 2].min()
-        rest = np.array(self._shape.robot.rest) + np.array((0.0, 0.0, lowest - 0.01))
+        rest = self._shape.rest + np.array((0.0, 0.0, lowest - 0.01))
         across = self._anchors[:, :2].max(axis=0) - self._anchors[:, :2].min(axis=0)
         if self._shape.in_lab:
             scene.add_box(
@@ -146,7 +143,7 @@ class RobotScene:
             self._platform.wxyz, self._platform.position = pose["quaternion"], position
             self._cables.points = np.stack([self._exits, ends], axis=1).astype(np.float32)
         if self._moved("tension", tension, _TENSION_STEP):
-            colours = of_tension(tension, self._levels)
+            colours = of_tension(tension, self._shape.levels)
             if self._tint is not None:
                 colours = self._tint.over(colours)
             self._cables.colors = np.repeat(_linear(colours)[:, None], 2, axis=1)

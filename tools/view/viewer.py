@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import viser
 
+from tonus.config.errors import ConfigError
 from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.tools.control_client import ControlClient
@@ -25,7 +26,7 @@ from tonus.tools.view.moment import Moment, Source
 from tonus.tools.view.operate import FIELDS, REFUSED, Operation, choices
 from tonus.tools.view.page import files
 from tonus.tools.view.scene import RobotScene
-from tonus.tools.view.settings import settings
+from tonus.tools.view.settings import held_against_its_schema, settings
 from tonus.tools.view.signals import Plot, names_of, plots_of, series_of
 from tonus.tools.view.window import Window, points
 from tonus.tools.view.words import happening, state_of
@@ -77,7 +78,7 @@ class Viewer:
         self._hub = Hub(self._asked, self._left)
         self._stopping = threading.Event()
         self._operation: Operation | None = None
-        self._problem: ToolError | None = None
+        self._problem: ToolError | ConfigError | None = None
         self._build()
         gate.pages |= files()
         gate.channel = self._hub.serve
@@ -103,7 +104,7 @@ class Viewer:
         self._shape = sources[0].shape
         self._names = [source.name for source in sources]
         self._panels: Panels | None = None
-        extent = float(np.abs(np.array(self._shape.robot.geometry.frame)).max())
+        extent = float(np.abs(self._shape.frame).max())
         server.initial_camera.position = (1.7 * extent, -2.1 * extent, 1.0 * extent)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         self._moments: list[Moment] = []
@@ -119,13 +120,14 @@ class Viewer:
     def _load(self, source: Source) -> None:
         """All that takes longer than a first picture may wait for, while pictures go on."""
         try:
+            held_against_its_schema()
             panels = Panels.of(source.config)
             if self._shape is source.shape:
                 self._panels = panels
             rest = self._live or self._playback
             assert rest is not None
             rest.read_on()
-        except ToolError as error:
+        except (ToolError, ConfigError) as error:
             self._problem = error
 
     def _connect(self) -> None:
@@ -162,7 +164,8 @@ class Viewer:
 
     def run(self) -> None:
         """Until `close`, or the end of a live run that is not to be followed by another. Raises
-        `ToolError` where the configuration turns out not to be of this version."""
+        `ToolError` where the configuration turns out not to be of this version, `ConfigError` where
+        the viewer's own cannot be taken."""
         period = 1.0 / settings().rate_hz
         due = last = clock.wall_seconds()
         plotted = -np.inf
@@ -289,7 +292,6 @@ class Viewer:
     # -- what pages are told, and ask for --------------------------------------------------------
 
     def _welcome(self, client: Client, panels: Panels) -> None:
-        tension = self._shape.tension
         self._hub.tell(
             [client],
             {
@@ -302,9 +304,9 @@ class Viewer:
                 "virtual": self._live is not None and self._live.description.virtual,
                 "watch_s": settings().watch_s,
                 "window_s": settings().window_s,
-                "cables": self._shape.robot.cables,
+                "cables": self._shape.cables,
                 "scale": {
-                    "levels": [tension.slack, tension.min, tension.pre, tension.max],
+                    "levels": self._shape.levels,
                     "colours": [colours.LOW, colours.PRE, colours.HIGH],
                 },
                 "plots": [plot.as_json() for plot in panels.plots],
