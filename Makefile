@@ -21,6 +21,8 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@# Compiled code of another layout or numba would be found, and not load.
 	@find config drivers runtime sim tests tools -name '*.nb[ic]' -delete
+	@# Bytecode, which the first `tonus view` beside a robot would have to wait for.
+	@$(BIN)/python -m compileall -q config drivers runtime sim tools tonus
 	@# What is compiled at the first run, and told on standard error, no later command waits for.
 	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
 		$(BIN)/tonus run config/can.yaml --virtual --duration 0.1 --out "$$folder" >/dev/null

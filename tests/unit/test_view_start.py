@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from tonus.config.errors import ConfigError
 from tonus.config.loader import HERE, load
@@ -16,15 +21,20 @@ from tonus.runtime.recording.payloads import EVENT
 from tonus.runtime.recording.ring import RingWriter
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import Fault
+from tonus.runtime.timing import clock
 from tonus.runtime.words import TEXT
 from tonus.tools.errors import ToolError
 from tonus.tools.run.description import Description, describe_run
 from tonus.tools.view import settings as settings_module
+from tonus.tools.view import viewer as viewer_module
+from tonus.tools.view.gate import Gate
 from tonus.tools.view.live import Live
 from tonus.tools.view.moment import Moment
+from tonus.tools.view.playback import Playback
 from tonus.tools.view.recorded import Recorded
 from tonus.tools.view.settings import held_against_its_schema, settings
 from tonus.tools.view.shape import Plane, Shape
+from tonus.tools.view.viewer import Viewer
 from tonus.tools.view.words import state_of
 
 GOLDEN = Path(__file__).resolve().parents[1] / "replay" / "golden" / "v6.mcap"
@@ -116,12 +126,50 @@ def test_a_first_picture_waits_for_neither_schema_nor_scipy_nor_compiler() -> No
     """They take longer to load than all that it needs."""
     code = """
 import sys
+from tonus.tools.cli import view
+assert "numpy" not in sys.modules  # its threads are bounded before it is loaded
 from tonus.tools.view import gate, live, viewer
-heavy = {"scipy", "numba", "mcap", "pydantic", "tonus.config.loader"}
+heavy = {"scipy", "numba", "mcap", "pydantic", "viser", "tonus.config.loader"}
 assert not heavy & set(sys.modules), heavy & set(sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_all_else_is_loaded_when_a_page_has_its_first_picture(
+    monkeypatch: pytest.MonkeyPatch, *, alone: bool
+) -> None:
+    """It would take the processor from the first picture; without a page it is loaded as well."""
+    monkeypatch.setattr(viewer_module, "_ALONE_S", 0.1 if alone else 1e6)
+    gate = Gate("127.0.0.1", 0, None)
+    viewer = Viewer(gate, None, Playback([Recorded(GOLDEN)]))
+    running = threading.Thread(target=viewer.run)
+    running.start()
+    try:
+        _until(lambda: viewer._pictures > 10)
+        if alone:
+            _until(lambda: viewer._panels is not None)
+            return
+        assert viewer._loading.ident is None
+        origin = f"http://127.0.0.1:{gate.port}"
+        with connect(f"ws://127.0.0.1:{gate.port}/channel", origin=Origin(origin)) as page:
+            kinds = [json.loads(page.recv(20.0))["kind"]]
+            while kinds[-1] != "hello":
+                kinds.append(json.loads(page.recv(20.0))["kind"])
+        assert kinds[0] == "now"
+    finally:
+        viewer.close()
+        running.join()
+        viewer.release()
+
+
+def _until(condition: Callable[[], bool]) -> None:
+    for _ in range(2000):
+        if condition():
+            return
+        clock.pause(0.01)
+    raise AssertionError("it did not happen")
 
 
 def test_a_fault_has_its_place_as_soon_as_the_configuration_is_known() -> None:

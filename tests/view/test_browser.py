@@ -211,6 +211,56 @@ def with_events(source: Path, target: Path, words: tuple[str, str, str]) -> None
         writer.finish()
 
 
+_TOLD = """
+(() => {
+  showNow = () => {};  // what the log tells is not in the way
+  hello = { ...hello, asked: true, operate: true };
+  const item = { ok: true, item: "drives", text: "8 answer" };
+  const status = { scenarios: ["a"], served: true, scenario: "a", tunable: [], self_test: [item] };
+  const choices = [{ verb: "arm", why: "", about: "" }, { verb: "stop", why: "off", about: "" }];
+  const seen = new MutationObserver(() => {});
+  const all = { attributes: true, childList: true, characterData: true, subtree: true };
+  seen.observe(document.body, all);
+  const tell = (status, choices) => {
+    for (let picture = 0; picture < 30; picture++) {
+      // Each picture is a message of its own, and so are the objects in it.
+      now = JSON.parse(JSON.stringify({ ...now, n: picture, status, choices }));
+      showOperation();
+      if (!picture) seen.takeRecords();
+    }
+    const again = seen.takeRecords().length, arm = document.querySelector("[data-verb=arm]");
+    const list = document.getElementById("selftest").textContent;
+    return { arm: arm.disabled, title: arm.title, list, again };
+  };
+  return [
+    tell(status, choices),
+    tell({ ...status, self_test: [{ ...item, ok: false, text: "7 answer" }] }, choices),
+    tell(status, [{ ...choices[0], why: "not ready" }, choices[1]]),
+  ];
+})()
+"""
+
+
+def test_buttons_and_self_test_are_made_anew_for_a_new_status_only(
+    browser: Any, tmp_path: Path
+) -> None:
+    """Pictures come 30 times a second: a page that drew all of this each time would fall behind."""
+    viewer = Viewer(tmp_path, str(GOLDEN), token=TOKEN)
+    shown = Shown(browser, viewer.address, held=True)
+    try:
+        shown.until("hello")
+        ready, worse, refused = shown.evaluate(_TOLD)
+        assert [each["again"] for each in (ready, worse, refused)] == [0, 0, 0]
+        assert [each["arm"] for each in (ready, worse, refused)] == [False, False, True]
+        assert "8 answer" in ready["list"]
+        assert "7 answer" in worse["list"]
+        assert "8 answer" in refused["list"]
+        assert refused["title"] == "not ready"
+    finally:
+        shown.close()
+        viewer.close()
+
+
 def test_a_slave_of_a_segment_is_pulled_with_a_click(browser: Any, tmp_path: Path) -> None:
     daemon = Served(tmp_path, "config/ethercat.yaml", "--virtual")
     viewer = Viewer(tmp_path, "--operate", token=TOKEN)

@@ -10,12 +10,11 @@ from contextlib import suppress
 import msgspec.msgpack
 import pytest
 import viser
-import websockets.asyncio.server
+import zstandard
 from viewer_bench import GOLDEN, TOKEN, Viewer, ended, opened
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus, NegotiationError
+from websockets.typing import Subprotocol
 
-from tonus.tools.errors import ToolError
-from tonus.tools.view.gate import Gate
 from tonus.tools.view.settings import settings
 
 
@@ -138,28 +137,49 @@ def test_a_flood_of_messages_ends_the_connection(viewer: Viewer) -> None:
     _is_well(viewer)
 
 
-def test_a_scene_takes_nothing_but_its_camera(viewer: Viewer) -> None:
-    """viser opens a tunnel to the internet for whoever asks with this message."""
+def test_a_scene_answers_to_nothing_that_a_page_sends(viewer: Viewer) -> None:
+    """viser's own server opens a tunnel to the internet for whoever asks with the first message."""
     protocol = f"viser-v{viser.__version__}"
     with viewer.connect("/scene", subprotocols=[protocol]) as connection:
-        connection.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
-        connection.send(msgspec.msgpack.encode({"type": "GuiCloseModalMessage", "uuid": "x"}))
-        assert connection.recv(20)
+        told = connection.recv(20)
+        for message in ("ShareUrlRequest", "FileTransferStartUpload", "ViewerCameraMessage"):
+            connection.send(msgspec.msgpack.encode({"type": message}))
         connection.send(b"\xc1 no message at all")
-        assert ended(connection)
+        connection.send("text")
+        assert b"ReplayDone" in _unpacked(told)
+        with opened(viewer) as page:  # the picture goes on, without an answer
+            page.send(do="pause")
+            for moment in (4.0, 0.0, 1.0, 0.0):
+                page.send(do="seek", value=moment)
+                page.until(lambda now, at=moment: abs(now["t"] - at) < 0.1)  # type: ignore[misc]
+        frames = []
+        with suppress(TimeoutError):
+            while True:
+                frames.append(_unpacked(connection.recv(1.0)))
+        assert frames
+        assert b"Share" not in b"".join(frames)
     _is_well(viewer)
 
 
-def test_a_server_that_cannot_be_guarded_is_not_served() -> None:
-    """As of a viser that opens its server by another call."""
-    gate = Gate("127.0.0.1", 0, None)
-    with pytest.raises(ToolError, match="cannot be guarded"), gate.before():
-        pass
+def _unpacked(frame: str | bytes) -> bytes:
+    assert isinstance(frame, bytes)
+    return zstandard.decompress(frame[16 : 16 + int.from_bytes(frame[8:16], "little")])
 
 
-def test_websockets_has_its_own_call_again_even_after_a_failure() -> None:
-    own = websockets.asyncio.server.serve
-    with suppress(ZeroDivisionError), Gate("127.0.0.1", 0, None).before():
-        assert websockets.asyncio.server.serve is not own
-        _ = 1 / 0
-    assert websockets.asyncio.server.serve is own
+def test_a_flood_at_a_scene_ends_its_connection(viewer: Viewer) -> None:
+    protocol = f"viser-v{viser.__version__}"
+    with viewer.connect("/scene", subprotocols=[protocol]) as connection:
+        with suppress(ConnectionClosed):
+            for _ in range(20 * settings().message_burst):
+                connection.send(b"\x80")
+        assert ended(connection) in (1006, 1008)
+    _is_well(viewer)
+
+
+@pytest.mark.parametrize("offered", [None, ["viser-v1.0.0"], ["viser-v2.0.0"], ["chat"]])
+def test_a_scene_speaks_to_its_own_client_only(
+    viewer: Viewer, offered: list[Subprotocol] | None
+) -> None:
+    with suppress(NegotiationError), viewer.connect("/scene", subprotocols=offered) as connection:
+        assert ended(connection) == 1002
+    _is_well(viewer)

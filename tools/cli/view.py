@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -52,7 +53,10 @@ def view(
 
     Without --operate the page shows and commands nothing. Ctrl-C ends the viewer, never the robot.
     """
-    from tonus.tools.view.gate import Gate, is_local, new_token
+    # numpy loads with a thread for each processor, which nothing here has work for.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    with _uncollected():
+        from tonus.tools.view.gate import Gate, is_local, new_token
 
     if logs and foxglove is not None:
         raise click.UsageError("--foxglove serves a running daemon; those programs open logs")

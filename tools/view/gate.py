@@ -1,43 +1,49 @@
-"""What stands before the viewer's server: who may connect, from which page, how much and how fast.
+"""The viewer's server, and what stands before it: who may connect, from which page, how much and
+how fast.
 
-viser serves page and WebSocket of its scene on one port and checks nothing. Everything that reaches
-it passes here first: the Host header (so that no foreign name leads here), a token, the Origin of
-a WebSocket (so that no page from elsewhere can command a robot on this host), bounds on
-connections, message size and rate. Of a scene's messages only its camera's pass: viser would also
-open tunnels to the internet if a page asked it to.
+Page and scene, with a WebSocket each, are on one port. Everything that reaches them passes here
+first: the Host header (so that no foreign name leads here), a token, the Origin of a WebSocket (so
+that no page from elsewhere can command a robot on this host), bounds on connections, message size
+and rate.
 """
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import http
+import logging
 import secrets
 import socket
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+import threading
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-import msgspec.msgpack
-import websockets.asyncio.server as websockets_server
-from websockets.asyncio.server import ServerConnection
+from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosedError
 from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
 
 from tonus.runtime.timing import clock
 from tonus.tools.errors import ToolError
+from tonus.tools.view.client import client_file
 from tonus.tools.view.settings import settings
 
 Handler = Callable[[ServerConnection], Awaitable[None]]
-Answer = Callable[[ServerConnection, Request], Response | None]
 
 SCENE, CHANNEL = "/scene", "/channel"
 """paths: of viser's client and WebSocket, and of the page's own WebSocket"""
-_FROM_SCENE = ("ViewerCameraMessage",)
 _POLICY = 1008
+_END_S = 1.0
+"""for pages to say good-bye"""
+_QUIET = logging.getLogger("tonus.view")
+"""where websockets says of each stranger that it was refused: nobody reads it"""
+_QUIET.setLevel(logging.CRITICAL)
 _HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; img-src 'self' data:; frame-ancestors 'self'; base-uri 'none'"
@@ -55,6 +61,8 @@ class Page:
 
     kind: str
     content: bytes
+    packed: bytes | None = None
+    """with gzip, for those who reach this host by a network"""
 
 
 class Bucket:
@@ -90,7 +98,12 @@ class Gate:
         self.pages: dict[str, Page] = {}
         self.channel: Handler | None = None
         """serves the page's own WebSocket"""
-        self._guarded = False
+        self.scene: Handler | None = None
+        """serves that of the scene"""
+        self._scene_pages: dict[str, Page] = {}
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._started, self._stopping = threading.Event(), asyncio.Event()
 
     @property
     def address(self) -> str:
@@ -99,54 +112,58 @@ class Gate:
         query = f"?token={self._token}" if self._token else ""
         return f"http://{host}:{self.port}/{query}"
 
-    @contextmanager
-    def before(self) -> Iterator[None]:
-        """A viser server that is made in this block stands behind this gate, or not at all.
+    def start(self) -> None:
+        """Serve, in a thread of its own, until `stop`. Raises `ToolError` without a client for the
+        scene."""
+        content = client_file()
+        packed = None
+        if not is_local(self.host):
+            import gzip  # a first picture on this host does not wait for it
 
-        viser has no option for its server's connections and requests; it calls the `serve` of
-        websockets by that name. So the name leads to this gate for as long as the server is made,
-        and back to websockets afterwards. Raises `ToolError` if viser opened its server by another
-        call.
-        """
-        websockets_server.serve = self._serve  # type: ignore[assignment,misc]
-        try:
-            yield
-        finally:
-            websockets_server.serve = _SERVE  # type: ignore[misc]
-        if not self._guarded:
-            raise ToolError("this version of viser cannot be guarded; install viser 1.x")
+            packed = gzip.compress(content)
+        page = Page("text/html; charset=utf-8", content, packed)
+        self._scene_pages = dict.fromkeys((SCENE, f"{SCENE}/index.html"), page)
+        self._thread.start()
+        self._started.wait()
 
-    def _serve(self, handler: Handler, host: str, port: int, **options: Any) -> Any:
-        """In place of ``websockets.asyncio.server.serve``, as viser calls it."""
-        del host, port
-        self._guarded = True
-        scene: Answer = options.pop("process_request")
-        options |= {
-            "max_size": settings().message_bytes,
-            "max_queue": 8,
-            "open_timeout": settings().handshake_s,
-            "process_request": lambda connection, request: self.answer(connection, request, scene),
-            "create_connection": self._connection,
-            "server_header": None,
-        }
-        return _SERVE(
-            lambda connection: self._admit(connection, handler), sock=self._listener, **options
-        )
+    def stop(self) -> None:
+        """Let every connection go."""
+        if self._loop is not None and self._thread.is_alive():
+            with suppress(RuntimeError):  # it has ended
+                self._loop.call_soon_threadsafe(self._stopping.set)
+            self._thread.join(_END_S)
+        self._listener.close()
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        async with serve(
+            self._admit,
+            sock=self._listener,
+            max_size=settings().message_bytes,
+            max_queue=8,
+            open_timeout=settings().handshake_s,
+            close_timeout=_END_S,
+            process_request=self.answer,
+            create_connection=self._connection,  # type: ignore[arg-type]  # a factory will do
+            select_subprotocol=_spoken,
+            server_header=None,
+            compression=None,  # it would cost the viewer more than it saves
+            logger=_QUIET,
+        ):
+            self._started.set()
+            await self._stopping.wait()
 
     def _connection(self, *given: Any, **options: Any) -> ServerConnection:
         return _Connection(self, *given, **options)
 
-    async def _admit(self, connection: ServerConnection, scene: Handler) -> None:
-        path = _path(connection.request)
-        if path == SCENE:
-            await scene(connection)
-        elif path == CHANNEL and self.channel is not None:
-            await self.channel(connection)
+    async def _admit(self, connection: ServerConnection) -> None:
+        handler = self.scene if _path(connection.request) == SCENE else self.channel
+        if handler is not None:
+            await handler(connection)
 
-    def answer(
-        self, connection: ServerConnection, request: Request, scene: Answer
-    ) -> Response | None:
+    def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """What a request gets: a page, a refusal, or None for a WebSocket that may be opened."""
+        del connection
         host = request.headers.get("Host", "")
         if not self._is_ours(host):
             return _refused(http.HTTPStatus.FORBIDDEN, "this host name is not served")
@@ -161,12 +178,9 @@ class Gate:
             if path not in (SCENE, CHANNEL):
                 return _refused(http.HTTPStatus.NOT_FOUND, "not found")
             return None
-        if path == SCENE or path.startswith(f"{SCENE}/"):
-            inner = replace(request, path=request.path.removeprefix(SCENE) or "/")
-            response = scene(connection, inner)
-            if response is not None:
-                response.headers["X-Frame-Options"] = "SAMEORIGIN"
-            return response
+        scene = self._scene_pages.get(path)
+        if scene is not None:
+            return _of_scene(scene, request)
         page = self.pages.get(path)
         if page is None:
             return _refused(http.HTTPStatus.NOT_FOUND, "not found")
@@ -230,27 +244,13 @@ class _Connection(ServerConnection):
             data = await super().recv(decode)
             if not self._bucket.take():
                 await self._end("too many messages")
-            if _path(self.request) != SCENE:
-                return data
-            if await self._is_of_camera(data):
-                return data
-
-    async def _is_of_camera(self, data: str | bytes) -> bool:
-        try:
-            found = msgspec.msgpack.decode(data) if isinstance(data, bytes) else None
-        except msgspec.DecodeError:
-            found = None
-        if not isinstance(found, dict):
-            await self._end("not a message of the scene")
-            return False
-        return found.get("type") in _FROM_SCENE
+            return data
 
     async def _end(self, reason: str) -> None:
         await self.close(_POLICY, reason)
         raise ConnectionClosedError(None, None)
 
 
-_SERVE = websockets_server.serve
 _LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
@@ -280,6 +280,26 @@ def _listener(host: str, port: int | None) -> socket.socket:
         else:
             return listener
     raise ToolError(f"{problem}; choose another with --host or --port")
+
+
+def _spoken(connection: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
+    """That of a scene's client, whichever it is; the scene says which it does not speak."""
+    del connection
+    return next((each for each in offered if each.startswith("viser-v")), None)
+
+
+def _of_scene(page: Page, request: Request) -> Response:
+    """viser's client has its scripts within itself, and makes more of them."""
+    headers = Headers({"X-Frame-Options": "SAMEORIGIN", "X-Content-Type-Options": "nosniff"})
+    content = page.content
+    if page.packed is not None and "gzip" in request.headers.get("Accept-Encoding", ""):
+        headers["Content-Encoding"] = "gzip"
+        content = page.packed
+    headers["Content-Type"] = page.kind
+    headers["Content-Length"] = str(len(content))
+    headers["Connection"] = "close"
+    status = http.HTTPStatus.OK
+    return Response(status, status.phrase, headers, content)
 
 
 def _path(request: Request | None) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import viser
 from numpy.typing import NDArray
 
 from tonus.runtime.states import ARMED
@@ -14,6 +13,7 @@ from tonus.tools.view.hull import hull
 from tonus.tools.view.moment import Array, Rows, Samples
 from tonus.tools.view.settings import settings
 from tonus.tools.view.shape import Shape
+from tonus.tools.view.stage import Node, Stage
 
 _CABLE, _BEAM, _LINE = 0.009, 0.012, 0.005
 """m, as drawn"""
@@ -31,40 +31,40 @@ _PHANTOM = 0.35
 
 
 class RobotScene:
-    """One robot in a viser server, under ``name``; of several the later ones are ``tint``ed."""
+    """One robot on a stage, under ``name``; of several the later ones are ``tint``ed."""
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        stage: Stage,
         shape: Shape,
         *,
         name: str = "/robot",
         tint: Tint | None = None,
     ) -> None:
-        self._server, self._shape, self._tint = server, shape, tint
+        self._stage, self._shape, self._tint = stage, shape, tint
         self._exits, self._anchors = shape.frame, shape.platform
-        scene, n = server.scene, len(self._exits)
+        n = len(self._exits)
         if tint is None:
-            self._surroundings(scene, name)
+            self._surroundings(stage, name)
         colour = (70, 110, 160) if tint is None else tint.colour
-        self._platform = scene.add_frame(f"{name}/platform", show_axes=tint is None, **_AXES)
-        _body(scene, f"{name}/platform/body", self._anchors, colour, 0.85)
-        self._ghost = scene.add_frame(f"{name}/reference", show_axes=False, visible=False)
-        _body(scene, f"{name}/reference/body", self._anchors, GHOST, 0.25)
-        self._true = scene.add_frame(f"{name}/truth", show_axes=False, visible=False)
-        _body(scene, f"{name}/truth/body", self._anchors, (60, 160, 90), 0.3)
+        self._platform = stage.add_frame(f"{name}/platform", show_axes=tint is None, **_AXES)
+        _body(stage, f"{name}/platform/body", self._anchors, colour, 0.85)
+        self._ghost = stage.add_frame(f"{name}/reference", show_axes=False, visible=False)
+        _body(stage, f"{name}/reference/body", self._anchors, GHOST, 0.25)
+        self._true = stage.add_frame(f"{name}/truth", show_axes=False, visible=False)
+        _body(stage, f"{name}/truth/body", self._anchors, (60, 160, 90), 0.3)
         ends = np.stack([self._exits, self._exits + 1e-3], axis=1)
-        self._cables = scene.add_line_segments(
+        self._cables = stage.add_line_segments(
             f"{name}/cables", ends, np.full((n, 2, 3), 160, np.uint8), thickness=_CABLE
         )
         self._winches = [
-            _winch(scene, f"{name}/winches/{number}", place, radius)
+            _winch(stage, f"{name}/winches/{number}", place, radius)
             for number, (place, radius) in enumerate(
                 zip(self._exits, shape.drum_radius, strict=True)
             )
         ]
         self._forces = {
-            kind: scene.add_arrows(
+            kind: stage.add_arrows(
                 f"{name}/forces/{kind}",
                 np.zeros((1, 2, 3)),
                 colour,
@@ -76,7 +76,7 @@ class RobotScene:
             for kind, colour in (("external", (213, 94, 0)), ("contact", (204, 121, 167)))
         }
         self._paths = {
-            part: scene.add_line_segments(
+            part: stage.add_line_segments(
                 f"{name}/path/{part}", np.zeros((1, 2, 3)), colour, thickness=_LINE, visible=False
             )
             for part, colour in (("behind", (90, 90, 90)), ("ahead", GHOST))
@@ -87,12 +87,12 @@ class RobotScene:
         # The contact cell reports one number; only a lab's scenario tells its direction.
         self._normal = np.zeros(3) if phantom is None else _unit(np.array(phantom.normal))
 
-    def _surroundings(self, scene: Any, name: str) -> None:
+    def _surroundings(self, stage: Stage, name: str) -> None:
         """What does not move."""
         low, high = self._exits.min(axis=0), self._exits.max(axis=0)
-        scene.add_line_segments(f"{name}/frame", _box(low, high), (110, 110, 115), thickness=_BEAM)
+        stage.add_line_segments(f"{name}/frame", _box(low, high), (110, 110, 115), thickness=_BEAM)
         corners = self._shape.workspace
-        scene.add_line_segments(
+        stage.add_line_segments(
             f"{name}/workspace",
             _box(corners[:, 0], corners[:, 1]),
             (150, 170, 200),
@@ -102,13 +102,13 @@ class RobotScene:
         rest = self._shape.rest + np.array((0.0, 0.0, lowest - 0.01))
         across = self._anchors[:, :2].max(axis=0) - self._anchors[:, :2].min(axis=0)
         if self._shape.in_lab:
-            scene.add_box(
+            stage.add_box(
                 f"{name}/cradle", (130, 120, 105), (across[0], across[1], 0.02), position=rest
             )
         phantom = self._shape.phantom
         if phantom is not None:
             normal = _unit(np.array(phantom.normal))
-            scene.add_box(
+            stage.add_box(
                 f"{name}/phantom",
                 (204, 121, 167),
                 (_PHANTOM, _PHANTOM, 0.01),
@@ -124,7 +124,7 @@ class RobotScene:
         record = newest[0]
         pose, tension = record["pose"], record["tension"]["measured"]
         known = bool((pose["quaternion"] != 0.0).any())
-        with self._server.atomic():
+        with self._stage.atomic():
             self._platform.visible = known
             armed = int(record["state"]["state"]) in ARMED
             self._ghost.visible = known and armed and self._tint is None
@@ -227,29 +227,30 @@ def _unit(vector: Array) -> Array:
 
 
 def _linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """viser takes the colours of a line's ends as linear ones, and those of all else as sRGB."""
+    """The client takes the colours of a line's ends as linear ones, and those of all else as
+    sRGB."""
     linear: NDArray[np.uint8] = (255.0 * (colours / 255.0) ** 2.2).astype(np.uint8)
     return linear
 
 
-def _draw(handle: Any, points: Array) -> None:
+def _draw(node: Node, points: Array) -> None:
     """A polyline (n, 3), where it goes anywhere."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1) if len(points) > 1 else np.empty(0)
     moving = np.flatnonzero(steps > 1e-5)
-    handle.visible = bool(len(moving))
+    node.visible = bool(len(moving))
     if len(moving):
-        handle.points = np.stack([points[moving], points[moving + 1]], axis=1).astype(np.float32)
+        node.points = np.stack([points[moving], points[moving + 1]], axis=1).astype(np.float32)
 
 
-def _body(scene: Any, name: str, anchors: Array, colour: tuple[int, ...], opacity: float) -> None:
+def _body(stage: Stage, name: str, anchors: Array, colour: tuple[int, ...], opacity: float) -> None:
     """The hull of the platform's anchors; a box round them where they lie in a plane."""
     faces = hull(anchors)
     if not len(faces):
         low, high = anchors.min(axis=0), anchors.max(axis=0)
         extent = np.maximum(high - low, 0.02)
-        scene.add_box(name, colour, tuple(extent), opacity=opacity, position=(low + high) / 2)
+        stage.add_box(name, colour, tuple(extent), opacity=opacity, position=(low + high) / 2)
         return
-    scene.add_mesh_simple(
+    stage.add_mesh_simple(
         name,
         anchors.astype(np.float32),
         faces,
@@ -260,12 +261,12 @@ def _body(scene: Any, name: str, anchors: Array, colour: tuple[int, ...], opacit
     )
 
 
-def _winch(scene: Any, name: str, place: Array, radius: float) -> Any:
+def _winch(stage: Stage, name: str, place: Array, radius: float) -> Node:
     """A drum with a spoke, so that one sees it turn."""
-    drum = scene.add_frame(name, show_axes=False, position=place)
+    drum = stage.add_frame(name, show_axes=False, position=place)
     shown = max(float(radius), 0.02)
-    scene.add_cylinder(f"{name}/drum", shown, _WINCH_LENGTH, (95, 95, 100))
-    scene.add_box(f"{name}/spoke", (230, 230, 230), (2.2 * shown, 0.006, _WINCH_LENGTH * 1.05))
+    stage.add_cylinder(f"{name}/drum", shown, _WINCH_LENGTH, (95, 95, 100))
+    stage.add_box(f"{name}/spoke", (230, 230, 230), (2.2 * shown, 0.006, _WINCH_LENGTH * 1.05))
     return drum
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import threading
 from collections import deque
-from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import viser
 
 from tonus.config.errors import ConfigError
 from tonus.runtime.states import State
@@ -28,6 +25,7 @@ from tonus.tools.view.page import files
 from tonus.tools.view.scene import RobotScene
 from tonus.tools.view.settings import held_against_its_schema, settings
 from tonus.tools.view.signals import Plot, names_of, plots_of, series_of
+from tonus.tools.view.stage import Stage
 from tonus.tools.view.window import Window, points
 from tonus.tools.view.words import happening, state_of
 
@@ -40,6 +38,8 @@ _CHOSEN = 8
 _PATH_EVERY = 10
 """pictures between two looks at the path ahead"""
 _LOOK_S = 0.5
+_ALONE_S = 1.0
+"""without a page to show a first picture to, after which the rest is loaded all the same"""
 
 
 @dataclass(frozen=True)
@@ -72,41 +72,37 @@ class Viewer:
         """``follow``: after the end of a live run wait for the next one."""
         self._live, self._playback = live, playback
         self._operate, self._follow = operate, follow
-        # viser prints a table of addresses, without the token.
-        with gate.before(), redirect_stdout(io.StringIO()):
-            self._server = viser.ViserServer(gate.host, gate.port, label="Tonus", verbose=False)
+        self._gate, self._stage = gate, Stage()
+        self._built = 0
+        """times: what one has shown is not the next one's"""
         self._hub = Hub(self._asked, self._left)
         self._stopping = threading.Event()
         self._operation: Operation | None = None
         self._problem: ToolError | ConfigError | None = None
         self._build()
         gate.pages |= files()
-        gate.channel = self._hub.serve
+        gate.channel, gate.scene = self._hub.serve, self._stage.serve
+        gate.start()
 
     def _build(self) -> None:
         """Scene and windows of what is shown."""
-        server = self._server
-        server.scene.reset()
-        server.scene.set_up_direction("+z")
-        # Shadows cost most of the time of a browser that draws without a graphics processor.
-        server.scene.configure_default_lights(enabled=True, cast_shadow=False)
-        server.gui.configure_theme(show_logo=False, show_share_button=False)
-        server.gui.main_panel.minimize()
+        stage = self._stage
+        stage.clear()
+        self._built += 1
         sources: list[Source] = [self._live] if self._live else []
         if self._playback:
             sources += self._playback.logs
         self._scenes, self._windows = [], []
         for number, source in enumerate(sources):
             tint = colours.TINTS[(number - 1) % len(colours.TINTS)] if number else None
-            name = f"/run{number + 1}"
-            self._scenes.append(RobotScene(server, source.shape, name=name, tint=tint))
+            name = f"/{self._built}/run{number + 1}"
+            self._scenes.append(RobotScene(stage, source.shape, name=name, tint=tint))
             self._windows.append(Window())
         self._shape = sources[0].shape
         self._names = [source.name for source in sources]
         self._panels: Panels | None = None
         extent = float(np.abs(self._shape.frame).max())
-        server.initial_camera.position = (1.7 * extent, -2.1 * extent, 1.0 * extent)
-        server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        stage.look((1.7 * extent, -2.1 * extent, 1.0 * extent), at=(0.0, 0.0, 0.0))
         self._moments: list[Moment] = []
         self._events: deque[Message] = deque(maxlen=settings().events)
         self._read = 0
@@ -169,14 +165,18 @@ class Viewer:
         period = 1.0 / settings().rate_hz
         due = last = clock.wall_seconds()
         plotted = -np.inf
+        shown = False
+        alone = settings().rate_hz * _ALONE_S
         while not self._stopping.is_set():
             now = clock.wall_seconds()
             self._advance(now - last)
             last = now
             if self._problem is not None:
                 raise self._problem
-            if self._pictures == 1:
+            if self._loading.ident is None and (shown or self._pictures > alone):
                 self._loading.start()
+            # One picture later than the first one, which is on its way to the page still.
+            shown = bool(self._hub.clients)
             if now - plotted >= 1.0 / settings().plot_hz:
                 plotted = now
                 self._plot()
@@ -198,8 +198,7 @@ class Viewer:
         for source in (self._live, self._playback):
             if source is not None:
                 source.close()
-        with redirect_stdout(io.StringIO()):
-            self._server.stop()
+        self._gate.stop()
 
     def _next_run(self) -> bool:
         """Wait for another daemon; False: end with this one."""
