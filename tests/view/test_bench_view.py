@@ -20,9 +20,10 @@ def test_the_pace_of_pictures_is_measured(
 ) -> None:
     monkeypatch.chdir(ROOT)
     changes = [f"--set={key}={value}" for key, value in QUICK.items()]
-    monkeypatch.setattr(sys, "argv", ["view_pace", "--minutes", "0.03", *changes])
+    monkeypatch.setattr(sys, "argv", ["view_pace", "--minutes", "0.03", "--starts", "2", *changes])
     view_pace.main()
     told = capsys.readouterr().out
+    assert "2 starts beside daemon and lab: first picture after" in told
     assert "live: first picture after" in told
     assert "log of 0.03 min" in told
 

@@ -176,7 +176,7 @@ class Viewer:
             if self._loading.ident is None and (shown or self._pictures > alone):
                 self._loading.start()
             # One picture later than the first one, which is on its way to the page still.
-            shown = bool(self._hub.clients)
+            shown = bool(self._hub.clients) and all(len(each.newest) for each in self._moments)
             if now - plotted >= 1.0 / settings().plot_hz:
                 plotted = now
                 self._plot()
