@@ -4,6 +4,7 @@ as standard messages, a few times a second. Made by the recorder from the cycle 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -54,6 +55,16 @@ class Scene:
             geometry.platform,
             (tension.slack, tension.min, tension.pre, tension.max),
         )
+
+    @classmethod
+    def read(cls, written: Mapping[str, Any]) -> Scene:
+        """From its fields as JSON has them, which knows no tuples."""
+        frame, platform = (
+            tuple((float(x), float(y), float(z)) for x, y, z in written[name])
+            for name in ("frame", "platform")
+        )
+        slack, low, pre, high = written["levels"]
+        return cls(int(written["ticks"]), frame, platform, (slack, low, pre, high))
 
 
 class ViewerEncoder:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -106,3 +108,13 @@ def test_a_slack_cable_is_black_and_colours_follow_the_tension(
     assert high[0] > high[2]
     assert np.ptp(middle) < 1e-6, "grey at pretension"
     assert np.array_equal(high, beyond)
+
+
+def test_a_recorder_process_reads_the_scene_as_it_was_written() -> None:
+    """JSON has lists for tuples; what is made once for a scene is found by it."""
+    config, _ = load("config/can.yaml")
+    scene = Scene.of(config)
+    assert scene is not None
+    read = Scene.read(json.loads(json.dumps(asdict(scene))))
+    assert read == scene
+    assert hash(read) == hash(scene)

@@ -210,7 +210,7 @@ def _recorder(
         {name: base64.b64decode(text) for name, text in job["attachments"].items()},
         job["utc_offset_ns"],
         watch,
-        Scene(**scene) if (scene := job["scene"]) else None,
+        Scene.read(scene) if (scene := job["scene"]) else None,
     )
 
 
