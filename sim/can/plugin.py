@@ -280,9 +280,7 @@ class LocalBus(TonusBus):
     def _take(self, limit: int) -> NDArray[np.void]:
         # Even if something is there already: another fieldbus may have moved the lab on, in
         # mid-tick, to the first of several answers.
-        now_ns = self._clock()
-        if now_ns > self._lab.now_ns:
-            self._lab.advance(now_ns)
+        self._lab.advance(self._clock())
         return self._received.take(limit)
 
     def flush_tx_buffer(self) -> None:
