@@ -22,7 +22,7 @@ from tonus.runtime.states import Fault
 from tonus.tools.margins.estimate import EXTERNAL, PLACE, SPEED, STATES, AxisEstimator
 from tonus.tools.margins.observer import observer_margins
 from tonus.tools.margins.task import Loop
-from tonus.tools.tune.trial import play
+from tonus.tools.tune.trial import Trial, play
 
 Array = NDArray[np.float64]
 WITHOUT_MISMATCH = {
@@ -133,15 +133,20 @@ def test_the_estimator_of_an_axis_is_the_estimator(axis: int, drum: float, tensi
         np.testing.assert_allclose(modelled[:, part], found[:, part], atol=0.05 * largest)
 
 
-def oscillation(overrides: dict[str, Any], size: float) -> float:
-    """N, of the tension references from about a second after a load that steps to ``size`` N;
-    infinite where a fault ends the run."""
+def pushed(overrides: dict[str, Any], size: float) -> Trial:
+    """A load that steps to ``size`` N."""
     begun = {"control.controller": "bio_observer", **QUICK}
     config, scenario = load("config/direct.yaml", "hold", begun | overrides)
     knots = (LoadPoint(at=2.6, force=0.0), LoadPoint(at=2.601, force=size))
-    pushed = Load(direction=(1.0, 0.0, 0.0), point=(0.0, 0.0, 0.0), profile=knots)
-    script = scenario.lab.model_copy(update={"load": pushed})
-    trial = play(config, scenario.model_copy(update={"duration": 1.4, "lab": script}), seed=1)
+    push = Load(direction=(1.0, 0.0, 0.0), point=(0.0, 0.0, 0.0), profile=knots)
+    script = scenario.lab.model_copy(update={"load": push})
+    return play(config, scenario.model_copy(update={"duration": 1.4, "lab": script}), seed=1)
+
+
+def oscillation(overrides: dict[str, Any], size: float) -> float:
+    """N, of the tension references from about a second after that; infinite where a fault ends the
+    run."""
+    trial = pushed(overrides, size)
     if trial.fault is not Fault.NONE:
         return math.inf
     assert trial.truth["load"][-1, 0] == pytest.approx(size)
@@ -152,6 +157,14 @@ def test_a_light_robot_with_stiff_cables_does_not_oscillate_under_a_load() -> No
     """Robot 1004 of the study of drawn robots: a sixth too light, cables of its own each, some
     drums with hardly any friction."""
     assert oscillation(DRAWN, 25.0) < 0.3
+
+
+@pytest.mark.wide
+def test_cables_of_far_more_damping_than_described_end_in_a_stop() -> None:
+    """And friction holds the robot with twice as much."""
+    damping, bio = "lab.plant.damping_scale", {"control.controller": "bio"}
+    assert oscillation(bio | {damping: 2.0}, 25.0) < 0.3
+    assert pushed(bio | {damping: 4.0}, 25.0).fault is Fault.SPEED_LIMIT
 
 
 def stiff(stiffness: float) -> dict[str, Any]:
