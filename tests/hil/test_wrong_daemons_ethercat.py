@@ -28,7 +28,7 @@ pytestmark = pytest.mark.wide
 
 OUTPUT_MS = 10.0
 """from the change to the output's end, the longest of what is found at once"""
-SLOWER = {"torques frozen on the bus": 22.0}
+SLOWER = {"torques frozen on the bus": 26.0}
 """a torque that stays is wrong once the one that is recorded has gone away from it"""
 FOUND = {"torques frozen on the bus": {Requirement.COMMAND_LOGGED}}
 """where the frames are not read, found by what the drives report"""
