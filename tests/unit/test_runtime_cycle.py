@@ -7,11 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from loop import QUICK, ClosedLoop, Trace, configured, not_finite
+from loop import QUICK, Array, ClosedLoop, Trace, configured, not_finite
 from statue import CONFIG, CONTROL, REST, SCENARIO, Statue
 
 from tonus.config.schema.lab import LabScript, Load, LoadPoint
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
+from tonus.runtime.control.referencing import Referencing
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.signals import Solver
 from tonus.runtime.states import Fault, Operator, State
@@ -276,6 +277,23 @@ def test_a_measurement_that_is_not_a_number_stops_the_robot(table: str, name: st
     odd = (Fault.IMPLAUSIBLE_DRIVE, Fault.IMPLAUSIBLE_CELL)
     assert statue.cycle.sequence.fault in odd
     assert np.isfinite(statue.image.commands["torque"]).all()
+
+
+def test_ticks_that_the_host_missed_pass_for_the_cables_damping_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    passed = []
+    lengths = Referencing.lengths
+
+    def noted(made: Referencing, angle: Array, tension: Array, skipped: int = 0) -> Array:
+        passed.append(skipped)
+        return lengths(made, angle, tension, skipped)
+
+    monkeypatch.setattr(Referencing, "lengths", noted)
+    statue = Statue().until(State.HOLD)
+    statue.number += 4
+    statue.rest(2)
+    assert passed[-3:] == [0, 4, 0]
 
 
 def test_the_solver_is_named_while_it_works_and_not_otherwise() -> None:

@@ -100,21 +100,24 @@ def test_a_tick_is_filterpys_predict_and_update(seed: int) -> None:
     state, start = some_state(seed), some_state(seed)
     kinematics = Kinematics(ROBOT.geometry)
     kinematics.evaluate(*state[:2])
-    # Lengths whose own elongation is the mean one, so that both say the same about the excess.
+    # Another part of each tension stretches its cable. Lengths whose own elongation is the mean one,
+    # so that both say the same about the excess.
+    elastic = tensions * np.linspace(0.5, 1.2, 8)
     reported = predicted_lengths(start) + 1e-4 * np.sin(np.arange(8) + seed)
-    mean = reported * tensions / (EA + tensions)
+    mean = reported * elastic / (EA + elastic)
     state[4][:] = start[4][:] = mean
+    innovations = np.zeros(8)
     filter_tick(
         state,
         BODY,
         PERIOD,
         (noise, LENGTH_VARIANCE, 0.5, CREEP),
         (kinematics.frame, kinematics.platform),
-        (reported, tensions, tensions, USABLE),
+        (reported, tensions, elastic, USABLE),
         (0.0, np.inf),
         kinematics.lengths,
         kinematics.matrix,
-        np.zeros(8),
+        innovations,
         np.zeros(8),
         np.zeros(8, dtype=bool),
     )
@@ -126,6 +129,7 @@ def test_a_tick_is_filterpys_predict_and_update(seed: int) -> None:
     _, covariance = predict(np.zeros((SIZE, 1)), start[3], F=transition, Q=grown)
     observed = slopes(lambda e: predicted_lengths(moved(after, e)))[USABLE]
     innovation = (reported - predicted_lengths(after))[USABLE]
+    np.testing.assert_allclose(innovations[USABLE], innovation, atol=1e-6)
     error, covariance = update(
         np.zeros((SIZE, 1)),
         covariance,
