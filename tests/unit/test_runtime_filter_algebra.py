@@ -100,8 +100,8 @@ def test_a_tick_is_filterpys_predict_and_update(seed: int) -> None:
     state, start = some_state(seed), some_state(seed)
     kinematics = Kinematics(ROBOT.geometry)
     kinematics.evaluate(*state[:2])
-    # Another part of each tension stretches its cable. Lengths whose own elongation is the mean one,
-    # so that both say the same about the excess.
+    # Another part of each tension stretches its cable. The lengths' own elongation is the mean
+    # one, so that both say the same about the excess.
     elastic = tensions * np.linspace(0.5, 1.2, 8)
     reported = predicted_lengths(start) + 1e-4 * np.sin(np.arange(8) + seed)
     mean = reported * elastic / (EA + elastic)
