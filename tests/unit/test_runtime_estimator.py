@@ -44,7 +44,7 @@ class Flight:
 
     ``bias``: what the cables' pose is wrong by; ``softness``: their true compliance over the
     nominal one, of all or of each (n,); ``level``: even part of the tensions; ``share``: part of
-    them that the lengths' nominal elongation is made of. The inputs of a tick are a tick old.
+    their change since the start that counts as elongation. The inputs of a tick are a tick old.
     """
 
     def __init__(
@@ -72,14 +72,15 @@ class Flight:
         self.accepted: list[bool] = []
         self._true = Kinematics(ROBOT.geometry)
         self.estimator = PoseEstimator(ROBOT, settings, TRACKER, Kinematics(ROBOT.geometry), PERIOD)
-        _, tensions = self._cables(0.0)
-        self.estimator.start(path(0.0), self.quaternion, tensions, 60)
+        self._first = np.full(8, np.nan)
+        _, self._first = self._cables(0.0)
+        self.estimator.start(path(0.0), self.quaternion, self._first, 60)
 
     def run(self, ticks: int, *, tracked: bool = True) -> Flight:
         for _ in range(ticks):
             self.tick += 1
             lengths, tensions = self._cables((self.tick - 1) * PERIOD)
-            self.estimator.step(lengths, tensions, self.share * tensions, self.usable)
+            self.estimator.step(lengths, tensions, self._elastic(tensions), self.usable)
             if tracked and self.tick % POSE_TICKS == 0 and self.tick > 20:
                 exposed = (self.tick - self.delay_ticks) * PERIOD
                 delay = self.delay_ticks * PERIOD
@@ -108,7 +109,10 @@ class Flight:
         tensions = even + np.linalg.pinv(matrix) @ (wrench - matrix @ even)
         # What the drums gave out, stretched by the nominal compliance.
         wound = strained / (1.0 + self.softness * tensions / EA) + self.slip
-        return wound * (1.0 + self.share * tensions / EA), tensions
+        return wound * (1.0 + self._elastic(tensions) / EA), tensions
+
+    def _elastic(self, tensions: Array) -> Array:
+        return np.asarray(self._first + self.share * (tensions - self._first))
 
 
 def test_at_rest_with_perfect_cables_nothing_drifts() -> None:
