@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import struct
 from dataclasses import dataclass
 
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement, Supervisor
 from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT
+from tonus.drivers.canopen.nmt import NmtState
 from tonus.drivers.events import EventLog
 from tonus.drivers.process_image import AxisCommand, ProcessImage
 
@@ -16,6 +18,7 @@ EMERGENCY = struct.Struct("<HBBf")
 none), and what was found, in the unit of the requirement."""
 ERROR_CODE = 0xFF00
 NOWHERE = 0xFF
+_OPERATIONAL = bytes([NmtState.OPERATIONAL])
 
 
 @dataclass
@@ -26,6 +29,8 @@ class _Heard:
     beating: bool = False
     lost: bool = False
     """it has been beating before"""
+    anybody: bool = False
+    """sent a heartbeat of its number, in whatever state"""
 
 
 class SupervisorMonitor:
@@ -55,10 +60,25 @@ class SupervisorMonitor:
             return
         heard = _Heard(channel.name)
         self._heard.append(heard)
-        channel.handlers[HEARTBEAT + self._settings.node_id] = lambda _: self._on_heartbeat(heard)
+        channel.handlers[HEARTBEAT + self._settings.node_id] = lambda data: self._on_heartbeat(
+            heard, data
+        )
         channel.handlers[EMCY + self._settings.node_id] = lambda data: self._on_emergency(
             heard, data
         )
+
+    async def foreign(self) -> list[str]:
+        """Channels on which another device sends heartbeats of its node number, often enough to
+        hold drives that the supervisor's silence is to stop. Call it while no device has been
+        started: the supervisor has not begun then, and one that has been going falls silent."""
+        settings = self._settings
+        if settings is None or not any(heard.anybody for heard in self._heard):
+            return []
+        await asyncio.sleep(settings.quiet_s)
+        for heard in self._heard:
+            heard.anybody = False
+        await asyncio.sleep(2 * settings.timeout_ms * 1e-3)
+        return [heard.channel for heard in self._heard if heard.anybody]
 
     def forget(self) -> None:
         self._image.obstacles.pop(self._item, None)
@@ -101,7 +121,10 @@ class SupervisorMonitor:
     def _enabling(self) -> bool:
         return bool((self._image.commands["command"] == AxisCommand.ENABLE).any())
 
-    def _on_heartbeat(self, heard: _Heard) -> None:
+    def _on_heartbeat(self, heard: _Heard, data: bytes) -> None:
+        heard.anybody = True
+        if data != _OPERATIONAL:
+            return
         heard.fresh = heard.beating = True
         heard.lost = False
         self._events.end("unsupervised", heard.channel)

@@ -264,6 +264,59 @@ def test_a_supervisor_that_has_not_begun_when_drives_are_enabled_is_told_once() 
     in_virtual_time(work())
 
 
+@pytest.mark.parametrize("state", [b"\5", b"\x7f"])
+@pytest.mark.parametrize(("until_s", "wanted"), [(10.0, True), (0.05, False)])
+def test_a_device_with_the_supervisors_node_number_is_refused(
+    state: bytes, until_s: float, wanted: bool
+) -> None:
+    """It would hold the drives that the supervisor's silence is to stop. One that falls silent is
+    the supervisor of a run before."""
+    robot = Robot()
+
+    async def beat() -> None:
+        loop = asyncio.get_running_loop()
+        end = loop.time() + until_s
+        while loop.time() < end:
+            if "can2" in robot.buses:
+                robot.buses["can2"].put(0x77E, state)
+            await asyncio.sleep(0.01)
+
+    async def work() -> str:
+        beating = asyncio.get_running_loop().create_task(beat())
+        try:
+            await robot.start()
+        except BringUpError as error:
+            return str(error)
+        finally:
+            beating.cancel()
+        await robot.fieldbus.stop()
+        return ""
+
+    text = in_virtual_time(work())
+    assert bool(text) is wanted
+    if wanted:
+        assert "another device on can2 sends heartbeats of the supervisor's node number" in text
+        assert "\n" not in text
+
+
+def test_only_an_operational_supervisor_is_one() -> None:
+    robot = Robot()
+
+    async def work() -> None:
+        await robot.start()
+        robot.fieldbus.take_events()
+        robot.image.commands["command"] = AxisCommand.ENABLE
+        for name in robot.buses:
+            robot.buses[name].put(0x77E, b"\x7f")
+        robot.fieldbus.collect(0)
+        robot.fieldbus.collect(1)
+        found = [each.where for each in robot.fieldbus.take_events() if each.name == "unsupervised"]
+        assert found == ["can0", "can1", "can2", "can3"]
+        await robot.fieldbus.stop()
+
+    in_virtual_time(work())
+
+
 def test_a_drive_that_hears_only_the_second_reset_is_found() -> None:
     """As one does that detects the bit rate, for which it needs traffic."""
     robot = Robot()
