@@ -95,7 +95,7 @@ class Supervisor(Section):
     """over which a drive's torque is compared with its cable and its drum"""
     unexplained_force: Annotated[Positive, Field(le=200)]
     """N at the cable: friction, and what the window blurs"""
-    unexplained_share: Share
+    unexplained_share: Annotated[Share, Field(le=0.5)]
     """and of the torque itself: the gearbox's efficiency"""
     opposed_force: Annotated[Positive, Field(le=200)]
     """N between torque and tension, in the direction away from the reference"""
@@ -127,8 +127,18 @@ class Supervisor(Section):
     processors: Count = 3
     """beside a lab in real time, ``use`` starts it on a host with at least so many: daemon, lab and
     supervisor need one each, or the drives in the lab answer too late"""
-    spread: Annotated[NonNegative, Field(le=0.5)] = 0.15
+    spread: Annotated[NonNegative, Field(le=0.2)] = 0.15
     """m from the middle of the workspace to the poses at which the structure matrix is taken"""
+
+    @model_validator(mode="after")
+    def _stays_silent(self) -> Supervisor:
+        if self.quiet_s * 1e3 < 2 * self.timeout_ms:
+            raise ValueError(
+                f"quiet_s is {self.quiet_s:g}: the heartbeat would begin again before drives that "
+                f"wait {self.timeout_ms} ms for it have stopped; set it to at least "
+                f"{2e-3 * self.timeout_ms:g}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _survives_a_lost_heartbeat(self) -> Supervisor:

@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 
 from tonus.config import Config, ConfigError, load
+from tonus.config.schema.bus import CanopenBus
 from tonus.tools.check.finding import Finding
 from tonus.tools.check.rules import check
+from tonus.tools.check.supervisor import check_supervisor
 from tonus.tools.errors import ToolError
 from tonus.tools.run.supervision import require_reach, wanted
 
@@ -57,6 +59,51 @@ def test_a_robot_with_drives_that_are_not_on_can(name: str) -> None:
     assert not wanted(load(path)[0]), "it would send a heartbeat and judge nothing"
 
 
+def test_a_robot_whose_load_cells_are_not_on_can_beside_drives_that_are() -> None:
+    def found(path: str, wanted: int, **overrides: Any) -> list[Finding]:
+        config, _ = load(path, overrides=overrides)
+        bus = config.fieldbus
+        assert isinstance(bus, CanopenBus)
+        channels = [each.model_copy(update={"force_cells": ()}) for each in bus.channels[-wanted:]]
+        update = {"channels": (*bus.channels[:-wanted], *channels)}
+        without = config.model_copy(update={"fieldbus": bus.model_copy(update=update)})
+        return [each for each in check_supervisor(without) if not each.ok]
+
+    assert found("config/can.yaml", 1) == [], "in a lab"
+    robot = found("config/can.yaml", 1, lab=None)
+    assert [each.where for each in robot] == ["supervisor.policy"]
+    assert "does not read load cells 6, 7, 8" in robot[0].text
+    use = {"lab": None, "supervisor.policy": "use", "relaxed": ["supervisor.policy"]}
+    assert found("config/can.yaml", 1, **use) == []
+
+
+@pytest.mark.parametrize(
+    ("key", "most"),
+    [("control.sequence.tare_limit", 12.5), ("control.stiffness.rise_rate", 44592.0)],
+)
+def test_bounds_of_control_that_it_judges_by(key: str, most: float) -> None:
+    for value, count in ((most * 1.001, 1), (most * 0.999, 0)):
+        given = {key.replace(".", "__"): value}
+        assert refused("config/can.yaml", **given) == []
+        found = refused("config/can.yaml", lab=None, **given)
+        assert [each.where for each in found] == [key] * count
+
+
+@pytest.mark.parametrize(("key", "most"), [("opposed_error", 15.0), ("logged_tension", 37.5)])
+def test_bounds_of_a_robot_with_smaller_tensions(key: str, most: float) -> None:
+    for value, there in ((most + 0.1, True), (most, False)):
+        given = {"control__tension__max": 150.0, f"supervisor__{key}": value}
+        found = refused("config/can.yaml", lab=None, **given)
+        assert (f"supervisor.{key}" in [each.where for each in found]) is there
+
+
+def test_a_silence_that_no_drive_would_notice() -> None:
+    stated = {"supervisor.timeout_ms": 60, "supervisor.quiet_s": 0.12}
+    load("config/can.yaml", overrides=stated)
+    with pytest.raises(ConfigError, match=r"quiet_s is 0\.119: .* set it to at least 0\.12"):
+        load("config/can.yaml", overrides=stated | {"supervisor.quiet_s": 0.119})
+
+
 def test_a_run_that_requires_one_that_has_no_drive_to_act_on() -> None:
     for stated, refuses in (({}, False), ({"supervisor.policy": "require"}, True)):
         config, _ = load("config/mixed.yaml", overrides=stated)
@@ -70,7 +117,14 @@ def test_a_run_that_requires_one_that_has_no_drive_to_act_on() -> None:
 
 @pytest.mark.parametrize(
     ("key", "most"),
-    [("tension_stopping", 600.0), ("contact_stopping", 50.0), ("speed_stopping", 2.5)],
+    [
+        ("tension_stopping", 600.0),
+        ("contact_stopping", 50.0),
+        ("speed_stopping", 2.5),
+        ("unexplained_force", 100.0),
+        ("opposed_force", 100.0),
+        ("answered_torque", 50.0),
+    ],
 )
 def test_bounds_that_are_far_beyond_the_envelope(key: str, most: float) -> None:
     beyond = {f"supervisor__{key}": most + 0.1}
@@ -108,8 +162,9 @@ def test_drives_that_wait_for_less_than_its_period_allows() -> None:
         ("rotation", 5.1),
         ("rotation_stopping", 31),
         ("opposed_error", 21),
-        ("spread", 0.6),
+        ("spread", 0.21),
         ("unexplained_force", 201),
+        ("unexplained_share", 0.51),
         ("opposed_force", 201),
         ("logged_tension", 51),
         ("tension_stopping", 2001),

@@ -11,6 +11,15 @@ from tonus.config.schema.supervisor import Supervisor
 from tonus.tools.check.finding import Finding
 
 _KEY = "supervisor"
+_SHARES = (
+    ("unexplained_force", 0.5),
+    ("opposed_force", 0.5),
+    ("opposed_error", 0.1),
+    ("logged_tension", 0.25),
+    ("answered_torque", 0.25),
+    ("tension_stopping", 3.0),
+)
+"""of the largest tension, at most"""
 
 
 def check_supervisor(config: Config) -> Iterator[Finding]:
@@ -27,14 +36,22 @@ def check_supervisor(config: Config) -> Iterator[Finding]:
         )
         return
     yield from _wide(config, settings)
-    on_can = {
-        axis
-        for bus in config.fieldbus.parts
-        if bus.heartbeats
-        for axis in numbers(list(bus.nodes()))[0]
-    }
-    others = sorted(set(range(config.robot.cables)) - on_can)
-    if others and config.lab is None and settings.policy == "require" and config.relay is None:
+    if config.lab is not None or settings.policy != "require" or config.relay is not None:
+        return
+    parts = [numbers(list(bus.nodes())) for bus in config.fieldbus.parts if bus.heartbeats]
+    others = sorted(set(range(config.robot.cables)) - {each for axes, _ in parts for each in axes})
+    unread = sorted(set(range(config.robot.cells)) - {each for _, cells in parts for each in cells})
+    if unread and not others:
+        yield Finding(
+            "supervisor",
+            False,
+            f"{_KEY}.policy",
+            f"it does not read load cells {', '.join(map(str, unread))}, which are not on CAN: no "
+            "bound of tension or contact is judged by them",
+            "connect them to a channel of the drives; else write supervisor.policy under relaxed, "
+            "and set it to use or off",
+        )
+    if others:
         yield Finding(
             "supervisor",
             False,
@@ -46,18 +63,23 @@ def check_supervisor(config: Config) -> Iterator[Finding]:
 
 
 def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
-    """The bounds of every state, against those of the envelope."""
-    envelope = config.control.envelope
-    for key, bound, times in (
-        ("tension_stopping", config.control.tension.max, 3.0),
-        ("contact_stopping", envelope.contact_limit, 2.0),
-        ("speed_stopping", envelope.speed_limit, 10.0),
+    """Its bounds against those of tension and envelope."""
+    if config.lab is not None:
+        return
+    control = config.control
+    envelope, stiffness, tension = control.envelope, control.stiffness, control.tension.max
+    tare, rise = control.sequence.tare_limit, stiffness.rise_rate
+    for key, value, bound, times in (
+        *((f"{_KEY}.{name}", getattr(settings, name), tension, times) for name, times in _SHARES),
+        (f"{_KEY}.contact_stopping", settings.contact_stopping, envelope.contact_limit, 2.0),
+        (f"{_KEY}.speed_stopping", settings.speed_stopping, envelope.speed_limit, 10.0),
+        ("control.sequence.tare_limit", tare, envelope.contact_limit, 0.5),
+        ("control.stiffness.rise_rate", rise, stiffness.maximum - stiffness.minimum, 10.0),
     ):
-        value = getattr(settings, key)
-        if value > times * bound and config.lab is None:
-            text = f"{value:g} is more than {times:g} times the envelope's {bound:g}"
+        if value > times * bound:
+            text = f"{value:g} is more than {times:g} times the bound of {bound:g} that it guards"
             remedy = f"set it to at most {times * bound:g}"
-            yield Finding("supervisor", False, f"{_KEY}.{key}", text, remedy)
+            yield Finding("supervisor", False, key, text, remedy)
 
 
 def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
