@@ -26,6 +26,8 @@ Fetch = Callable[[], Arrived]
 
 STATE, _QUICK_STOP_ACTIVE, OPERATION_ENABLED = 0x6F, 0x07, 0x27
 """CiA 402, statusword"""
+_COMMUNICATION = (0x81, 0x82)
+"""CiA 301, error codes 0x81xx and 0x82xx: the bus is wrong, not what is measured"""
 _POWERED = frozenset((OPERATION_ENABLED, _QUICK_STOP_ACTIVE))
 
 
@@ -70,8 +72,9 @@ class Heard:
 
     @property
     def reports_error(self) -> bool:
-        """Of emergency frames: the newest error code (CiA 301, two bytes) is not 0."""
-        return bool(self.word & 0xFFFF)
+        """Of emergency frames: the newest error code (CiA 301, two bytes) is of the device."""
+        code = self.word & 0xFFFF
+        return code != 0 and code >> 8 not in _COMMUNICATION
 
     def take(self, words: Sequence[int], now_ns: int) -> None:
         """The data of frames that were read at one time, in their order; at least one."""

@@ -57,6 +57,7 @@ class Claim:
     """cables that are given up (n,)"""
     answers: Answers | None = None
     """where they are asked for"""
+    tick: int = 0
 
 
 New = tuple[Sequence[int], NDArray[np.void]]
@@ -93,6 +94,7 @@ def claims(records: New, *, answered: bool = False) -> list[Claim]:
             rows["stiffness"]["k_eq"].tolist(),
             state["failed"].astype(bool),
             _answers(rows) if answered else [None] * len(stamps),
+            rows["timing"]["tick"].tolist(),
             strict=True,
         )
     ]

@@ -108,8 +108,8 @@ class Replayed:
 
     def _take(self, claim: Claim, answers: Answers) -> None:
         heard, at_ns = self.heard, claim.at_ns
-        wanted = np.rint(np.nan_to_num(claim.torque * self._mille)).astype(np.int64)
-        length = np.rint(np.nan_to_num(answers.angle * self._radius) / _METRE).astype(np.int64)
+        wanted = np.rint(_finite(claim.torque) * self._mille).astype(np.int64)
+        length = np.rint(_finite(answers.angle) * self._radius / _METRE).astype(np.int64)
         sampled = self._anew(at_ns, answers.age, self._sampled_ns)
         for axis, mille, position, word, new in zip(
             self._axes,
@@ -153,9 +153,17 @@ class Replayed:
         if len(commanded) == commanded.maxlen:
             lately = np.array(commanded)
             low, high = lately.min(axis=0), lately.max(axis=0)
-            beyond = np.maximum(answers.torque - high, low - answers.torque)
+            torque = _finite(answers.torque)
+            beyond = np.maximum(torque - high, low - torque)
             # A drive that says that it is at a limit of its own gives what it can.
             compared = answers.statusword & (STATE | _AT_A_LIMIT) == OPERATION_ENABLED
             compared &= sampled
             np.maximum(self.astray, beyond / self._radius, out=self.astray, where=compared)
-        commanded.append(np.nan_to_num(claim.torque))
+        # What is no number is beyond every bound.
+        known = np.isfinite(answers.torque) & np.isfinite(answers.angle)
+        self.astray[~np.isfinite(claim.torque) | (sampled & ~known)] = np.inf
+        commanded.append(_finite(claim.torque))
+
+
+def _finite(values: Floats) -> Floats:
+    return np.where(np.isfinite(values), values, 0.0)

@@ -9,14 +9,15 @@ from collections.abc import Callable
 
 import can
 import numpy as np
+from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
 from tonus.runtime.states import ARMED
-from tonus.runtime.supervisor.judge import NOWHERE, Judge, Violation
+from tonus.runtime.supervisor.judge import CONTROLLED, NOWHERE, Judge, Violation
 from tonus.runtime.supervisor.listener import Listener, Watched
 from tonus.runtime.supervisor.observation import Listened, Observation, Observer
-from tonus.runtime.supervisor.record import Records, claims
+from tonus.runtime.supervisor.record import Claim, Records, claims
 from tonus.runtime.supervisor.recorded import RecordedWiring, Replayed
 from tonus.runtime.supervisor.wiring import Value, Wiring
 
@@ -26,6 +27,8 @@ _EMERGENCY, _RPDO, _HEARTBEAT = 0x080, 0x200, 0x700
 _HELD, _RELEASED = b"\1", b"\0"
 """digital outputs of the relay's node: bit 0 is the coil"""
 _OPERATIONAL = b"\5"
+_STATE, _BOOT_UP = Value(0, 8), 0
+"""of a heartbeat"""
 _ERROR = struct.Struct("<HBBf")
 _EMERGENCY_BYTES = 8
 """Error code, error register, axis or 0xFF, value; CiA 301 leaves the last five to the device."""
@@ -40,7 +43,8 @@ class Supervisor:
     It is silent at first, and after a violation; the heartbeat begins when no drive has been
     enabled for ``quiet_s`` and everything arrives that it judges by. So its restart, or a mistake
     of its own that has passed, gives an armed robot nothing back, and a drive that it stopped needs
-    the operator's reset. A silent drive counts as what it was, while the daemon's record is armed.
+    the operator's reset. A silent drive counts as what it was, while the daemon's record is armed
+    or the drive sends heartbeats.
     A channel on which no device answers gets no heartbeat any more.
 
     With a relay in the circuit of the STO inputs it judges what the daemon records of the drives,
@@ -61,6 +65,7 @@ class Supervisor:
         relay = config.relay
         recorded = None if relay is None else RecordedWiring(config, relay)
         wiring = recorded or Wiring(config)
+        self._axes = wiring.axes
         self._replayed = None if recorded is None else Replayed(config, recorded)
         """what the daemon records, where the drives' frames are not read"""
         self._relay = relay
@@ -72,6 +77,9 @@ class Supervisor:
         self._judge = Judge(config, settings)
         self._quiet_ns: int | None = None
         self._looked_ns = 0
+        self._tick = -1
+        self._agreed_ns = 0
+        """when record and statuswords agreed last whether the robot is controlled"""
         self._listeners: list[Listener] = []
         for interface, channel, bitrate in wiring.channels:
             bus = open_bus(interface, channel, bitrate)
@@ -100,10 +108,11 @@ class Supervisor:
             with contextlib.suppress(can.CanError, OSError):
                 listener.read(now_ns)
         seen = self._look(now_ns)
-        # A drive that is silent is what it was, unless daemon and all others are disarmed: then it
-        # was pulled, or has no power.
+        # A drive that is silent is what it was, unless daemon and all others are disarmed and it
+        # sends no heartbeat either: then it was pulled, or has no power.
         present = seen.measured_age < self.settings.stale_ms
         armed_by_record = seen.claim is not None and seen.claim.state in ARMED
+        present |= self._alive(seen)
         seen.enabled &= present | (not present.any()) | armed_by_record
         armed = bool(seen.enabled.any())
         if armed:
@@ -112,6 +121,8 @@ class Supervisor:
             self._quiet_ns = now_ns
         if seen.rested or not armed:
             self._judge.rest()
+        if armed or seen.claim is None or seen.claim.state not in CONTROLLED:
+            self._agreed_ns = now_ns
         self._fall_silent_where_deaf(now_ns, armed)
         if not (armed or self._sees(seen)):
             self._beating = [False] * len(self._listeners)
@@ -133,14 +144,39 @@ class Supervisor:
         self._looked_ns = now_ns
 
     def _look(self, now_ns: int) -> Observation:
+        found = self._risen(now_ns, claims(self._records(), answered=self._replayed is not None))
         if self._replayed is None:
-            return self._observe(now_ns, self._heard, claims(self._records()))
-        found = claims(self._records(), answered=True)
+            return self._observe(now_ns, self._heard, found)
         self._replayed.take(found)
         seen = self._observe(now_ns, self._heard, found)
         # What a drive was sent is the record itself: its own figure is what there is to compare.
         seen.unlogged = self._replayed.astray > self.settings.answered_torque
         return seen
+
+    def _risen(self, now_ns: int, found: list[Claim]) -> list[Claim]:
+        """Without those of the future, and those of no later tick than the one before: whoever
+        writes the same again has recorded nothing."""
+        latest_ns = now_ns + self.settings.patience_ms * 1e6
+        risen: list[Claim] = []
+        for claim in found:
+            if claim.tick > self._tick and claim.at_ns <= latest_ns:
+                self._tick = claim.tick
+                risen.append(claim)
+        return risen
+
+    def _alive(self, seen: Observation) -> NDArray[np.bool_]:
+        """Drives that go on sending heartbeats after their last measurement, and have not booted
+        since: whether they still have a torque nothing says."""
+        found = np.zeros(len(self._axes), bool)
+        for row, axis in enumerate(self._axes):
+            if not axis.heartbeat:
+                continue
+            beats = self._heard[axis.channel, axis.heartbeat]
+            if seen.measured_age[row] == 0.0:
+                beats.numbers.clear()
+            later_ms = seen.measured_age[row] - (seen.now_ns - beats.at_ns) * 1e-6
+            found[row] = later_ms >= self.settings.stale_ms and _BOOT_UP not in beats.numbers
+        return found
 
     def _hold_relay(self) -> None:
         """Its output is on as long as the heartbeat goes, and is off at once with its end."""
@@ -168,11 +204,16 @@ class Supervisor:
 
     def _sees(self, seen: Observation) -> bool:
         """Whether it would see that a drive is enabled: without frames, only by a record that goes
-        on."""
+        on, in which some drive answers, and which is not of a controlled robot without drives."""
         if self._replayed is None:
             return True
-        oldest_ns = self.settings.patience_ms * 1e6
-        return seen.claim is not None and seen.now_ns - seen.claim.at_ns <= oldest_ns
+        settings = self.settings
+        return (
+            seen.claim is not None
+            and seen.now_ns - seen.claim.at_ns <= settings.patience_ms * 1e6
+            and bool(seen.measured_age.min() <= settings.quiet_s * 1e3)
+            and seen.now_ns - self._agreed_ns <= settings.disarmed_ms * 1e6
+        )
 
     def _hears(self, seen: Observation) -> bool:
         """Whether everything arrives that it judges by: it does not begin deaf."""
@@ -240,6 +281,7 @@ def _watched(wiring: Wiring, channel: str) -> list[Watched]:
         if axis.channel == channel:
             found.append(Watched(axis.sent, axis.sent_bytes, (axis.torque,)))
             found.append(Watched(axis.received, axis.received_bytes, (), axis.statusword))
+            found.append(Watched(axis.heartbeat, 1, (_STATE,)))
     cells: dict[int, tuple[int, list[Value]]] = {}
     for cell in wiring.cells:
         if cell.channel == channel:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.root import Config
 
-_EMERGENCY, _TPDO, _RPDO = 0x080, 0x180, 0x200
+_EMERGENCY, _TPDO, _RPDO, _HEARTBEAT = 0x080, 0x180, 0x200, 0x700
 _STATUSWORD, _POSITION, _TARGET_TORQUE = 0x6041, 0x6064, 0x6071
 _REAL_VALUE = 0x6130
 _PROCESS_VALUES = (_REAL_VALUE, 0x7130, 0x9130)
@@ -65,6 +65,8 @@ class Axis:
     """kg of the drum at the cable"""
     damping: float
     """N s/m of its bearings"""
+    heartbeat: int = 0
+    """identifier of the drive's own; 0 where its frames are not read"""
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,7 @@ class Wiring:
                         turn / ratio * radius if own else None,
                         train.drum.inertia / radius**2,
                         train.drum.viscous_friction / radius**2,
+                        _HEARTBEAT + drive.node_id,
                     )
                 )
             for node in channel.force_cells:

@@ -171,9 +171,11 @@ class Watchdog:
         tick: bool = True,
         deaf: Any = (),
         interrupted: bool = False,
+        beats: Any = (),
     ) -> list[tuple[int, bytes]]:
         """What the first channel was sent in this step. Identifiers in ``deaf`` do not arrive; on
-        the other channels no drive is enabled. ``interrupted``: all drives were off before."""
+        the other channels no drive is enabled. ``interrupted``: all drives were off before.
+        ``beats``: heartbeats of drives, axis and state each."""
         place = {channel: number for number, (_, channel, _) in enumerate(self.wiring.channels)}
         frames = {
             (cell.channel, cell.received): bytes(cell.received_bytes) for cell in self.wiring.cells
@@ -192,9 +194,16 @@ class Watchdog:
                 self.buses[place[channel]].waiting.append(
                     can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
                 )
+        for number, state in beats:
+            axis = self.wiring.axes[number]
+            beat = can.Message(
+                arbitration_id=axis.heartbeat, is_extended_id=False, data=bytes([state])
+            )
+            self.buses[place[axis.channel]].waiting.append(beat)
         if tick:
             record = np.zeros(1, cycle_dtype(N))
             record["state"]["state"] = self.state
+            record["timing"]["tick"] = round(now_ms * 1000)
             self.records.append((round(now_ms * MS), record[0]))
         before = len(self.buses[0].sent)
         self.supervisor.step(round(now_ms * MS))

@@ -160,6 +160,49 @@ def test_a_drive_that_was_enabled_and_is_silent_is_enabled_still(watchdog: Watch
     assert all(sent == BEAT for sent in pulled), "the daemon is disarmed, and so are the others"
 
 
+BOOT_UP, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x05, 0x7F
+
+
+@pytest.mark.parametrize("state", [OPERATIONAL, PRE_OPERATIONAL])
+def test_a_drive_that_sends_heartbeats_and_no_measurements_is_what_it_was(
+    watchdog: Watchdog, state: int
+) -> None:
+    """It may have its last torque still. One of two goes on so after the daemon is disarmed."""
+    axis = watchdog.wiring.axes[0]
+    list(watchdog.steps(0, 310, enabled=False))
+    assert watchdog.step(310, enabled=True) == BEAT
+    watchdog.state = State.FAULT
+    deaf, beats = {(axis.channel, axis.received)}, [(0, state)]
+    sent = list(watchdog.steps(312, 400, enabled=False, deaf=deaf, beats=beats))
+    assert sent[:25] == [BEAT] * 25
+    code, _, _, _ = struct.unpack("<HBBf", sent[25][0][1])
+    assert code == 0xFF0C, "SUP-12, after 50 ms"
+    assert sent[26:] == [[]] * 18
+    later = watchdog.steps(400, 800, enabled=False, deaf=deaf, beats=beats)
+    assert all(sent == [] for sent in later)
+    assert list(watchdog.steps(800, 1104, enabled=False, beats=beats))[-1] == BEAT
+
+
+@pytest.mark.parametrize(
+    ("axis", "last_ms", "first"),
+    [(0, 330, OPERATIONAL), (3, 1000, OPERATIONAL), (2, 1000, BOOT_UP)],
+    ids=["pulled a little later", "another one's", "booted since"],
+)
+def test_a_silent_drive_that_is_off(
+    watchdog: Watchdog, axis: int, last_ms: int, first: int
+) -> None:
+    """A heartbeat may still be 18 ms later than the last measurement of a drive that is pulled."""
+    silent = watchdog.wiring.axes[0]
+    list(watchdog.steps(0, 310, enabled=False, beats=[(0, BOOT_UP), (1, BOOT_UP)]))
+    assert watchdog.step(310, enabled=True, beats=[(0, OPERATIONAL)]) == BEAT
+    watchdog.state = State.FAULT
+    deaf = {(silent.channel, silent.received)}
+    for now in range(312, 1000, 2):
+        state = first if now == 312 else PRE_OPERATIONAL
+        beats = [(axis, state)] if now < last_ms else []
+        assert watchdog.step(now, enabled=False, deaf=deaf, beats=beats) == BEAT
+
+
 def test_what_held_is_over_when_the_drives_are_disabled(watchdog: Watchdog) -> None:
     """Twice 40 ms in a state in which no drive may be enabled for 50."""
     list(watchdog.steps(0, 310, enabled=False))
@@ -278,12 +321,12 @@ def test_how_long_it_may_be_deaf_while_nothing_is_enabled(
 
 
 def test_on_each_channel_it_listens_to_the_devices_of_that_channel(config: Config) -> None:
-    """To a drive's PDOs, both ways, and to a cell's PDO and emergency."""
+    """To a drive's PDOs, both ways, and its heartbeat, and to a cell's PDO and emergency."""
     assert isinstance(config.fieldbus, CanopenBus)
     for channel in config.fieldbus.channels:
         drives = [drive.node_id for drive in channel.drives]
         cells = [node.node_id for node in channel.force_cells]
-        wanted = [base + node for node in drives for base in (0x180, 0x200)]
+        wanted = [base + node for node in drives for base in (0x180, 0x200, 0x700)]
         wanted += [base + node for node in cells for base in (0x080, 0x180)]
         found = [each.identifier for each in _watched(Wiring(config), channel.name)]
         assert sorted(found) == sorted(wanted)

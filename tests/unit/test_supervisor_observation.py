@@ -235,12 +235,16 @@ def test_a_force_that_is_no_number_is_beyond_every_bound(config: Config, force: 
 
 
 def test_a_cell_is_defective_until_its_amplifier_takes_the_error_back(config: Config) -> None:
+    """An error of the bus says nothing of what is measured."""
     stage = Stage(config)
     cells = {cell.number: cell for cell in stage.wiring.cells}
     assert cells[2].emergency == 0x080 + 17 + 2
     for number in (2, config.robot.contact_cell):
         emergency = stage.heard[cells[number].channel, cells[number].emergency]
-        for code, bad in ((0, False), (0x5010, True), (0x1000, True), (0, False)):
+        for code, bad in (
+            *((0, False), (0x5010, True), (0x1000, True), (0x8042, True), (0x8310, True)),
+            *((0x8130, False), (0x8210, False), (0, False)),
+        ):
             emergency.take([code | 0x81 << 16], MS)
             found = stage.observe(MS, stage.heard, [claim()])
             assert found.contact_defective is (bad and number != 2)

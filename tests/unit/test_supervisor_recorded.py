@@ -66,6 +66,7 @@ def config() -> Config:
 def _record(cables: int, now_ms: int) -> Any:
     """A robot that is held still, in order."""
     record = np.zeros(1, cycle_dtype(cables))[0]
+    record["timing"]["tick"] = now_ms
     record["state"]["state"] = State.HOLD
     record["stiffness"]["k_eq"] = 3000.0
     drives, cells = record["drives"], record["force_cells"]
@@ -83,12 +84,12 @@ class Held:
         self.bus, self.config = FakeBus(), config
         self.answers = True
         self.recorded = True
-        self._records: list[tuple[int, Any]] = []
+        self.waiting: list[tuple[int, Any]] = []
         self.supervisor = Supervisor(config, self._new, lambda *_: self.bus)  # type: ignore[arg-type, return-value]
         self._now = 0
 
     def _new(self) -> New:
-        new, self._records = self._records, []
+        new, self.waiting = self.waiting, []
         records = np.array([record for _, record in new], cycle_dtype(self.config.robot.cables))
         return [stamp for stamp, _ in new], records
 
@@ -99,7 +100,7 @@ class Held:
             record = _record(self.config.robot.cables, self._now)
             change(record)
             if self.recorded:
-                self._records.append((self._now * MS, record))
+                self.waiting.append((self._now * MS, record))
         if self.answers:
             beat = can.Message(arbitration_id=0x700 + NODE, is_extended_id=False, data=b"\5")
             self.bus.waiting.append(beat)
@@ -493,3 +494,103 @@ def test_an_axis_is_the_same_as_by_its_frames(config: Config) -> None:
         assert axis.per_newton_metre == pytest.approx(frames.per_newton_metre)
         assert axis.mass == pytest.approx(frames.mass)
         assert axis.damping == pytest.approx(frames.damping)
+
+
+# --- a record that cannot be right ---------------------------------------------------------------
+
+
+def test_a_controlled_robot_without_drives_releases_the_relay(held: Held) -> None:
+    """Whatever statuswords are recorded: it may be that only they are wrong."""
+
+    def undriven(record: Any) -> None:
+        record["drives"]["statusword"] = DISABLED
+
+    list(held.steps(160, disarmed))
+    assert all(sent == [BEAT, HELD] for sent in held.steps(25, undriven))
+    assert held.step(undriven) == [RELEASED]
+    assert all(sent == [] for sent in held.steps(400, undriven))
+    assert list(held.steps(2, disarmed))[-1] == [BEAT, HELD]
+
+
+def test_drives_that_all_stop_answering_while_nothing_is_enabled_release_the_relay(
+    held: Held,
+) -> None:
+    count = 0
+
+    def deaf(record: Any) -> None:
+        nonlocal count
+        count += 1
+        disarmed(record)
+        record["drives"]["age"] = count
+
+    def one_deaf(record: Any) -> None:
+        deaf(record)
+        record["drives"]["age"][3] = 0
+
+    list(held.steps(160, disarmed))
+    assert all(sent == [BEAT, HELD] for sent in held.steps(200, one_deaf))
+    list(held.steps(1, disarmed))
+    count = 0
+    assert all(sent == [BEAT, HELD] for sent in held.steps(150, deaf))
+    assert held.step(deaf) == [RELEASED]
+    assert list(held.steps(1, disarmed)) == [[BEAT, HELD]]
+
+
+def test_the_same_record_again_is_none(held: Held) -> None:
+    def again(record: Any) -> None:
+        record["timing"]["tick"] = 360
+
+    assert held.armed().stopped_for(again) == Requirement.TICK
+
+
+def test_a_record_of_the_future_is_none(held: Held) -> None:
+    """Else all that is recorded after it would be older than what was measured last."""
+
+    def wild(record: Any) -> None:
+        record["stiffness"]["k_eq"] = 1e6
+
+    list(held.steps(160, disarmed))
+    record = _record(held.config.robot.cables, 0)
+    disarmed(record)
+    record["timing"]["tick"] = 10**6
+    held.waiting.append((10**6 * MS, record))
+    assert held.step(disarmed) == [BEAT, HELD]
+    assert held.stopped_for(wild, within=1) == Requirement.STIFFNESS
+
+
+def test_a_record_that_ends_with_one_of_the_future_releases_the_relay(held: Held) -> None:
+    list(held.steps(160, disarmed))
+    held.recorded = False
+    record = _record(held.config.robot.cables, 0)
+    disarmed(record)
+    record["timing"]["tick"] = 10**6
+    held.waiting.append((10**6 * MS, record))
+    assert [RELEASED] in list(held.steps(4, disarmed))
+
+
+def no_torque_told(record: Any) -> None:
+    record["drives"]["torque"][3] = np.nan
+
+
+def no_angle(record: Any) -> None:
+    record["drives"]["angle"][3] = np.nan
+
+
+def no_command(record: Any) -> None:
+    record["drives"]["torque_command"][3] = np.inf
+
+
+@pytest.mark.parametrize("change", [no_torque_told, no_angle, no_command])
+def test_what_is_no_number_is_beyond_every_bound(held: Held, change: Change) -> None:
+    held.armed()
+    assert all(sent == [BEAT, HELD] for sent in held.steps(20))
+    assert held.stopped_for(change, within=4) == Requirement.COMMAND_LOGGED
+
+
+def test_a_silent_drive_may_have_been_measured_never(held: Held) -> None:
+    def unknown(record: Any) -> None:
+        disarmed(record)
+        record["drives"]["angle"][3] = record["drives"]["torque"][3] = np.nan
+        record["drives"]["age"][3] = 0xFFFF
+
+    assert all(sent == [] for sent in held.steps(400, unknown)), "not all of it arrives"
