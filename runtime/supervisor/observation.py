@@ -124,7 +124,7 @@ class Observer:
         if claims:
             torque = np.array([claim.torque for claim in claims])[:, self._numbers]
             scaled = torque * self._per_newton_metre
-            scaled[np.isnan(scaled)] = 0.0
+            scaled[~np.isfinite(scaled)] = 0.0
             wanted = np.rint(scaled).astype(np.int64)
             self._claimed.extend(map(tuple, wanted.tolist()))
             self._claim = claims[-1]

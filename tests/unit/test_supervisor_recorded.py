@@ -396,6 +396,16 @@ def test_the_farthest_of_the_new_records_counts_and_older_ones_no_more(player: P
     assert player.replayed.astray.max() == 0.0
 
 
+@pytest.mark.parametrize(("answered", "newton"), [(1.3, 5.0), (-0.1, 5.0), (0.0, 0.0)])
+def test_a_command_that_is_no_number_explains_no_torque_but_none(
+    player: Player, answered: float, newton: float
+) -> None:
+    player.take(commanded(np.nan, 1.0))
+    assert (player.replayed.astray == np.inf).all()
+    player.take(commanded(1.0, answered))
+    assert player.replayed.astray == pytest.approx(np.full(player.cables, newton))
+
+
 def test_a_torque_that_was_sent_long_ago_explains_nothing(player: Player) -> None:
     player.take(commanded(1.0, 1.0), commanded(1.0, 1.0), commanded(1.0, 1.2))
     assert player.replayed.astray == pytest.approx(np.full(player.cables, 10.0))
