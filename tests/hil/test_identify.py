@@ -21,6 +21,7 @@ pytestmark = pytest.mark.wide
 
 GIVEN: dict[str, Any] = {
     "lab.plant.stiffness_scale": 1.12,
+    "lab.plant.damping_scale": 2.0,
     "lab.plant.mass_scale": 1.15,
     "lab.plant.coulomb_friction": 2.4,
     "lab.plant.load_friction": 0.05,
@@ -35,6 +36,7 @@ TOLERANCE = {
     "platform_mass": 0.01,
     "moved_mass": 0.01,
     "axial_stiffness": 0.01,
+    "cable_damping": 0.05,
     "drum_inertia": 0.01,
     "viscous_friction": 0.04,
     "coulomb_friction": 0.15,
@@ -114,6 +116,7 @@ def test_the_truth_beside_it_is_what_the_plant_was_given(found: dict[str, Any]) 
     truth = {e["name"]: e["truth"] for e in found["estimates"]}
     assert truth["platform_mass"] == pytest.approx(1.15 * 2.35)
     assert truth["axial_stiffness"] == pytest.approx(1.12 * 3600.0)
+    assert truth["cable_damping"] == pytest.approx(2.0 * 6.0)
     assert truth["coulomb_friction"] == pytest.approx(2.4)
     assert truth["drum_inertia"] == pytest.approx(0.0060)
     assert truth["efficiency_driven"] == pytest.approx(0.72)
@@ -122,6 +125,7 @@ def test_the_truth_beside_it_is_what_the_plant_was_given(found: dict[str, Any]) 
 def test_values_that_the_configuration_has_wrong_are_named(found: dict[str, Any]) -> None:
     verdicts = {e["name"]: e["verdict"] for e in found["estimates"]}
     assert verdicts["axial_stiffness"].startswith("differs +1")
+    assert verdicts["cable_damping"].startswith("differs +")
     assert verdicts["moved_mass"].startswith("differs +1")
     assert verdicts["drum_inertia"] == "as configured"
 
@@ -144,6 +148,7 @@ def test_nothing_holds_on_to_the_platform_in_free_air(found: dict[str, Any]) -> 
 def test_the_fragment_is_yaml_for_the_configuration(found: dict[str, Any]) -> None:
     fragment = yaml.safe_load((found["out"] / "identify.yaml").read_text())
     assert fragment["robot"]["cable"]["axial_stiffness"] == pytest.approx(1.12 * 3600.0, rel=0.01)
+    assert fragment["robot"]["cable"]["damping"] == pytest.approx(2.0 * 6.0, rel=0.05)
     assert fragment["robot"]["drum"]["inertia"] == pytest.approx(0.0060, rel=0.01)
     assert fragment["lab"]["plant"]["load_friction"] == pytest.approx(0.05, rel=0.15)
     overrides = [f"{a}.{b}.{c}" for a, s in fragment.items() for b, t in s.items() for c in t]

@@ -10,6 +10,7 @@ from pathlib import Path
 from tonus.runtime.states import State
 from tonus.tools.errors import ToolError
 from tonus.tools.identify.cables import identify_cables
+from tonus.tools.identify.damping import has_null_space, identify_damping
 from tonus.tools.identify.drums import Drum, identify_drums
 from tonus.tools.identify.estimate import Estimate, Fit
 from tonus.tools.identify.record import Record, read
@@ -69,10 +70,18 @@ def identify(
     cables = identify_cables(records, anchor_sigma)
     if not cables:
         notes.append("EA: the tensions hardly change; give a log that includes the bring-up")
+    damping = identify_damping(records, cables)
+    if not has_null_space(records[0]):
+        notes.append("damping of the cables: only more than six cables show it")
+    elif not damping:
+        notes.append(
+            "damping of the cables: their tensions against each other hardly change; "
+            "record identify_load"
+        )
     estimated, drums = identify_drums(records)
     if not drums:
         notes.append("drums: no drum turned long enough both ways; record identify_motion")
-    found += cables + estimated
+    found += cables + damping + estimated
     _loop(yielding, mass, found, responses, notes)
     if truth:
         known = true_values(records, moving, yielding)

@@ -90,6 +90,8 @@ def _drawn(record: Record) -> dict[str, Known]:
         "platform_mass": float(plant["mass"]),
         "moved_mass": float(plant["mass"]),
         "axial_stiffness": tuple(stiffness.tolist()),
+        # The cells' low-pass, which is not damping, is the lab's own in the log's configuration.
+        "cable_damping": tuple(plant["cable_damping"].tolist()),
         "drum_inertia": tuple(plant["drum_inertia"].tolist()),
         "viscous_friction": tuple(plant["viscous"].tolist()),
         "coulomb_friction": tuple((plant["coulomb"] / plant["radius"]).tolist()),

@@ -14,6 +14,7 @@ from tonus.tools.identify.response import Response
 
 _VALUES = (
     "axial_stiffness",
+    "cable_damping",
     "drum_inertia",
     "viscous_friction",
     "coulomb_friction",
