@@ -160,6 +160,14 @@ def test_the_figure_is_drawn(found: dict[str, Any]) -> None:
     assert {response["kind"] for response in found["responses"]} == {"platform", "loop"}
 
 
+def test_six_cables_are_said_not_to_show_their_damping(tmp_path: Path) -> None:
+    config, scenario = configured("config/six.yaml", "identify_motion", duration=4.0)
+    _, log = virtual(config, scenario, tmp_path)
+    said = of([log.path], tmp_path)
+    assert all(e["name"] != "cable_damping" for e in said["estimates"])
+    assert any("more than six cables" in note for note in said["notes"])
+
+
 @pytest.mark.long
 def test_sines_against_the_phantom_give_its_stiffness_and_damping(tmp_path: Path) -> None:
     config, scenario = configured("config/direct.yaml", "identify_phantom", duration=8.0)
