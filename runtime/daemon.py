@@ -114,6 +114,12 @@ class Daemon:
             commander, self.cycle.sequence, self.self_test, self._overruns, fieldbus, self._emit
         )
 
+    def prepare_to_go_on(self) -> None:
+        """Between two ticks: have the keyframe ready that `go_on` begins with, if no tick comes
+        before."""
+        if self._keeper is not None:
+            self._keeper.prepare()
+
     def go_on(self, duration: float) -> None:
         """Between two ticks: what is recorded from here on is a run of its own, whose scenario
         lasts ``duration`` s. It begins with the last tick's record and a keyframe."""

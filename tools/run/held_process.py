@@ -170,7 +170,8 @@ class HeldProcess:
                 self._connection.send(Answer(request.number, error=text, over=True))
 
     def _rehearse_recording(self) -> None:
-        """Record a tick and throw it away: what is made once for all logs, each run finds made."""
+        """Record a tick and throw it away: what is made once for all logs, each run finds made. So
+        is the keyframe that each of them begins with."""
         assert self._lab is not None
         assert self._daemon is not None
         with TemporaryDirectory() as folder:
@@ -179,6 +180,7 @@ class HeldProcess:
             rings = Rings(place, self._config, touched=False)
             rings.truth().publish(self._sinks.record, clock.now_ns())
             rings.cycles.publish(self._daemon.cycle.record.data, clock.now_ns())
+            self._daemon.prepare_to_go_on()
             self._attached = provenance.attachments(self._config, self._scenario, ())
             recorder = _recorder(
                 place,
