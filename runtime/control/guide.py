@@ -141,9 +141,11 @@ class Guide:
 
     def _stop(self, elapsed: float) -> Sample:
         """To standstill along the way the platform is on, then straight down to the cradle."""
+        # Where the stop waits this is zero but for rounding errors, which have either sign.
         since = elapsed - self._sequence.stop_s
-        if since < 0.0:
+        if since < 0.0 and not self._lowering:
             return self._follow(0.0)
+        since = max(since, 0.0)
         if not self._lowering:
             self._lowering = True
             self._move = Move(self.desired[0], self._rest, self._lower_s)
