@@ -112,8 +112,7 @@ class Supervisor:
         # sends no heartbeat either: then it was pulled, or has no power.
         present = seen.measured_age < self.settings.stale_ms
         armed_by_record = seen.claim is not None and seen.claim.state in ARMED
-        present |= self._alive(seen)
-        seen.enabled &= present | (not present.any()) | armed_by_record
+        seen.enabled &= present | self._alive(seen) | (not present.any()) | armed_by_record
         armed = bool(seen.enabled.any())
         if armed:
             self._quiet_ns = None

@@ -169,7 +169,7 @@ def test_a_drive_that_sends_heartbeats_and_no_measurements_is_what_it_was(
 ) -> None:
     """It may have its last torque still. One of two goes on so after the daemon is disarmed."""
     axis = watchdog.wiring.axes[0]
-    list(watchdog.steps(0, 310, enabled=False))
+    list(watchdog.steps(0, 310, enabled=False, beats=[(0, BOOT_UP)]))
     assert watchdog.step(310, enabled=True) == BEAT
     watchdog.state = State.FAULT
     deaf, beats = {(axis.channel, axis.received)}, [(0, state)]
@@ -181,6 +181,18 @@ def test_a_drive_that_sends_heartbeats_and_no_measurements_is_what_it_was(
     later = watchdog.steps(400, 800, enabled=False, deaf=deaf, beats=beats)
     assert all(sent == [] for sent in later)
     assert list(watchdog.steps(800, 1104, enabled=False, beats=beats))[-1] == BEAT
+
+
+def test_drives_that_are_all_silent_are_what_they_were_whoever_sends_heartbeats(
+    watchdog: Watchdog,
+) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    assert watchdog.step(310, enabled=True) == BEAT
+    watchdog.state = State.FAULT
+    deaf = {(axis.channel, axis.received) for axis in watchdog.wiring.axes}
+    sent = list(watchdog.steps(312, 364, enabled=False, deaf=deaf, beats=[(2, OPERATIONAL)]))
+    assert sent[:25] == [BEAT] * 25
+    assert struct.unpack("<HBBf", sent[25][0][1])[0] == 0xFF0C
 
 
 @pytest.mark.parametrize(

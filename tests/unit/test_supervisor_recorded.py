@@ -520,6 +520,16 @@ def test_a_controlled_robot_without_drives_releases_the_relay(held: Held) -> Non
     assert held.step(undriven) == [RELEASED]
     assert all(sent == [] for sent in held.steps(400, undriven))
     assert list(held.steps(2, disarmed))[-1] == [BEAT, HELD]
+    assert all(sent == [BEAT, HELD] for sent in held.steps(100))
+    assert all(sent == [BEAT, HELD] for sent in held.steps(24, undriven))
+    assert [RELEASED] in list(held.steps(3, undriven))
+
+
+def test_a_controlled_robot_without_drives_from_the_first_record_on(held: Held) -> None:
+    def undriven(record: Any) -> None:
+        record["drives"]["statusword"] = DISABLED
+
+    assert all(sent == [] for sent in held.steps(400, undriven))
 
 
 def test_drives_that_all_stop_answering_while_nothing_is_enabled_release_the_relay(
@@ -548,7 +558,7 @@ def test_drives_that_all_stop_answering_while_nothing_is_enabled_release_the_rel
 
 def test_the_same_record_again_is_none(held: Held) -> None:
     def again(record: Any) -> None:
-        record["timing"]["tick"] = 360
+        record["timing"]["tick"] = 362
 
     assert held.armed().stopped_for(again) == Requirement.TICK
 
@@ -566,6 +576,17 @@ def test_a_record_of_the_future_is_none(held: Held) -> None:
     held.waiting.append((10**6 * MS, record))
     assert held.step(disarmed) == [BEAT, HELD]
     assert held.stopped_for(wild, within=1) == Requirement.STIFFNESS
+
+
+@pytest.mark.parametrize(("ahead_ms", "taken"), [(5, True), (6, False)])
+def test_how_far_ahead_a_record_may_be(held: Held, ahead_ms: int, taken: bool) -> None:
+    held.armed()
+    record = _record(held.config.robot.cables, 0)
+    record["stiffness"]["k_eq"] = 1e6
+    record["timing"]["tick"] = 10**6
+    held.recorded = False
+    held.waiting.append(((364 + ahead_ms) * MS, record))
+    assert (held.step() != [BEAT, HELD]) is taken
 
 
 def test_a_record_that_ends_with_one_of_the_future_releases_the_relay(held: Held) -> None:
