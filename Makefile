@@ -8,7 +8,8 @@ MINUTES ?= 20
 FUZZ_FRAMES ?= 200000
 FUZZ_SEED ?= $(shell date +%s)
 
-.PHONY: setup run test test-wide test-long bench bench-realtime bench-studies bench-view least-stop load paper campaign torn sto isolation
+.PHONY: setup run test test-wide test-long bench bench-against bench-realtime bench-studies bench-view least-stop
+.PHONY: load paper campaign torn sto isolation
 .PHONY: fuzz robust replay kill soak mutation
 .PHONY: lint check-types docs lock clean
 
@@ -61,6 +62,12 @@ test-long: setup
 
 bench: setup
 	$(BIN)/python -m tests.bench
+
+# This revision against an earlier one, in alternation: make bench-against BASE=HEAD~20. A quarter of an
+# hour on an idle host, and the time for BASE's environment once.
+BASE ?= HEAD~1
+bench-against: setup
+	$(BIN)/python -m tests.bench.revisions $(BASE)
 
 # The paper's whole protocol: five hours of robot time. Goes on where it was interrupted.
 paper: setup
