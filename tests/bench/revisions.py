@@ -106,8 +106,10 @@ def virtual(
     """Processor time of a tick, and the multiple of real time, of a load test with recording."""
     costs: dict[Path, list[float]] = {base: [], here: []}
     speeds: dict[Path, list[float]] = {base: [], here: []}
+    options = ["--virtual", "--duration"]
+    for where in (base, here):
+        _run(where, config, *options, str(_SHORT_S))  # compiles what it was not run with yet
     for where in _alternating(base, here, rounds):
-        options = ["--virtual", "--duration"]
         short_s, _ = _run(where, config, *options, str(_SHORT_S))
         long_s, summary = _run(where, config, *options, str(seconds))
         ticks = (seconds - _SHORT_S) * _PERIODS_A_SECOND
