@@ -39,8 +39,6 @@ BUSY, DONE, FAILED = 0x75, 0x66, 0x7265
 """0x2004: u, f, er"""
 _ZERO_NS = 8_000_000
 _ZERO_READINGS = 8
-_OVERFLOW = 3
-_UNDERFLOW = 5
 _DIGITS = 2
 _MOST_DIGITS = 6
 _SENSITIVITY = 2.0
@@ -92,8 +90,7 @@ class Channel:
 
     def status(self) -> int:
         """0, or why the process value is not valid."""
-        end = self._samples.at_the_end(self.cell)
-        return _OVERFLOW if end > 0 else _UNDERFLOW if end < 0 else 0
+        return self._samples.words[self._samples.validity + self.cell]
 
     # -- scaling ---------------------------------------------------------------------------------
 
@@ -289,9 +286,9 @@ class ForceCell:
 
     def place(self, index: int, subindex: int) -> int | None:
         """Where in `Samples.values` a process value stands; None: nowhere."""
-        if index != 0x9130:
-            return None
-        return self._samples.cell + self.channels[subindex - 1].cell
+        samples = self._samples
+        firsts = {0x9130: samples.cell, 0x6150: samples.validity}
+        return firsts[index] + self.channels[subindex - 1].cell if index in firsts else None
 
     def writer(self, index: int, subindex: int) -> Writer:
         del index, subindex

@@ -28,6 +28,8 @@ _BLOCK = 1024
 _PER_RADIAN, _PER_AMPERE, _ZERO = range(3)
 _DIGITS, _GAIN, _TARE, _OFFSET = range(4)
 """Rows of the parameters of axes, and of those of cells."""
+OVERFLOW, UNDERFLOW = 3, 5
+"""Status of a cell (CiA 404) at the upper and at the lower end of its range; 0 between them."""
 _INT16 = 0x7FFF
 _INT32 = 1 << 31
 _EPSILON = 1e-9
@@ -69,46 +71,53 @@ def _sample(
     reach: float,
     noise: Floats,
     row: int,
-    words: NDArray[np.int64],
+    values: NDArray[np.int64],
     force: Floats,
 ) -> None:
     """``axes`` and ``cells``: a row for each of the places above; ``reach``: N, end of a cell's
-    range either way."""
-    count = angle.shape[0]
+    range either way; ``values`` as `Samples` has them."""
+    count, amplifiers = angle.shape[0], cell.shape[0]
+    end = reach * (1.0 - _EPSILON)
     for i in range(count):
         turned = int(np.floor(angle[i] * axes[_PER_RADIAN, i])) - int(axes[_ZERO, i])
-        words[i] = (turned + _INT32) % (2 * _INT32) - _INT32
+        values[i] = (turned + _INT32) % (2 * _INT32) - _INT32
         mille = np.rint(current[i] * axes[_PER_AMPERE, i])
-        words[count + i] = int(min(max(mille, -_INT16 - 1), _INT16))
-    for i in range(cell.shape[0]):
+        values[count + i] = int(min(max(mille, -_INT16 - 1), _INT16))
+    for i in range(amplifiers):
         value = cell[i] + cells[_OFFSET, i] + noise[row, i]
         clipped = min(max(value, -reach), reach)
         force[i] = clipped * cells[_GAIN, i] + cells[_TARE, i]
         scaled = np.rint(force[i] * cells[_DIGITS, i])
-        words[2 * count + i] = int(min(max(scaled, -_INT32), _INT32 - 1))
+        values[2 * count + i] = int(min(max(scaled, -_INT32), _INT32 - 1))
+        found = (force[i] - cells[_TARE, i]) / cells[_GAIN, i]
+        status = OVERFLOW if found >= end else UNDERFLOW if found <= -end else 0
+        values[2 * count + amplifiers + i] = status
 
 
 class Samples:
     """Measured values of all axes and cells.
 
-    ``values``: positions (n), torques (n) and integer process values (n + 1) of the last instant
-    asked for with `at`, then the present statuswords (n), which the drives write; the latter three
-    begin at `torque`, `cell` and `status`. ``words``: the same but the statuswords, as a list. Cell
-    noise depends on seed and time alone, so who asks and how often changes nothing.
+    ``values``: positions (n), torques (n), integer process values and statuses of the cells (n + 1)
+    of the last instant asked for with `at`, then the present statuswords and error codes (n), which
+    the drives write; all but the first begin at `torque`, `cell`, `validity`, `status` and `error`.
+    ``words``: the same but what the drives write, as a list. Cell noise depends on seed and time
+    alone, so who asks and how often changes nothing.
     """
 
     def __init__(self, plant: Measured, robot: Robot, noise: CellNoise, seed: int) -> None:
         self.plant = plant
         cables, cells = robot.cables, robot.cells
-        self.torque, self.cell, self.status = cables, 2 * cables, 2 * cables + cells
-        """where torques, process values and statuswords begin in `values`"""
+        self.torque, self.cell, self.validity = cables, 2 * cables, 2 * cables + cells
+        self.status = self.validity + cells
+        self.error = self.status + cables
+        """where the parts of `values` begin"""
         self.axes = AxisTable(plant.current_reference)
         self.force = np.zeros(cells)
         """N, of the same instant"""
         self._seed = seed
         self._sigma = noise.sigma
         self._begin_ns = plant.now_ns
-        self.values = np.zeros(self.status + cables, np.int64)
+        self.values = np.zeros(self.error + cables, np.int64)
         self._words = self.values[: self.status]
         self.words: list[int] = self._words.tolist()
         self._at_ns = plant.now_ns - 1
@@ -143,7 +152,7 @@ class Samples:
                 self._range,
                 self._noise,
                 conversion % _BLOCK,
-                self._words,
+                self.values,
                 self.force,
             )
             self.words = self._words.tolist()
@@ -179,13 +188,6 @@ class Samples:
         self._cells[_GAIN, cell] = gain
         self._cells[_TARE, cell] = tare
         self._changed()
-
-    def at_the_end(self, cell: int) -> int:
-        """1 or -1 where a cell of the last sample is at the end of its range, else 0."""
-        gain, tare = float(self._cells[_GAIN, cell]), float(self._cells[_TARE, cell])
-        force = (float(self.force[cell]) - tare) / gain
-        reach = self._range * (1.0 - _EPSILON)
-        return int(force >= reach) - int(force <= -reach)
 
     def count(self, axis: int) -> int:
         """Increments of an axis' encoder since the plant's own zero, where an index pulse is; the

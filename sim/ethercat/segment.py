@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from tonus.sim.devices.samples import Samples
 from tonus.sim.devices.timers import Callback
 from tonus.sim.ethercat.cable import Cable
 from tonus.sim.ethercat.disturbance import Disturbance, Fate
@@ -28,6 +29,7 @@ from tonus.sim.ethercat.plan import Plan, compile_plan
 from tonus.sim.ethercat.slaves import registers as reg
 from tonus.sim.ethercat.slaves.controller import READ, WRITE
 from tonus.sim.ethercat.slaves.slave import Slave
+from tonus.sim.ethercat.sync0 import Sync0Plan, plan
 
 _COUNTER = struct.Struct("<H")
 _TIME = struct.Struct("<Q")
@@ -47,6 +49,9 @@ class Lab(Protocol):
 
     @property
     def now_ns(self) -> int: ...
+
+    @property
+    def samples(self) -> Samples: ...
 
     def advance(self, to_ns: int) -> None: ...
 
@@ -81,6 +86,7 @@ class Segment:
         self._touched: dict[int, Slave] = {}
         self._mail = 0
         self._sync = 0  # timers of an older arrangement are stale
+        self._pulses: dict[tuple[Slave, ...], Sync0Plan | None] = {}
         self._late: list[tuple[int, int, bytes]] = []
         self.awaits: Callable[[], None] | None = None
         """called when an answer comes later than `exchange` returns; it is then in `poll`"""
@@ -97,6 +103,9 @@ class Segment:
     def remapped(self) -> None:
         self._plans.clear()
         self._references.clear()
+
+    def restated(self) -> None:
+        self._pulses.clear()
 
     def exchanged(self, slave: Slave) -> None:
         self._touched[slave.number] = slave
@@ -328,15 +337,25 @@ class Segment:
         if number != self._sync:
             return
         limit = now_ns + _TOGETHER_NS
-        due = [
-            slave
-            for slave in self.slaves
-            if slave.sync.active and slave.clock.when(slave.sync.next, now_ns) <= limit
-        ]
-        for slave in due:
-            slave.latch(now_ns)
-        for slave in due:
-            slave.pulse(now_ns)
+        due = tuple(
+            [
+                slave
+                for slave in self.slaves
+                if slave.sync.active and slave.clock.when(slave.sync.next, now_ns) <= limit
+            ]
+        )
+        if due not in self._pulses:
+            if len(self._pulses) >= _PLANS:
+                self._pulses.clear()
+            self._pulses[due] = plan(due, self._lab.samples)
+        planned = self._pulses[due]
+        if planned is not None:
+            planned(now_ns)
+        else:
+            for slave in due:
+                slave.latch(now_ns)
+            for slave in due:
+                slave.pulse(now_ns)
         self._arm()
 
 

@@ -38,6 +38,7 @@ class DirectPort:
         self._lab = lab
         self._digits = bytes((cell.decimal_digits,))
         self._ready = False
+        self._axes = np.arange(len(lab.drives))
 
     def exchange(
         self, at_ns: int, controlwords: Sequence[int], torques: Sequence[int]
@@ -57,14 +58,15 @@ class DirectPort:
         samples = lab.samples
         samples.at(at_ns)
         values = samples.values.tolist()
-        for axis in samples.axes.apply(np.array(controlwords), np.array(torques)):
+        words, mille = np.array(controlwords), np.array(torques)
+        for axis in samples.axes.apply(self._axes, words, mille):
             lab.drives[axis].target_torque(torques[axis])
             lab.drives[axis].controlword(controlwords[axis])
         return (
-            values[samples.status :],
+            values[samples.status : samples.error],
             values[: samples.torque],
             values[samples.torque : samples.cell],
-            values[samples.cell : samples.status],
+            values[samples.cell : samples.validity],
         )
 
     def read(self, axis: int, index: int, subindex: int) -> bytes:

@@ -87,7 +87,7 @@ def seen(bench: SegmentBench, command: Command, start: int, data: bytes) -> list
     slaves = bench.slaves
     found: list[object] = [answer, list(bench.segment._touched)]
     found += [bytes(slave.controller.memory) for slave in slaves]
-    found += [(bytes(slave._outputs), slave._fresh) for slave in slaves]
+    found += [(bytes(slave._outputs), slave.fresh) for slave in slaves]
     bench.segment.settle()
     return found + [bytes(slave.controller.memory) for slave in slaves]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from unittest.mock import patch
 
 import pytest
 from ethercat_bench import (
@@ -236,9 +237,46 @@ def test_drives_with_one_sync0_sample_the_same_instant() -> None:
     bench = SegmentBench(clock_spread_ppm=10.0)
     bench.operate(0, 1, 2, 3, sync_ns=MS)
     instants: list[int] = []
+    samples, sample = bench.lab.samples, bench.lab.samples.at
+    samples.at = lambda now_ns: (instants.append(now_ns), sample(now_ns))[1]
+    samples.values[samples.error : samples.error + 4] = 0x1000, 0x2000, 0x3000, 0x4000
     for slave in bench.slaves[:4]:
-        device = slave.device
-        device.sample = lambda now_ns, inner=device.sample: (instants.append(now_ns), inner(now_ns))
+        slave.input_area[:] = bytes(len(slave.input_area))
     bench.wait(1)
-    assert len(instants) == 4
     assert len(set(instants)) == 1
+    for axis, slave in enumerate(bench.slaves[:4]):
+        words = [samples.values[place] for place in slave.process_data.places]
+        assert None not in slave.process_data.places
+        assert bytes(slave.input_area) == struct.pack(f"<{slave.process_data.letters}", *words), (
+            axis
+        )
+
+
+def test_sync0_of_all_at_once_does_what_it_does_slave_by_slave() -> None:
+    """Outputs that change and that do not, and one frame in four that does not come."""
+    together, alone = SegmentBench(), SegmentBench()
+    for bench in (together, alone):
+        bench.operate(0, 1, 2, 3, sync_ns=MS)
+    with patch("tonus.sim.ethercat.segment.plan", lambda slaves, samples: None):
+        alone.segment.restated()
+        seen = [_course(alone)]
+    seen.append(_course(together))
+    assert any(planned is not None for planned in together.segment._pulses.values())
+    assert seen[0] == seen[1]
+
+
+def _course(bench: SegmentBench) -> list[bytes]:
+    """What four drives show and do in 40 cycles on the way to Operation Enabled and beyond."""
+    found = []
+    for cycle in range(40):
+        word = (6, 7, 15, 15)[min(cycle // 3, 3)]
+        for number, slave in enumerate(bench.slaves[:4]):
+            if cycle % 4 != 3:
+                outputs = struct.pack("<Hh", word, number * 10 * (cycle // 5))
+                slave.outputs_came(outputs, bench.lab.now_ns)
+        bench.wait(1)
+        for slave in bench.slaves[:4]:
+            missed = slave.device.objects.number(0x1C32, 11)
+            found.append(bytes(slave.controller.memory) + bytes([slave.sync.pulses & 0xFF, missed]))
+        found.append(bench.lab.plant.state.tobytes())
+    return found

@@ -42,21 +42,23 @@ def follow(
 
 
 @njit(
-    "int64(int64[:, ::1], float64[:, ::1], float64[::1], int64[::1], int64[::1], int64[::1])",
+    "int64(int64[:, ::1], float64[:, ::1], float64[::1], int64[::1], int64[:], int64[:],"
+    " int64[::1])",
     cache=True,
 )
 def _apply(
     integers: Integers,
     currents: Floats,
     reference: Floats,
+    axes: Integers,
     words: Integers,
     torques: Integers,
     left: Integers,
 ) -> int:
     count = 0
-    for axis in range(words.shape[0]):
-        if not follow(integers, currents, reference, axis, words[axis], torques[axis]):
-            left[count] = axis
+    for i in range(axes.shape[0]):
+        if not follow(integers, currents, reference, axes[i], words[i], torques[i]):
+            left[count] = i
             count += 1
     return count
 
@@ -72,8 +74,9 @@ class AxisTable:
         self.currents = np.zeros((3, axes))
         self._left = np.zeros(axes, np.int64)
 
-    def apply(self, words: Integers, torques: Integers) -> list[int]:
-        """Controlword and target torque of every axis, (n,) each. Returns the axes whose drives
-        have to apply them themselves."""
-        count = _apply(self.integers, self.currents, self.reference, words, torques, self._left)
-        return self._left[:count].tolist() if count else []
+    def apply(self, axes: Integers, words: Integers, torques: Integers) -> list[int]:
+        """Controlword and target torque of each of ``axes``, (m,) each. Returns the places of those
+        whose drives have to apply them themselves."""
+        left = self._left
+        count = _apply(self.integers, self.currents, self.reference, axes, words, torques, left)
+        return left[:count].tolist() if count else []

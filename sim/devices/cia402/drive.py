@@ -151,7 +151,12 @@ class Cia402Drive:
     def place(self, index: int, subindex: int) -> int | None:
         """Where in `Samples.values` an object's value stands; None: nowhere."""
         samples = self._samples
-        firsts = {0x6041: samples.status, 0x6064: 0, 0x6077: samples.torque}
+        firsts = {
+            0x603F: samples.error,
+            0x6041: samples.status,
+            0x6064: 0,
+            0x6077: samples.torque,
+        }
         return firsts[index] + self.axis if index in firsts and subindex == 0 else None
 
     def writer(self, index: int, subindex: int) -> Writer:
@@ -208,6 +213,7 @@ class Cia402Drive:
         self._statusword = word
         samples, done = self._samples, self._done
         samples.values[samples.status + self.axis] = word
+        samples.values[samples.error + self.axis] = self._errors.code
         same = done is not None and done[1] is self._machine.state and not self._set_points.timed
         table = samples.axes.integers
         table[axis_table.DONE, self.axis] = done[0] if same and done else axis_table.NO_WORD

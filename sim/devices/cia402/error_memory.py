@@ -31,6 +31,11 @@ class ErrorMemory:
         self._count.write = self._clear_history
 
     @property
+    def code(self) -> int:
+        """0x603F"""
+        return int(self._code.value)
+
+    @property
     def warning(self) -> bool:
         return any(self._errors[code].reaction == "W" for code in self.present)
 

@@ -27,6 +27,8 @@ INPUT_SYNC = 0x1C33
 FREE_RUN, BY_MANAGER, BY_SYNC0 = 0, 1, 2
 _SUPPORTED = 0x0007
 _CONTROLWORD = 0x6040
+_SET_POINT = [0x60400010, 0x60710010]
+"""Outputs of a drive in cyclic synchronous torque."""
 _NAMES = {
     MANAGER_TYPES: "Sync manager communication type",
     RECEIVE_ASSIGNMENT: "Sync manager 2 PDO assignment",
@@ -49,6 +51,12 @@ class ProcessData:
         """bytes of outputs, as compiled"""
         self._setters: list[tuple[int, Writer]] = []
         self._getters: tuple[Reader, ...] = ()
+        self.places: tuple[int | None, ...] = ()
+        """where each of the inputs stands in `Samples.values`; None: nowhere"""
+        self.letters = ""
+        """of the inputs, in a format of `struct`"""
+        self.is_set_point = False
+        """the outputs are a controlword and a target torque, and nothing else"""
         self._unpack = struct.Struct("<").unpack
         self._pack = struct.Struct("<").pack
         device.objects.names |= {
@@ -195,10 +203,13 @@ class ProcessData:
         # The controlword acts on what came with it.
         self._setters = sorted(setters, key=lambda item: outputs[item[0]] >> 16 == _CONTROLWORD)
         self._getters = tuple(device.reader(word >> 16, word >> 8 & 0xFF) for word in inputs)
+        self.places = tuple(device.place(word >> 16, word >> 8 & 0xFF) for word in inputs)
+        self.letters = self._letters(inputs)
+        self.is_set_point = outputs == _SET_POINT
         layout = struct.Struct("<" + self._letters(outputs))
         self.size = layout.size
         self._unpack = layout.unpack
-        self._pack = struct.Struct("<" + self._letters(inputs)).pack
+        self._pack = struct.Struct("<" + self.letters).pack
 
     def _letters(self, words: list[int]) -> str:
         find = self._objects.find

@@ -55,6 +55,9 @@ class Chain(Protocol):
     def exchanged(self, slave: Slave) -> None:
         """Process data went by, of a slave that works without SYNC0."""
 
+    def restated(self) -> None:
+        """A slave is in another state, and may have other process data."""
+
     def resynchronised(self) -> None:
         """Another time for the next SYNC0."""
 
@@ -102,7 +105,8 @@ class Slave:
         self.controller = Controller(self, Eeprom(image(kind, serial)))
         self.mailbox = Mailbox(self.controller, self._coe.serve, kind.mailbox_bytes)
         self._outputs: bytes | bytearray = bytearray()
-        self._fresh = False
+        self.fresh = False
+        """outputs have come that have not taken effect"""
         self._watchdog = Watchdog(self.controller, timers, self.expire)
         self._waiting = 0  # number of the present wait for SYNC0; 0: there is none
         self._waits = 0
@@ -199,6 +203,7 @@ class Slave:
             except AbortError:
                 wanted = Standing(before, True, 0x0024)
         self.standing = wanted
+        self._chain.restated()
         state = wanted.state
         if before is State.INIT or state is State.INIT:
             self.mailbox.reset()
@@ -214,7 +219,7 @@ class Slave:
             self._watchdog.stop()
             self._left(wanted.code)
         if state >= State.SAFE_OP > before:
-            self._outputs, self._fresh = bytearray(), False
+            self._outputs, self.fresh = bytearray(), False
             self.latch(now_ns)
 
     def _left(self, code: int) -> None:
@@ -244,6 +249,7 @@ class Slave:
         self._waiting = 0
         self.sync.restart()
         self.standing = Standing(State.INIT, False, NO_ERROR)
+        self._chain.restated()
         self.device.set_operational(False)
 
     def switch_on(self) -> None:
@@ -258,7 +264,7 @@ class Slave:
         self.clock.restart(self._timers.now_ns)
         self.mailbox.reset()
         self._coe.reset()
-        self._outputs, self._fresh = bytearray(), False
+        self._outputs, self.fresh = bytearray(), False
         self.powered = True
         self._show()
 
@@ -282,7 +288,7 @@ class Slave:
         """The last byte of the area was written; ``outputs`` if the slave `takes` it."""
         if outputs is not None:
             self._outputs = outputs
-            self._fresh = True
+            self.fresh = True
         self._watchdog.heard(now_ns)
         if not self.sync.active:
             self._chain.exchanged(self)
@@ -300,11 +306,22 @@ class Slave:
             start = self.kind.inputs  # where the sync manager was when the state was granted
             self.controller.memory[start : start + len(data)] = data
 
+    @property
+    def input_area(self) -> memoryview:
+        """Where masters read what is latched."""
+        start = self.kind.inputs
+        size = self.process_data.sizes()[1]
+        return memoryview(self.controller.memory)[start : start + size]
+
+    def take(self) -> bytes | bytearray:
+        """The outputs that have come, which are to take effect now."""
+        self.fresh = False
+        return self._outputs
+
     def act(self, now_ns: int) -> None:
         """Let the outputs that have come take effect."""
-        if self._fresh and self.state is State.OP:
-            self._fresh = False
-            self.process_data.apply(self._outputs, now_ns)
+        if self.fresh and self.state is State.OP:
+            self.process_data.apply(self.take(), now_ns)
 
     def pulse(self, now_ns: int) -> None:
         """SYNC0; the inputs have been latched."""
@@ -313,7 +330,7 @@ class Slave:
             self._waiting = 0
             self._enter(Standing(State.OP, False, NO_ERROR), now_ns)
         elif self.state is State.OP:
-            if not self._fresh:
+            if not self.fresh:
                 self.process_data.count_missed()
             self.act(now_ns)
 
