@@ -11,6 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tonus.sim.devices.samples import Samples
 from tonus.sim.devices.timers import Callback
 from tonus.sim.ethercat.cable import Cable
@@ -27,6 +30,7 @@ from tonus.sim.ethercat.frames import (
 )
 from tonus.sim.ethercat.plan import Plan, compile_plan
 from tonus.sim.ethercat.slaves import registers as reg
+from tonus.sim.ethercat.slaves.clock import NEVER, ClockTable, Integers
 from tonus.sim.ethercat.slaves.controller import READ, WRITE
 from tonus.sim.ethercat.slaves.slave import Slave
 from tonus.sim.ethercat.sync0 import Sync0Plan, plan
@@ -40,6 +44,9 @@ _LONGEST_NS = 1_000_000_000
 """A pulse that is further away is looked for again by then: no timer waits for years."""
 _READS = (Command.APRD, Command.FPRD, Command.BRD)
 _WAYS = {Command.LRD: READ, Command.LWR: WRITE, Command.LRW: READ | WRITE}
+_References = tuple[Integers, NDArray[np.bool_], Integers]
+"""Of the slaves on a frame's way their rows among the clocks, which of them are the reference, and
+when the frame comes to each (ns)."""
 _PLANS = 64
 """How many are remembered, and reference clocks likewise; a master in order uses a few."""
 
@@ -82,7 +89,8 @@ class Segment:
         self.disturbance = Disturbance()
         self._lab = lab
         self._plans: dict[tuple[int, int, int, int, int], Plan] = {}
-        self._references: dict[tuple[int, int, int], list[bool]] = {}
+        self._clocks = ClockTable(0)
+        self._references: dict[tuple[int, int, int], _References] = {}
         self._touched: dict[int, Slave] = {}
         self._mail = 0
         self._sync = 0  # timers of an older arrangement are stale
@@ -96,6 +104,10 @@ class Segment:
         slave = make(len(self.slaves) + 1)
         self.slaves.append(slave)
         self.cable.rewire()
+        self._clocks = ClockTable(len(self.slaves))
+        for row, each in enumerate(self.slaves):
+            each.clock.move(self._clocks, row)
+            each.sync.move(self._clocks, row)
         return slave
 
     # -- what slaves tell ------------------------------------------------------------------------
@@ -245,14 +257,12 @@ class Segment:
         if references is None:
             if len(self._references) >= _PLANS:
                 self._references.clear()
-            references = [slave.controller.answers_to(station) for slave in slaves]
-            self._references[key] = references
-        for slave, refers in zip(slaves, references, strict=True):
-            if refers:
-                value = slave.system_time(now_ns)
-            elif value:
-                slave.clock.compare(value, now_ns + slave.arrival_ns)
-        _TIME.pack_into(frame, data, value)
+            references = self._references[key] = (
+                np.array([slave.number - 1 for slave in slaves], np.int64),
+                np.array([slave.controller.answers_to(station) for slave in slaves], np.bool_),
+                np.array([slave.arrival_ns for slave in slaves], np.int64),
+            )
+        _TIME.pack_into(frame, data, self._clocks.pass_time(*references, value, now_ns))
         return len(slaves)
 
     def _physical(
@@ -320,34 +330,20 @@ class Segment:
         """Wait for the next SYNC0 of any slave."""
         self._sync += 1
         number, now_ns = self._sync, self._lab.now_ns
-        times = []
-        for slave in self.slaves:
-            sync = slave.sync
-            if sync.active:
-                at_ns = slave.clock.when(sync.next, now_ns)
-                if at_ns < now_ns - sync.cycle:
-                    sync.stop()  # the time was set past it
-                else:
-                    times.append(at_ns)
-        if times:
-            at_ns = min(max(min(times), now_ns + 1), now_ns + _LONGEST_NS)
+        first_ns = self._clocks.next_pulse(now_ns)
+        if first_ns < NEVER:
+            at_ns = min(max(first_ns, now_ns + 1), now_ns + _LONGEST_NS)
             self._lab.call_at(at_ns, lambda at: self._pulse(number, at))
 
     def _pulse(self, number: int, now_ns: int) -> None:
         if number != self._sync:
             return
-        limit = now_ns + _TOGETHER_NS
-        due = tuple(
-            [
-                slave
-                for slave in self.slaves
-                if slave.sync.active and slave.clock.when(slave.sync.next, now_ns) <= limit
-            ]
-        )
+        rows = self._clocks.due(now_ns, now_ns + _TOGETHER_NS)
+        due = tuple([self.slaves[row] for row in rows])
         if due not in self._pulses:
             if len(self._pulses) >= _PLANS:
                 self._pulses.clear()
-            self._pulses[due] = plan(due, self._lab.samples)
+            self._pulses[due] = plan(due, self._lab.samples, self._clocks)
         planned = self._pulses[due]
         if planned is not None:
             planned(now_ns)

@@ -13,6 +13,7 @@ from struct import Struct
 import numpy as np
 
 from tonus.sim.devices.samples import Samples
+from tonus.sim.ethercat.slaves.clock import ClockTable
 from tonus.sim.ethercat.slaves.slave import Slave
 from tonus.sim.ethercat.slaves.states import State
 
@@ -22,9 +23,17 @@ _SET_POINT = "Hh"
 class Sync0Plan:
     """It holds as long as no slave enters another state."""
 
-    def __init__(self, slaves: Sequence[Slave], places: Sequence[int], samples: Samples) -> None:
+    def __init__(
+        self,
+        slaves: Sequence[Slave],
+        places: Sequence[int],
+        samples: Samples,
+        clocks: ClockTable,
+    ) -> None:
         """``places`` of all inputs, one slave behind the other."""
         self._slaves = slaves
+        self._clocks = clocks
+        self._rows = np.array([slave.number - 1 for slave in slaves], np.int64)
         self._samples = samples
         self._places = np.array(places)
         layout = Struct("<" + "".join(slave.process_data.letters for slave in slaves))
@@ -51,8 +60,7 @@ class Sync0Plan:
             if not slave.fresh:
                 self._one_by_one(now_ns)
                 return
-        for slave in self._slaves:
-            slave.sync.pulse()
+        self._clocks.pulse(self._rows)
         outputs = [slave.take() for slave in self._driven]
         taken = np.array(self._unpack(b"".join(outputs)), np.int64)
         for place in samples.axes.apply(self._axes, taken[::2], taken[1::2]):
@@ -64,9 +72,9 @@ class Sync0Plan:
             slave.pulse(now_ns)
 
 
-def plan(slaves: Sequence[Slave], samples: Samples) -> Sync0Plan | None:
+def plan(slaves: Sequence[Slave], samples: Samples, clocks: ClockTable) -> Sync0Plan | None:
     """The plan of the slaves whose SYNC0 it is, as they are now; None: they have to be asked one by
-    one."""
+    one. ``clocks`` of their segment."""
     places: list[int] = []
     for slave in slaves:
         data = slave.process_data
@@ -77,4 +85,4 @@ def plan(slaves: Sequence[Slave], samples: Samples) -> Sync0Plan | None:
             if place is None:
                 return None
             places.append(place)
-    return Sync0Plan(slaves, places, samples) if places else None
+    return Sync0Plan(slaves, places, samples, clocks) if places else None

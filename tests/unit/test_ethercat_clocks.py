@@ -257,7 +257,7 @@ def test_sync0_of_all_at_once_does_what_it_does_slave_by_slave() -> None:
     together, alone = SegmentBench(), SegmentBench()
     for bench in (together, alone):
         bench.operate(0, 1, 2, 3, sync_ns=MS)
-    with patch("tonus.sim.ethercat.segment.plan", lambda slaves, samples: None):
+    with patch("tonus.sim.ethercat.segment.plan", lambda *_: None):
         alone.segment.restated()
         seen = [_course(alone)]
     seen.append(_course(together))
