@@ -26,14 +26,12 @@ from tonus.drivers.cia301.setting import Setting
 from tonus.drivers.errors import BringUpError, DriverError
 from tonus.drivers.events import EventLog
 from tonus.drivers.fieldbus import BusEvent, Fieldbus, Progress
-from tonus.drivers.process_image import AxisCommand
 
 OpenBus = Callable[[StoRelay], can.BusABC]
 _RELEASED = 1
 """bit 0 of the inputs: the mirror contact is closed, so every other contact is open"""
 _RESTART_TICKS = 100
 """between two attempts to start a node that its own watch has stopped"""
-_ENABLE = AxisCommand.ENABLE
 _ITEM = "sto relay"
 _SETTINGS = (
     Setting(0x6206, 1, 0xFF, 1, "error mode of the outputs"),
@@ -224,7 +222,7 @@ class RelayedFieldbus:
             self._released = None
         if self._supervisor.beating:
             self._held_at = tick
-        if bool((self.image.commands["command"] == _ENABLE).any()):
+        if self.image.enabling:
             self._tell(node)
         else:
             self._restart(tick, node)

@@ -11,7 +11,7 @@ from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT
 from tonus.drivers.canopen.nmt import NmtState
 from tonus.drivers.events import EventLog
-from tonus.drivers.process_image import AxisCommand, ProcessImage
+from tonus.drivers.process_image import ProcessImage
 
 EMERGENCY = struct.Struct("<HBBf")
 """Error code 0xFF00 plus the requirement's number, error register, axis or cell from 0 (0xFF:
@@ -104,7 +104,7 @@ class SupervisorMonitor:
                 heard.beating, heard.lost = False, True
                 text = f"no heartbeat for more than {self._patience} ticks"
                 self._events.begin("supervisor_lost", heard.channel, text)
-            elif not (heard.beating or heard.lost) and self._enabling():
+            elif not (heard.beating or heard.lost) and self._image.enabling:
                 text = "the drives are enabled, and it has not begun"
                 self._events.begin("unsupervised", heard.channel, text)
         if self._settings is not None and self._settings.policy == "require":
@@ -117,9 +117,6 @@ class SupervisorMonitor:
                 self._image.obstacles[self._item] = f"is not heard on {', '.join(silent)}"
             else:
                 self._image.obstacles.pop(self._item, None)
-
-    def _enabling(self) -> bool:
-        return bool((self._image.commands["command"] == AxisCommand.ENABLE).any())
 
     def _on_heartbeat(self, heard: _Heard, data: bytes) -> None:
         heard.anybody = True
