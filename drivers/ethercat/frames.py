@@ -10,6 +10,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 ETHERTYPE = 0x88A4
 ETHERNET = bytes.fromhex("ffffffffffff 020101010101 88a4")
@@ -49,8 +50,7 @@ class Datagram:
     data: bytes
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     data: bytes
     counter: int
 

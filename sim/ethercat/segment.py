@@ -42,7 +42,16 @@ _TOGETHER_NS = 1000
 """SYNC0 of slaves within this time is one instant: a drive's current loop takes 40 us."""
 _LONGEST_NS = 1_000_000_000
 """A pulse that is further away is looked for again by then: no timer waits for years."""
-_READS = (Command.APRD, Command.FPRD, Command.BRD)
+# A member of an enumeration is slow to look up.
+_PASSES, _LOST, _CORRUPTED = Fate.PASSES, Fate.LOST, Fate.CORRUPTED
+_LATE, _TWICE = Fate.LATE, Fate.TWICE
+_FRMW = int(Command.FRMW)
+_READS = frozenset((Command.APRD, Command.FPRD, Command.BRD))
+_WRITES = frozenset((Command.APWR, Command.FPWR, Command.BWR))
+_BROADCASTS = frozenset((Command.BRD, Command.BWR, Command.BRW))
+_MULTIPLE = frozenset((Command.ARMW, Command.FRMW))
+_COUNTING = frozenset((Command.APRD, Command.APWR, Command.APRW, Command.ARMW)) | _BROADCASTS
+"""Commands whose address field counts the slaves."""
 _WAYS = {Command.LRD: READ, Command.LWR: WRITE, Command.LRW: READ | WRITE}
 _References = tuple[Integers, NDArray[np.bool_], Integers]
 """Of the slaves on a frame's way their rows among the clocks, which of them are the reference, and
@@ -90,6 +99,7 @@ class Segment:
         self._lab = lab
         self._plans: dict[tuple[int, int, int, int, int], Plan] = {}
         self._clocks = ClockTable(0)
+        self._stations: dict[tuple[int, int, int], list[Slave]] = {}
         self._references: dict[tuple[int, int, int], _References] = {}
         self._touched: dict[int, Slave] = {}
         self._mail = 0
@@ -115,6 +125,7 @@ class Segment:
     def remapped(self) -> None:
         self._plans.clear()
         self._references.clear()
+        self._stations.clear()
 
     def restated(self) -> None:
         self._pulses.clear()
@@ -150,11 +161,11 @@ class Segment:
             counts.malformed += 1
             return None
         disturbance = self.disturbance
-        fate = disturbance.fate() if disturbance.active else Fate.PASSES
-        if fate is Fate.LOST:
+        fate = disturbance.fate() if disturbance.active else _PASSES
+        if fate is _LOST:
             counts.lost += 1
             return None
-        if fate is Fate.CORRUPTED:
+        if fate is _CORRUPTED:
             self._corrupt(disturbance.where)
             return None
         self._mail = 0
@@ -162,11 +173,11 @@ class Segment:
         if self._mail and disturbance.active and disturbance.takes_answer(self._mail):
             counts.lost += 1
             return None
-        if fate is Fate.LATE:
+        if fate is _LATE:
             counts.late += 1
             self._later(answer, now_ns + disturbance.delay_ns, port)
             return None
-        if fate is Fate.TWICE:
+        if fate is _TWICE:
             counts.duplicated += 1
             self._later(answer, now_ns, port)
         return answer
@@ -233,9 +244,9 @@ class Segment:
                 added = self._logical(
                     slaves, command, place | offset << 16, frame, data, size, now_ns
                 )
-            elif command == Command.FRMW and offset == reg.SYSTEM_TIME and size == _TIME.size:
+            elif command == _FRMW and offset == reg.SYSTEM_TIME and size == _TIME.size:
                 added = self._pass_time(slaves, place, frame, data, now_ns)
-            elif Command.NOP < command <= Command.FRMW:
+            elif 0 < command <= _FRMW:
                 added = self._physical(slaves, command, place, offset, frame, data, size, now_ns)
                 if command in _COUNTING:
                     moved = place + len(slaves) & 0xFFFF
@@ -279,20 +290,12 @@ class Segment:
         """What the slaves add to the working counter."""
         end = data + size
         added = 0
-        broadcast = command in (Command.BRD, Command.BWR, Command.BRW)
-        positions = command in (Command.APRD, Command.APWR, Command.APRW, Command.ARMW)
-        multiple = command in (Command.ARMW, Command.FRMW)
-        for number, slave in enumerate(slaves):
+        broadcast, multiple = command in _BROADCASTS, command in _MULTIPLE
+        addressed = self._addressed(slaves, command, place)
+        for slave in slaves if multiple else addressed:
             controller = slave.controller
-            if broadcast:
-                meant = True
-            elif positions:
-                meant = place + number & 0xFFFF == 0
-            else:
-                meant = controller.answers_to(place)
-            if not (meant or multiple):
-                continue
-            reads = meant and command not in (Command.APWR, Command.FPWR, Command.BWR)
+            meant = not multiple or slave in addressed
+            reads = meant and command not in _WRITES
             writes = not meant if multiple else command not in _READS
             given = bytes(frame[data:end]) if writes else b""
             found = controller.read(offset, size, now_ns) if reads else None
@@ -303,6 +306,22 @@ class Segment:
             if writes and controller.write(offset, given, now_ns):
                 added += 2 if reads else 1
         return added
+
+    def _addressed(self, slaves: list[Slave], command: int, place: int) -> list[Slave]:
+        """Those of the slaves on the way that a command is for."""
+        if command in _BROADCASTS:
+            return slaves
+        if command in _COUNTING:
+            number = -place & 0xFFFF
+            return slaves[number : number + 1]
+        key = (place, slaves[0].number if slaves else 0, len(slaves))
+        addressed = self._stations.get(key)
+        if addressed is None:
+            if len(self._stations) >= _PLANS:
+                self._stations.clear()
+            addressed = [slave for slave in slaves if slave.controller.answers_to(place)]
+            self._stations[key] = addressed
+        return addressed
 
     def _logical(
         self,
@@ -353,20 +372,6 @@ class Segment:
             for slave in due:
                 slave.pulse(now_ns)
         self._arm()
-
-
-_COUNTING = frozenset(
-    (
-        Command.APRD,
-        Command.APWR,
-        Command.APRW,
-        Command.ARMW,
-        Command.BRD,
-        Command.BWR,
-        Command.BRW,
-    )
-)
-"""Commands whose address field counts the slaves."""
 
 
 def _either(one: bytes | bytearray, other: bytes) -> bytes:
