@@ -20,11 +20,11 @@ RAW_FRAME = np.dtype(
         ("identifier", "<u4"),  # with SocketCAN's flags: 31 extended, 30 remote, 29 error
         ("dlc", "u1"),
         ("own", "u1"),  # sent by this program
-        ("padding", "<u2"),
+        ("channel", "<u2"),  # of frames of several channels in one array, counted from the first
         ("data", "<i8"),  # eight bytes as they come
     ]
 )
-"""A received CAN frame, as the master and the taps use it."""
+"""A CAN frame as the master and the taps use it."""
 
 
 class FrameTap(Protocol):
@@ -38,6 +38,9 @@ class FrameTap(Protocol):
 
     def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
         """Frames that this program has sent at ``now_ns``: identifier and data of each."""
+
+    def sent_together(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
+        """The same of frames (n,) of `RAW_FRAME`, the first of whose channels is ``channel``."""
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         """Frames (n,) of `RAW_FRAME`, read until ``now_ns``, without those of this program; a

@@ -17,7 +17,6 @@ from tonus.drivers.canopen.frames import (
     EXTENDED,
     IDENTIFIER,
     REMOTE,
-    FramesAtOnce,
     FramesTogether,
     data_of,
     frames_of,
@@ -35,6 +34,14 @@ Clock = Callable[[], int]
 
 _SYNC = ((SYNC, b""),)
 _EMPTY_BITS = FRAME_BITS + INTERFRAME_BITS
+
+
+def bits_of(frames: Sequence[tuple[int, bytes]]) -> int:
+    """On the wire, the spaces behind the frames included, stuff bits not."""
+    bits = len(frames) * _EMPTY_BITS
+    for _, data in frames:
+        bits += 8 * len(data)
+    return bits
 
 
 class Wires(Protocol):
@@ -70,10 +77,9 @@ class Channel:
         self.reception = Reception(self.syncs, config.master.late_ticks)
         self.health = Health(self.name, bus, events)
         self._number = number
-        self._bus = bus
+        self.bus = bus
         self._frames = frames_of(bus)
         self._together = self._frames if isinstance(self._frames, FramesTogether) else None
-        self._at_once = self._frames if isinstance(self._frames, FramesAtOnce) else None
         self._clock = clock
         self._tap = tap
         self._events = events
@@ -103,9 +109,19 @@ class Channel:
 
     def sync(self, tick: int) -> None:
         now, free_ns = self._clock(), self._free_ns
-        if not self._transmit(_SYNC, now):
+        if self._transmit(_SYNC, now):
+            self._book_sync(tick, now, free_ns)
+        else:
             self._unsent += 1
-            return
+
+    def sync_was_sent(self, tick: int, now: int) -> None:
+        """`sync`, sent in one call with those of other channels."""
+        free_ns = self._free_ns
+        self.book(_EMPTY_BITS, now)
+        self._book_sync(tick, now, free_ns)
+
+    def _book_sync(self, tick: int, now: int, free_ns: int) -> None:
+        """A SYNC has been sent; ``free_ns``: when all that was sent before it has been."""
         self._unsent = 0
         self.syncs.bit_ns = self._bit_ns if self._stamps.exact else 0
         self.syncs.sent(tick, now, max(self._clock(), free_ns) - now)
@@ -118,9 +134,6 @@ class Channel:
         """Whether all of ``frames`` could be sent. A bus that takes several at once takes all or
         none; on another one a frame that is refused keeps back no other. A bus in software is told
         the time: devices answer a SYNC from the instant it is on the wire."""
-        if self._at_once is not None and self._at_once.send_at_once(frames, now):
-            self._book_sent(frames, now)
-            return True
         done, together = 0, self._together is not None and len(frames) > 1
         try:
             if self._together is not None and together:
@@ -141,17 +154,18 @@ class Channel:
         return True
 
     def _book_sent(self, frames: Sequence[tuple[int, bytes]], now: int) -> None:
+        self.book(bits_of(frames), now)
+        if self._tap is not None:
+            self._tap.sent(frames, self._number, now)
+
+    def book(self, bits: int, now: int) -> None:
+        """Frames of so many ``bits`` have been sent at ``now``."""
         if self._refused:
             self._refused = False
             self._events.end("transmit_refused", self.name)
-        bits = len(frames) * _EMPTY_BITS
-        for _, data in frames:
-            bits += 8 * len(data)
         if self._free_ns < now:
             self._free_ns = now
         self._free_ns += bits * self._bit_ns
-        if self._tap is not None:
-            self._tap.sent(frames, self._number, now)
 
     def drain(self) -> None:
         """Hand every frame that has arrived to its handler."""
@@ -209,7 +223,7 @@ class Channel:
             self._events.begin("bus_stalled", self.name, text)
             # Not every interface can; what it holds then acts once (docs/events.md).
             with contextlib.suppress(NotImplementedError, can.CanError, OSError):
-                self._bus.flush_tx_buffer()
+                self.bus.flush_tx_buffer()
 
     def _stamped(self, frames: NDArray[np.void], now: int) -> NDArray[np.void]:
         """The same frames by our clock."""
@@ -246,6 +260,6 @@ class Channel:
 
     def shutdown(self) -> None:
         try:
-            self._bus.shutdown()
+            self.bus.shutdown()
         except (can.CanError, OSError) as error:
             self._events.add("bus_deaf", self.name, f"did not close: {error}")

@@ -52,13 +52,20 @@ class Frames(Protocol):
         software that must know it exactly; wires do not need it."""
 
 
-@runtime_checkable
-class FramesAtOnce(Frames, Protocol):
-    """A bus that nearly always takes several frames in one call."""
+class JoinedFrames(Protocol):
+    """Several buses that nearly always take frames in one call."""
 
-    def send_at_once(self, frames: Sequence[tuple[int, bytes]], sent_ns: int) -> bool:
-        """`Frames.send_frame` of each identifier and its data. False: nothing was done, and each
-        frame has to be sent by itself."""
+    def send_joined(self, frames: NDArray[np.void], sent_ns: int) -> bool:
+        """`Frames.send_frame` of each of ``frames`` (n,) of `RAW_FRAME`, on the bus that its
+        channel counts. False: nothing was done, and each has to be sent by itself."""
+
+
+@runtime_checkable
+class Joins(Frames, Protocol):
+    """A bus that can be joined with others."""
+
+    def join(self, buses: Sequence[can.BusABC]) -> JoinedFrames | None:
+        """``buses``, itself among them, as one; None where they are too different."""
 
 
 @runtime_checkable
@@ -165,3 +172,8 @@ def frames_of(bus: can.BusABC) -> Frames:
     if isinstance(bus, SocketcanBus):
         return SocketcanFrames(bus.socket)
     return MessageFrames(bus)
+
+
+def joined(buses: Sequence[can.BusABC]) -> JoinedFrames | None:
+    """Several buses as one, where they can be; at least one."""
+    return buses[0].join(buses) if isinstance(buses[0], Joins) else None

@@ -14,6 +14,7 @@ from tonus.config.schema.drive import DriveProfile
 from tonus.config.schema.root import Config
 from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.channel import Channel
+from tonus.drivers.canopen.channels import Batch, Channels
 from tonus.drivers.canopen.identifiers import HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
 from tonus.drivers.canopen.nmt import Command, NmtState
 from tonus.drivers.canopen.node import Node, NodeError, Role, Watch
@@ -87,11 +88,6 @@ class CanopenFieldbus:
             self._events,
             [places.get(axis, self.channels[0]) for axis in range(config.robot.cables)],
         )
-        self._encoders = {
-            node.axis: drive_encoder(Mapping.of(bus.profile(node.axis).rpdo))
-            for channel in bus.channels
-            for node in channel.drives
-        }
         self._period_us = period_us
         self._poll_s = bus.master.poll_us * 1e-6
         self._heartbeat_ticks = max(1, bus.master.heartbeat_ms * 1000 // period_us)
@@ -107,8 +103,17 @@ class CanopenFieldbus:
         self._buses: list[Channel] = []
         self._nodes: list[Node] = []
         self._drives: dict[int, Node] = {}
-        self._outputs: list[tuple[Channel, list[tuple[int, int, Encode]]]] = []
-        """of each channel: axis, identifier, encoder"""
+        self._together: Channels
+        """there are some from `start` on"""
+        self._outputs: list[tuple[int, Encode]] = []
+        """axis and encoder of each RPDO"""
+        frames = []
+        for number, channel in enumerate(bus.channels):
+            for drive in channel.drives:
+                encode = drive_encoder(Mapping.of(bus.profile(drive.axis).rpdo))
+                self._outputs.append((drive.axis, encode))
+                frames.append((number, RPDO1 + drive.node_id, len(encode(0, 0))))
+        self._set_points = Batch(frames)
 
     async def start(self, progress: Progress) -> None:
         """Raises `BringUpError`, one line that names every node that failed and why."""
@@ -138,21 +143,17 @@ class CanopenFieldbus:
             channel.discard_stale()
         self.image.bus_ns = max(channel.syncs.answered_ns for channel in self._buses)
         # The SYNC goes out before the sums are done: its jitter is everybody's sampling jitter.
-        for channel in self._buses:
-            channel.sync(tick)
+        self._together.sync(tick)
         self._supervision.look_for_silence(tick)
         self._supervisor.look(tick)
         self._exchange.fill(tick)
 
     def publish(self, tick: int) -> None:
         controlwords, torques = self._exchange.commands()
-        for channel, outputs in self._outputs:
-            channel.send_all(
-                [
-                    (number, encode(controlwords[axis], torques[axis]))
-                    for axis, number, encode in outputs
-                ]
-            )
+        self._set_points.fill(
+            [encode(controlwords[axis], torques[axis]) for axis, encode in self._outputs]
+        )
+        self._together.send(self._set_points)
         if tick >= self._next_heartbeat:
             self._next_heartbeat = tick + self._heartbeat_ticks
             self._send_heartbeat()
@@ -182,10 +183,9 @@ class CanopenFieldbus:
             node.started = False
         configured = [node for node in self._nodes if node.configured]
         if configured:
-            for channel, outputs in self._outputs:
-                channel.send_all([(number, encode(0, 0)) for _, number, encode in outputs])
-            for channel in self._buses:
-                channel.sync(NOT_YET)
+            self._set_points.fill([encode(0, 0) for _, encode in self._outputs])
+            self._together.send(self._set_points)
+            self._together.sync(NOT_YET)
         if self._pump_task is None:
             self._pump_task = asyncio.get_running_loop().create_task(self._pump())
         await asyncio.gather(*(self._release(node) for node in configured))
@@ -194,7 +194,7 @@ class CanopenFieldbus:
         self._stop_pump()
         for channel in self._buses:
             channel.shutdown()
-        self._buses, self._nodes, self._outputs, self._drives = [], [], [], {}
+        self._buses, self._nodes, self._drives = [], [], {}
         self._supervision.clear()
         self._supervisor.forget()
 
@@ -238,11 +238,9 @@ class CanopenFieldbus:
             self._supervisor.listen(channel)
             self._add_drives(channel, number)
             self._add_cells(channel, number)
+        self._together = Channels(self._buses, clock, self._tap)
 
     def _add_drives(self, channel: Channel, number: int) -> None:
-        outputs: list[tuple[int, int, Encode]] = []
-        if self._bus.channels[number].drives:
-            self._outputs.append((channel, outputs))
         for drive in self._bus.channels[number].drives:
             axis, profile = drive.axis, self._bus.profile(drive.axis)
             node = self._add_node(channel, drive.node_id, self._drive_role(axis, profile))
@@ -251,7 +249,6 @@ class CanopenFieldbus:
             mapping = Mapping.of(profile.tpdo)
             arrival = self._arrival(node, mapping, drive_fields(mapping, axis, self._exchange))
             self._supervision.add(Watched(node, arrival, axis=axis))
-            outputs.append((axis, RPDO1 + drive.node_id, self._encoders[axis]))
             self._drives[axis] = node
 
     def _drive_role(self, axis: int, profile: DriveProfile) -> Role:

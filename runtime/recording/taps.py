@@ -37,7 +37,7 @@ __all__ = [
 
 _FRAME = struct.Struct("<qIBBBx8s")
 _REMOTE = 1 << 30
-_CHANNEL_BIT, _LENGTH_BIT = 32, 40
+_CHANNEL_BIT, _LENGTH_BIT, _FLAGS_BIT = 32, 40, 48
 
 
 @intrinsic
@@ -62,11 +62,12 @@ def _record(
     recorded: int,
     frames: NDArray[np.void],
     channel: int,
+    flags: int,
     now_ns: int,
 ) -> tuple[int, int]:
-    """All frames but our own, from slot ``begin`` on, after ``recorded`` ones: first the positions
-    are taken away, then the slots filled, then the positions given. Returns the slot behind the
-    last, and how many they are."""
+    """All frames but those received from ourselves, with these flags, from slot ``begin`` on, after
+    ``recorded`` ones: first the positions are taken away, then the slots filled, then the positions
+    given. Returns the slot behind the last, and how many they are."""
     first, stride, end = ring
     slot, count = begin, 0
     for i in range(frames.shape[0]):
@@ -82,7 +83,9 @@ def _record(
         if frame.own:
             continue
         length = 0 if frame.identifier & _REMOTE else 8 if frame.dlc > 8 else int(frame.dlc)
-        head = int(frame.identifier) | channel << _CHANNEL_BIT | length << _LENGTH_BIT
+        place = channel + int(frame.channel)
+        head = int(frame.identifier) | place << _CHANNEL_BIT | length << _LENGTH_BIT
+        head |= flags << _FLAGS_BIT
         words[slot + 1] = frame.stamp_ns if 0 < frame.stamp_ns < now_ns else now_ns
         words[slot + 2] = head
         words[slot + 3] = frame.data & ((1 << 8 * length) - 1 if length < 8 else -1)
@@ -103,7 +106,7 @@ def compile_frames() -> None:
     for read_only in (False, True):  # a bus may give either
         frames = np.zeros(0, RAW_FRAME)
         frames.flags.writeable = not read_only
-        _record(words, ring, 0, 0, frames, 0, 0)
+        _record(words, ring, 0, 0, frames, 0, 0, 0)
 
 
 class FrameRing(RingWriter):
@@ -127,8 +130,15 @@ class FrameRing(RingWriter):
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         """As `tonus.drivers.fieldbus.FrameTap` has it, at most as many as the ring holds."""
+        self._write(frames, channel, 0, now_ns)
+
+    def sent_together(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
+        """As `tonus.drivers.fieldbus.FrameTap` has it, at most as many as the ring holds."""
+        self._write(frames, channel, SENT, now_ns)
+
+    def _write(self, frames: NDArray[np.void], channel: int, flags: int, now_ns: int) -> None:
         self._slot, count = _record(
-            self._array, self._shape, self._slot, self.count, frames, channel, now_ns
+            self._array, self._shape, self._slot, self.count, frames, channel, flags, now_ns
         )
         self.count += count
 

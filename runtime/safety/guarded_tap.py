@@ -25,5 +25,8 @@ class GuardedTap:
     def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
         self._part(self._tap.sent, frames, channel, now_ns)
 
+    def sent_together(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
+        self._part(self._tap.sent_together, frames, channel, now_ns)
+
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         self._part(self._tap.received, frames, channel, now_ns)

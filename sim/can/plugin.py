@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from tonus.config.places import runtime_dir
 from tonus.sim.can import packet, registry
 from tonus.sim.can.cyclic import LabCyclicTask, Modifier
+from tonus.sim.can.joined import JoinedBuses
 from tonus.sim.can.wire import error_frames
 from tonus.sim.can.wire.confinement import ErrorState
 from tonus.sim.can.wire.frame import (
@@ -197,13 +198,10 @@ class LocalBus(TonusBus):
         ):
             self._send(identifier, data, len(data))
 
-    def send_at_once(self, frames: Sequence[tuple[int, bytes]], sent_ns: int) -> bool:
-        """`send_frame` of each identifier and its data, where nothing keeps them apart; False: none
-        has been sent, and each has to be by itself."""
-        port = self._port
-        return sent_ns == self._lab.now_ns and port.channel.wire.put_all(
-            port.number, frames, sent_ns
-        )
+    def join(self, buses: Sequence[can.BusABC]) -> JoinedBuses | None:
+        """Buses on the channels of this lab, itself among them, as one; None for others."""
+        ports = [bus._port for bus in buses if isinstance(bus, LocalBus) and bus._lab is self._lab]
+        return JoinedBuses(self._lab, ports) if len(ports) == len(buses) else None
 
     def _send(self, identifier: int, data: bytes, dlc: int) -> None:
         lab = self._lab

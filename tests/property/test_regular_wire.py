@@ -26,6 +26,7 @@ from tonus.config.schema.faults import (
     Unplug,
 )
 from tonus.sim.can.plugin import LocalBus, TonusBus
+from tonus.sim.can.wire.inbox import FRAMES
 
 _ON = (0x06, 0x07, 0x0F)
 _MOST = 1000
@@ -78,21 +79,34 @@ class Play:
 
     def cycle(self, torques: list[int]) -> None:
         """A master's millisecond."""
-        fieldbus = self.bench.config.fieldbus
-        for spec in fieldbus.channels:
-            bus = self.bench.buses[spec.name]
-            frames = [(0x80, b"")]
+        channels = self.bench.config.fieldbus.channels
+        buses = [self.bench.buses[spec.name] for spec in channels]
+        sent: list[list[tuple[int, bytes]]] = []
+        for spec in channels:
+            sent.append([(0x80, b"")])
             for drive in spec.drives:
                 data = struct.pack("<Hh", self._word, torques[drive.axis])
-                frames.append((0x200 + drive.node_id, data))
-            assert isinstance(bus, LocalBus)
-            # One way or the other, as it comes: all at once where that goes, or frame by frame.
-            if torques[0] % 2 or not bus.send_at_once(frames, self.bench.now):
+                sent[-1].append((0x200 + drive.node_id, data))
+        # One way or the other, as it comes: all at once where that goes, or frame by frame.
+        if torques[0] % 2 or not self._send_joined(buses, sent):
+            for bus, frames in zip(buses, sent, strict=True):
+                assert isinstance(bus, LocalBus)
                 with suppress(can.CanOperationError):
                     for identifier, data in frames:
                         bus.send_frame(identifier, data)
         self.wait(1000)
         self.regular += all(channel.regular for channel in self.bench.lab.channels.values())
+
+    def _send_joined(self, buses: list[can.BusABC], sent: list[list[tuple[int, bytes]]]) -> bool:
+        rows = [
+            (0, identifier, len(data), 0, number, int.from_bytes(data, "little"))
+            for number, frames in enumerate(sent)
+            for identifier, data in frames
+        ]
+        assert isinstance(buses[0], LocalBus)
+        together = buses[0].join(buses)
+        assert together is not None
+        return together.send_joined(np.array(rows, FRAMES), self.bench.now)
 
     def wait(self, us: int) -> None:
         self.bench.now += us * 1000

@@ -139,6 +139,11 @@ class Tap:
         for identifier, data in frames:
             self.frame(now_ns, channel, identifier, data, sent=True)
 
+    def sent_together(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
+        for _, identifier, dlc, _, place, word in frames.tolist():
+            data = data_of(identifier, dlc, word)
+            self.frame(now_ns, channel + place, identifier, data, sent=True)
+
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         for stamp_ns, identifier, dlc, own, _, word in frames.tolist():
             if not own:

@@ -61,6 +61,9 @@ class _Numbered:
     def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
         self._tap.sent(frames, self._first + channel, now_ns)
 
+    def sent_together(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
+        self._tap.sent_together(frames, self._first + channel, now_ns)
+
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
         self._tap.received(frames, self._first + channel, now_ns)
 

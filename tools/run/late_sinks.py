@@ -28,6 +28,7 @@ class LateSinks:
         # What comes several times a tick is passed on without a step between.
         self.publish: Callable[[NDArray[np.void], int], None] = _nowhere
         self.sent: Callable[[Sequence[tuple[int, bytes]], int, int], None] = _nowhere
+        self.sent_together: Callable[[NDArray[np.void], int, int], None] = _nowhere
         self.received: Callable[[NDArray[np.void], int, int], None] = _nowhere
 
     def open(self, rings: Rings) -> None:
@@ -35,6 +36,7 @@ class LateSinks:
         self.publish = rings.cycles.publish
         if rings.frames is not None:
             self.sent, self.received = rings.frames.sent, rings.frames.received
+            self.sent_together = rings.frames.sent_together
 
     def truth(self, record: NDArray[np.void], stamp_ns: int) -> None:
         self.record = record

@@ -19,7 +19,7 @@ FRAMES = np.dtype(
         ("identifier", "<u4"),
         ("dlc", "u1"),
         ("own", "u1"),
-        ("padding", "<u2"),
+        ("channel", "<u2"),  # of frames of several channels in one array, counted from the first
         ("data", "<i8"),  # the eight bytes
     ]
 )

@@ -9,7 +9,7 @@ At a SYNC as it should be it waits for the lab, which delivers those of all chan
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Protocol
 
 import numpy as np
@@ -188,6 +188,41 @@ def run_wires(
     return rows
 
 
+@njit(cache=True)
+def put_joined(
+    states: Integers,
+    waiting: Integers,
+    rows: Integers,
+    ports: Integers,
+    frames: NDArray[np.void],
+    now_ns: int,
+) -> bool:
+    """Let data frames of base identifiers, (n,) of `FRAMES`, enter their queues now, one after the
+    other: those of channel c in row ``rows[c]``, sent by port ``ports[c]``. False: they do not all
+    fit, and none has."""
+    for channel in range(rows.shape[0]):
+        state, count = states[rows[channel]], 0
+        for i in range(frames.shape[0]):
+            count += frames[i].channel == channel
+        if count and (not state[ON] or state[PENDING] + count > state[MOST]):
+            return False
+    for i in range(frames.shape[0]):
+        frame = frames[i]
+        row = rows[frame.channel]
+        state = states[row]
+        place = waiting[row, state[PENDING]]
+        place[DUE] = now_ns
+        place[PORT] = ports[frame.channel]
+        place[KEY] = np.int64(frame.identifier) << BASE_SHIFT
+        place[IDENTIFIER] = frame.identifier
+        place[DLC] = frame.dlc
+        place[DATA] = frame.data
+        state[PENDING] += 1
+        if not state[FLYING] and now_ns < state[NEXT]:
+            state[NEXT] = max(now_ns, state[FREE])
+    return True
+
+
 @njit("int64(int64[:, ::1])", cache=True)
 def first_wide(states: Integers) -> int:
     """The row whose frame waits for the lab for longest, of equal ones the first; -1: none."""
@@ -260,6 +295,11 @@ class WireTable:
         )
         return row
 
+    def put(self, rows: Integers, ports: Integers, frames: NDArray[np.void], now_ns: int) -> bool:
+        """`put_joined` on this table."""
+        taken: bool = put_joined(self.states, self.frames, rows, ports, frames, now_ns)
+        return taken
+
     def waiting(self) -> tuple[int, int]:
         """The row whose frame waits for the lab for longest, and since when."""
         row: int = first_wide(self.states)
@@ -278,6 +318,7 @@ class RegularWire:
         self._room = room
 
     def _sit(self, table: WireTable, row: int) -> None:
+        self.table, self.row = table, row
         self.state: Integers = table.states[row]
         self.frames: Integers = table.frames[row]
         self.delivered: Integers = table.delivered[row]
@@ -354,23 +395,6 @@ class RegularWire:
         if not words[FLYING] and due_ns < words[NEXT]:
             free_ns = words[FREE]
             words[NEXT] = due_ns if due_ns > free_ns else free_ns  # noqa: FURB136 - in half the time
-        return True
-
-    def put_all(self, port: int, frames: Sequence[tuple[int, bytes]], now_ns: int) -> bool:
-        """Let data frames, base identifier and data each, enter their queue now, one after the
-        other; False: they do not all fit here, and none has."""
-        words = self.words
-        pending = words[PENDING]
-        if not words[ON] or pending + len(frames) > self._room:
-            return False
-        pack, memory, size = _ROW.pack_into, self._memory, _ROW.size
-        for identifier, data in frames:
-            key = identifier << BASE_SHIFT
-            pack(memory, pending * size, now_ns, port, key, identifier, len(data), data)
-            pending += 1
-        words[PENDING] = pending
-        if not words[FLYING] and now_ns < words[NEXT]:
-            words[NEXT] = max(now_ns, words[FREE])
         return True
 
     def run(self, to_ns: int) -> int:

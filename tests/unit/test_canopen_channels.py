@@ -1,0 +1,107 @@
+"""What goes out on all channels at once: joined, or channel by channel, to the same effect."""
+
+from __future__ import annotations
+
+import can
+from unit.fake_can import Tap
+
+from tonus.config import load
+from tonus.config.schema.bus import CanopenBus
+from tonus.drivers.canopen.channel import Channel
+from tonus.drivers.canopen.channels import Batch, Channels
+from tonus.drivers.canopen.identifiers import SYNC
+from tonus.drivers.events import EventLog
+from tonus.sim.lab.engine import Lab
+
+_FRAMES = [(0, 0x201, 4), (0, 0x202, 4), (1, 0x203, 2), (3, 0x204, 8)]
+_DATA = [b"\1\2\3\4", b"\5\6\7\x88", b"\x99\xff", bytes(range(8))]
+
+
+class _Bench:
+    """Four channels of a lab whose wires are in compiled code, or not."""
+
+    def __init__(self, *, regular: bool) -> None:
+        config, scenario = load("config/can.yaml")
+        assert isinstance(config.fieldbus, CanopenBus)
+        self.now = 0
+        self.lab = Lab(config, scenario.lab, seed=1, clock=lambda: self.now)
+        for channel in self.lab.channels.values():
+            if not regular:
+                channel.planner = None
+        self.lab.open()
+        try:
+            names = [each.name for each in config.fieldbus.channels]
+            self.listeners = [can.Bus(interface="tonus", channel=name) for name in names]
+            buses = [can.Bus(interface="tonus", channel=name) for name in names]
+        finally:
+            self.lab.close()
+        self.wait(50)
+        self.tap, self.events = Tap(), EventLog()
+        self.channels = [
+            Channel(n, bus, config.fieldbus, 1000, 3, lambda: self.now, self.tap, self.events)
+            for n, bus in enumerate(buses)
+        ]
+        self.together = Channels(self.channels, lambda: self.now, self.tap)
+
+    def close(self) -> None:
+        for bus in (*self.listeners, *(channel.bus for channel in self.channels)):
+            bus.shutdown()
+
+    def wait(self, ms: int) -> None:
+        self.now += ms * 1_000_000
+        self.lab.advance(self.now)
+        for bus in self.listeners:
+            while bus.recv(0) is not None:
+                pass
+
+    def heard(self) -> list[list[tuple[float, int, bytes]]]:
+        """After a millisecond, by channel."""
+        self.now += 1_000_000
+        return [
+            [
+                (message.timestamp, message.arbitration_id, bytes(message.data))
+                for message in iter(lambda bus=bus: bus.recv(0), None)
+            ]
+            for bus in self.listeners
+        ]
+
+
+def _play(*, regular: bool) -> list[object]:
+    bench = _Bench(regular=regular)
+    batch, seen = Batch(_FRAMES), []
+    assert all(channel.regular is regular for channel in bench.lab.channels.values())
+    for tick in range(3):
+        bench.together.sync(tick)
+        batch.fill([bytes(reversed(data)) if tick % 2 else data for data in _DATA])
+        bench.together.send(batch)
+        seen.append(bench.heard())
+    syncs = [(channel.syncs.count, channel.syncs.ticks.tolist()) for channel in bench.channels]
+    free = [channel._free_ns for channel in bench.channels]
+    bench.close()
+    return [seen, bench.tap.seen, syncs, free]
+
+
+def test_joined_channels_send_what_each_would_send_by_itself() -> None:
+    joined, alone = _play(regular=True), _play(regular=False)
+    assert joined == alone
+    first = joined[0][0]  # type: ignore[index]
+    assert [identifier for _, identifier, _ in first[0]] == [SYNC, 0x201, 0x202]
+    assert [data for _, _, data in first[3]] == [b"", bytes(range(8))]
+    assert [entry[1:] for entry in joined[1][4:8]] == [  # type: ignore[index]
+        (channel, identifier, data, True)
+        for (channel, identifier, _), data in zip(_FRAMES, _DATA, strict=True)
+    ]
+
+
+def test_a_queue_without_room_keeps_all_back_and_each_channel_tries_by_itself() -> None:
+    bench = _Bench(regular=True)
+    batch = Batch(_FRAMES)
+    batch.fill(_DATA)
+    for _ in range(20):
+        bench.together.send(batch)
+    bench.close()
+    names = {event.name for event in bench.events.take()}
+    assert names == {"transmit_refused"}
+    sent = [entry[1] for entry in bench.tap.seen]
+    assert sent.count(3) == 20, "a channel with room has lost nothing"
+    assert sent.count(0) == 32
