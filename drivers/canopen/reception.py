@@ -9,7 +9,7 @@ that frame and goes on behind it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -63,6 +63,35 @@ def mapped(mapping: Mapping, entry: int, place: int, *, floating: bool = False) 
 
 
 @njit(cache=True)
+def store_field(
+    field: Any,
+    value: int,
+    sync: tuple[int, int, int],
+    integers: NDArray[np.int64],
+    reals: NDArray[np.float64],
+) -> None:
+    """``field`` is a row of `FIELD`, ``value`` that of its bits, signed; ``sync``: tick, time and
+    doubt (ns) of the sample."""
+    if field.kind == _TICK:
+        integers[field.place] = sync[0]
+        return
+    if field.kind == _TIME:
+        integers[field.place] = sync[1]
+        return
+    if field.kind == _DOUBT:
+        integers[field.place] = sync[2]
+        return
+    if field.kind == Kind.UNSIGNED and field.bits < 64:
+        value &= (1 << field.bits) - 1
+    if field.kind == Kind.REAL:
+        reals[field.place] = np.int32(value).view(np.float32)
+    elif field.real:
+        reals[field.place] = value
+    else:
+        integers[field.place] = value
+
+
+@njit(cache=True)
 def _store(
     word: int,
     sync: tuple[int, int, int],
@@ -75,24 +104,8 @@ def _store(
     """Take eight bytes apart. ``sync``: tick, time and doubt (ns) of the one they answer."""
     for i in range(first, first + count):
         field = fields[i]
-        if field.kind == _TICK:
-            integers[field.place] = sync[0]
-            continue
-        if field.kind == _TIME:
-            integers[field.place] = sync[1]
-            continue
-        if field.kind == _DOUBT:
-            integers[field.place] = sync[2]
-            continue
         value = (word << (64 - field.shift - field.bits)) >> (64 - field.bits)
-        if field.kind == Kind.UNSIGNED and field.bits < 64:
-            value &= (1 << field.bits) - 1
-        if field.kind == Kind.REAL:
-            reals[field.place] = np.int32(value).view(np.float32)
-        elif field.real:
-            reals[field.place] = value
-        else:
-            integers[field.place] = value
+        store_field(field, value, sync, integers, reals)
 
 
 @njit(cache=True)

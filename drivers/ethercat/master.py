@@ -20,9 +20,10 @@ from tonus.drivers.devices.drive import require_interpolation
 from tonus.drivers.devices.drive_errors import Errors
 from tonus.drivers.errors import BringUpError, DriverError
 from tonus.drivers.ethercat.al import ERROR, AlState
+from tonus.drivers.ethercat.inputs import Inputs
 from tonus.drivers.ethercat.phase import Phase
 from tonus.drivers.ethercat.recovery import Recovery
-from tonus.drivers.ethercat.slave import Slave, decoder, encoder, slaves
+from tonus.drivers.ethercat.slave import Slave, encoder, slaves
 from tonus.drivers.ethercat.status import SlaveStatus
 from tonus.drivers.ethercat.watch import Watch
 from tonus.drivers.ethercat.wire import Found, Wire
@@ -86,8 +87,7 @@ class EthercatFieldbus:
             [places.get(axis, bus.interface) for axis in range(config.robot.cables)],
         )
         self._axes = [each for each in self._slaves if each.axis is not None]
-        self._cell_rows = [cell for each in self._slaves for cell in each.cells]
-        self._decoders = [decoder(each, exchange) for each in self._slaves]
+        self._inputs = Inputs(self._slaves, exchange)
         self._encoders = [
             (each.axis, encoder(each)) for each in self._axes if each.axis is not None
         ]
@@ -327,18 +327,8 @@ class EthercatFieldbus:
     def _take_inputs(
         self, inputs: list[bytes], sampled: int, sampled_ns: int, doubt_ns: int
     ) -> None:
-        exchange = self._exchange
-        for decode, data in zip(self._decoders, inputs, strict=True):
-            decode(data)
-        ticks = exchange.axis_tick
-        for slave in self._axes:
-            assert slave.axis is not None
-            ticks[slave.axis] = sampled
-            exchange.sampled_ns[slave.axis] = sampled_ns
-            exchange.doubt_ns[slave.axis] = doubt_ns
-        for cell in self._cell_rows:
-            exchange.cell_tick[cell] = sampled
-        codes = exchange.error_codes.tolist()
+        self._inputs.take(inputs, sampled, sampled_ns, doubt_ns)
+        codes = self._exchange.error_codes.tolist()
         if codes != self._codes:
             self._tell_errors(codes)
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from tonus.config.schema.bus import EthercatBus
 from tonus.config.schema.drive import DriveProfile, Identity
 from tonus.config.schema.robot import Robot
 from tonus.drivers.canopen.process_data import Encode, drive_encoder
-from tonus.drivers.cia301.pdo import Mapping, PdoError
+from tonus.drivers.cia301.pdo import Mapping
 from tonus.drivers.cia301.setting import ObjectAccess, Setting, apply
 from tonus.drivers.devices import drive, force_cell
 from tonus.drivers.errors import DriverError
 from tonus.drivers.ethercat.wire import Found, Sizes
 from tonus.drivers.exchange import Exchange
-
-Decode = Callable[[bytes], None]
-ERROR_CODE = 0x603F0010
 
 RX_ASSIGNMENT, TX_ASSIGNMENT = 0x1C12, 0x1C13
 _RX_MAPPING, _TX_MAPPING = 0x1600, 0x1A00
@@ -139,54 +135,3 @@ async def _assign(
 def encoder(slave: Slave) -> Encode:
     """Raises `PdoError`."""
     return drive_encoder(Mapping.of(slave.rx))
-
-
-def decoder(slave: Slave, exchange: Exchange) -> Decode:
-    """What takes a slave's inputs into the exchange. Raises `PdoError`."""
-    mapping = Mapping.of(slave.tx)
-    if slave.axis is None:
-        return _cells(mapping, slave.cells, exchange)
-    return _drive(mapping, slave.axis, exchange)
-
-
-def _drive(mapping: Mapping, axis: int, exchange: Exchange) -> Decode:
-    unpack = mapping.layout.unpack
-    status_at = mapping.position(drive.STATUSWORD)
-    position_at = mapping.position(drive.POSITION_ACTUAL)
-    torque_at = mapping.position(drive.TORQUE_ACTUAL)
-    error_at = mapping.position(ERROR_CODE) if ERROR_CODE in mapping.entries else None
-    statuswords, positions, torques = exchange.statuswords, exchange.positions, exchange.torques
-    codes = exchange.error_codes
-
-    def decode(data: bytes) -> None:
-        values = unpack(data)
-        statuswords[axis] = values[status_at]
-        positions[axis] = values[position_at]
-        torques[axis] = values[torque_at]
-        if error_at is not None:
-            codes[axis] = values[error_at]
-
-    return decode
-
-
-def _cells(mapping: Mapping, rows: tuple[int, ...], exchange: Exchange) -> Decode:
-    unpack = mapping.layout.unpack
-    places = []
-    for channel, row in enumerate(rows, start=1):
-        forms = [force_cell.of_channel(entry, channel) for entry in force_cell.PROCESS_VALUES]
-        value = next((entry for entry in forms if entry in mapping.entries), None)
-        if value is None:
-            raise PdoError(f"the amplifier maps no process value of channel {channel}")
-        status = force_cell.of_channel(force_cell.STATUS, channel)
-        status_at = mapping.position(status) if status in mapping.entries else None
-        places.append((row, mapping.position(value), status_at))
-    cells, states = exchange.cells, exchange.cell_status
-
-    def decode(data: bytes) -> None:
-        values = unpack(data)
-        for row, value_at, status_at in places:
-            cells[row] = values[value_at]
-            if status_at is not None:
-                states[row] = values[status_at]
-
-    return decode
