@@ -237,9 +237,10 @@ class ControlCycle:
     ) -> CycleRecord:
         """The record of the tick that `act` has just been called for, with the same arguments: the
         drives need not wait for it."""
-        self._writer.inputs(image, tick, operator, select, change)
-        self._writer.torques(image, self._loop)
-        self._writer.results(self._law, accepted=self._accepted)
+        self._writer.tick(
+            image, tick, operator, select, change, self._loop, accepted=self._accepted
+        )
+        self._writer.results(self._law)
         return self.record
 
     @property

@@ -221,6 +221,16 @@ class PoseEstimator:
             self._past_usable,
         )
 
+        self.found = (
+            *self._published,
+            self.estimate.external,
+            self.cable_position,
+            self._position,
+            self._rest[OFFSETS - TWIST :],
+        )
+        """the arrays that are recorded: the estimate; the position by the cables alone, and that of
+        the sampling instant; offsets and excesses"""
+
     @property
     def bias(self) -> Array:
         """(3,) m, what the cables' position is wrong by."""

@@ -15,19 +15,14 @@ from tonus.runtime.control.passivity import Limiter
 from tonus.runtime.control.sensing import Sensing
 from tonus.runtime.control.tension import TensionLoop
 from tonus.runtime.control.tuning import GainChange, Tuning
-from tonus.runtime.recording.record_writers import (
-    write_found,
-    write_law,
-    write_margins,
-    write_measured,
-    write_motion,
-)
+from tonus.runtime.recording.record_writers import write_results, write_tick
 from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.signals import CycleRecord, Solver
 from tonus.runtime.states import Operator
 
 _CHANGE = struct.Struct("<Bd")
+_NO_SOLVER = int(Solver.NONE)
 _SELECT_BIT = 24
 """of the checksum's start, so that a tick without a choice has the checksum of its inputs alone"""
 
@@ -52,68 +47,80 @@ class CycleWriter:
         self._guide, self._estimator, self._controller = guide, estimator, controller
         self._limiter, self._envelope, self._allocation = limiter, envelope, allocation
         self._tuning = tuning
+        self._measured = (sensing.rate, sensing.tare, sensing.filter.value)
+        self._found = (
+            *estimator.found,
+            allocation.centre,
+            allocation.agonism,
+            allocation.wrench,
+            allocation.delivered,
+        )
 
-    def inputs(
-        self, image: ProcessImage, tick: int, operator: Operator, select: int, change: GainChange
+    def tick(
+        self,
+        image: ProcessImage,
+        tick: int,
+        operator: Operator,
+        select: int,
+        change: GainChange,
+        loop: TensionLoop,
+        *,
+        accepted: bool,
     ) -> None:
-        record, sensing, sequence = self._record, self._sensing, self._sequence
-        record.timing.tick[...] = tick
-        state = record.state
-        state.elapsed[...] = sequence.elapsed
-        state.scenario_time[...] = self._guide.time
+        """What every tick has; ``loop``: where its torques come from; ``accepted``: whether a
+        tracker pose was."""
+        sensing, sequence, guide = self._sensing, self._sequence, self._guide
+        allocation = self._allocation
         said = tick * len(Operator) + operator
         checksum = image.checksum(said ^ select << _SELECT_BIT)
-        state.inputs[...] = (
-            zlib.crc32(_CHANGE.pack(*change), checksum) if change.number else checksum
-        )
-        state.fault[...] = sequence.fault
-        state.fault_where[...] = sequence.where
-        state.stop_mode[...] = sequence.stop_mode
-        state.failed[:] = sequence.faults.failed
-        state.state[...] = sequence.state
-        state.operator[...] = operator
-        state.select[...] = select
-        state.scenario[...] = self._guide.chosen
-        tuning = record.tuning
         number, value = change
-        tuning.parameter[...] = number
-        tuning.value[...] = value
-        tuning.gains[:] = self._tuning.gains
-        write_measured(
-            record.data,
+        if number:
+            checksum = zlib.crc32(_CHANGE.pack(*change), checksum)
+        regulating = sequence.regulating
+        faults = sequence.faults
+        write_tick(
+            self._record.data,
             image.axes,
             image.cells,
             image.tracker,
-            sensing.rate,
-            sensing.tare,
-            sensing.filter.value,
+            image.commands,
+            *self._measured,
+            faults.failed,
+            allocation.reference,
+            sensing.tension,
+            loop.integral,
+            tick,
+            sequence.elapsed,
+            guide.time,
+            checksum,
+            int(faults.first),
+            faults.where,
+            int(sequence.stop_mode),
+            int(sequence.state),
+            int(operator),
+            select,
+            guide.chosen,
+            number,
+            float(value),
+            *self._tuning.gains,
+            int(allocation.distribution.solver) if regulating else _NO_SOLVER,
+            accepted and regulating,
         )
 
-    def torques(self, image: ProcessImage, loop: TensionLoop) -> None:
-        """What the drives are told, and the ``loop`` that it comes from."""
-        record = self._record
-        record.drives.torque_command[:] = image.commands["torque"]
-        record.drives.command[:] = image.commands["command"]
-        tension = record.tension
-        tension.reference[:] = self._allocation.reference
-        tension.measured[:] = self._sensing.tension
-        tension.integral[:] = loop.integral
-
-    def results(self, law: float, *, accepted: bool) -> None:
-        """What is there only while the platform is regulated: ``law`` (N/m), the stiffness law's
-        value, and whether a tracker pose was accepted."""
-        record, tension, estimate = self._record, self._record.tension, self._estimator.estimate
-        allocation = self._allocation
+    def results(self, law: float) -> None:
+        """What is there only while the platform is regulated; ``law``: N/m, the stiffness law's
+        value."""
         if not self._sequence.regulating:
-            tension.solver[...] = Solver.NONE
-            record.tracker.accepted[...] = False
             return
-        distribution, estimator = allocation.distribution, self._estimator
-        disagreement = estimator.disagreement
-        tension.solver[...] = distribution.solver
-        record.tracker.accepted[...] = accepted
-        write_found(
-            record.data,
+        allocation, estimator, limiter = self._allocation, self._estimator, self._limiter
+        envelope, guide = self._envelope, self._guide
+        distribution, disagreement = allocation.distribution, estimator.disagreement
+        account, terms = limiter.account, self._controller.terms
+        write_results(
+            self._record.data,
+            *self._found,
+            *guide.desired,
+            guide.attitude[0],
             distribution.iterations,
             disagreement.distance,
             disagreement.poses,
@@ -123,29 +130,8 @@ class CycleWriter:
             estimator.inconsistency,
             estimator.condition,
             int(estimator.consistency),
-        )
-        tension.co_contraction[:] = allocation.centre
-        tension.agonism[:] = allocation.agonism
-        write_motion(
-            record.data,
-            (
-                estimate.position,
-                estimate.quaternion,
-                estimate.velocity,
-                estimate.angular_velocity,
-                estimate.external,
-            ),
-            self._guide.desired,
-            self._guide.attitude[0],
-            estimator.cable_position,
-            estimator.bias,
-            estimator.offsets,
-            estimator.compliances,
-        )
-        limiter, envelope = self._limiter, self._envelope
-        account, terms = limiter.account, self._controller.terms
-        write_law(
-            record.data,
+            distribution.deficit,
+            self._sensing.contact,
             law,
             float(terms.velocity),
             float(terms.force),
@@ -157,12 +143,9 @@ class CycleWriter:
             account.stiffening,
             account.dissipated,
             account.external,
-            limiter.tank.level,
             account.stiffness_rate,
+            limiter.tank.level,
             limiter.rise_bound(limiter.value),
-        )
-        write_margins(
-            record.data,
             envelope.tension_high,
             envelope.tension_low,
             envelope.contact,
@@ -172,8 +155,3 @@ class CycleWriter:
             int(envelope.grade),
             int(envelope.bound),
         )
-        wrench = record.wrench
-        wrench.commanded[:] = allocation.wrench
-        wrench.delivered[:] = allocation.delivered
-        wrench.deficit[...] = distribution.deficit
-        wrench.contact[...] = self._sensing.contact

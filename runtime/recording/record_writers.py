@@ -1,8 +1,8 @@
-"""Compiled writers of the cycle record's larger parts: a call each, where assigning array by array
-costs three to five times as much.
+"""Compiled writers of the cycle record: two calls a tick, `write_tick` and, while the platform is
+regulated, `write_results`, where assigning array by array costs three to five times as much.
 
-They write the same named fields that `tonus.runtime.signals` lists. What a tick writes besides, it
-writes through the views of `CycleRecord`.
+They write the same named fields that `tonus.runtime.signals` lists. An enumeration comes as a plain
+integer, since its type would be another one.
 """
 
 from __future__ import annotations
@@ -57,6 +57,71 @@ def write_measured(
     pose.fresh = seen.fresh
 
 
+@njit(cache=True)
+def write_tick(
+    record: Table,
+    axes: Table,
+    cells: Table,
+    tracker: Table,
+    commands: Table,
+    rate: Table,
+    tare: Table,
+    filtered: Table,
+    failed: Table,
+    reference: Table,
+    tension: Table,
+    integral: Table,
+    tick: int,
+    elapsed: float,
+    scenario_time: float,
+    inputs: int,
+    fault: int,
+    where: int,
+    stop_mode: int,
+    state: int,
+    operator: int,
+    select: int,
+    scenario: int,
+    parameter: int,
+    value: float,
+    deviation_gain: float,
+    velocity_gain: float,
+    force_gain: float,
+    solver: int,
+    accepted: bool,
+) -> None:
+    """What every tick has: what came in (`write_measured`), where the state machine is, and what
+    the drives are told, with the tensions (n,) that it comes from."""
+    write_measured(record, axes, cells, tracker, rate, tare, filtered)
+    now, tuning = record[0].state, record[0].tuning
+    record[0].timing.tick = tick
+    now.elapsed = elapsed
+    now.scenario_time = scenario_time
+    now.inputs = inputs
+    now.fault = fault
+    now.fault_where = where
+    now.stop_mode = stop_mode
+    now.state = state
+    now.operator = operator
+    now.select = select
+    now.scenario = scenario
+    tuning.parameter = parameter
+    tuning.value = value
+    gains = (deviation_gain, velocity_gain, force_gain)
+    for k in range(3):
+        tuning.gains[k] = gains[k]
+    drives, tensions = record[0].drives, record[0].tension
+    for i in range(commands.shape[0]):
+        now.failed[i] = failed[i]
+        drives.torque_command[i] = commands[i].torque
+        drives.command[i] = commands[i].command
+        tensions.reference[i] = reference[i]
+        tensions.measured[i] = tension[i]
+        tensions.integral[i] = integral[i]
+    tensions.solver = solver
+    record[0].tracker.accepted = accepted
+
+
 @njit("float64(float64[::1])", cache=True)
 def mean(values: Table) -> float:
     """Of up to fifteen values, to the bit as numpy computes it: from eight on it adds in pairs."""
@@ -79,13 +144,14 @@ def write_motion(
     desired: tuple[Table, Table, Table],
     desired_quaternion: Table,
     cable_position: Table,
-    bias: Table,
-    length_offset: Table,
-    compliances: Table,
+    position: Table,
+    constants: Table,
 ) -> None:
     """``estimate``: position, quaternion, velocity, angular velocity, external wrench; ``desired``:
-    position, velocity, acceleration."""
+    position, velocity, acceleration; ``position`` (3,) is of the sampling instant, as the cables'
+    is; ``constants`` (2n,): each length's offset, then the excess of each cable's compliance."""
     pose, wrench = record[0].pose, record[0].wrench
+    cables = constants.shape[0] // 2
     for k in range(3):
         pose.position[k] = estimate[0][k]
         pose.velocity[k] = estimate[2][k]
@@ -94,72 +160,85 @@ def write_motion(
         pose.desired_velocity[k] = desired[1][k]
         pose.desired_acceleration[k] = desired[2][k]
         pose.cable_position[k] = cable_position[k]
-        pose.bias[k] = bias[k]
+        pose.bias[k] = cable_position[k] - position[k]
     for k in range(4):
         pose.quaternion[k] = estimate[1][k]
         pose.desired_quaternion[k] = desired_quaternion[k]
     for k in range(6):
         wrench.external[k] = estimate[4][k]
-    for k in range(length_offset.shape[0]):
-        pose.length_offset[k] = length_offset[k]
-    pose.compliance = mean(compliances)
+    for k in range(cables):
+        pose.length_offset[k] = constants[k]
+    pose.compliance = mean(1.0 + constants[cables:])
+
+
+@njit(cache=True)
+def write_tensions(
+    record: Table, centre: Table, agonism: Table, commanded: Table, delivered: Table
+) -> None:
+    """What the distribution made: ``centre`` and ``agonism`` (n,), and the wrenches (6,)."""
+    tension, wrench = record[0].tension, record[0].wrench
+    for i in range(centre.shape[0]):
+        tension.co_contraction[i] = centre[i]
+        tension.agonism[i] = agonism[i]
+    for k in range(6):
+        wrench.commanded[k] = commanded[k]
+        wrench.delivered[k] = delivered[k]
 
 
 @njit(cache=True)
 def write_found(
     record: Table,
     iterations: int,
-    disagreement: float,
-    refused: int,
-    learnt: int,
+    disagreement: tuple[float, int, int],
     residual: float,
     sigma: float,
     inconsistency: float,
     condition: float,
     consistency: int,
+    deficit: float,
+    contact: float,
 ) -> None:
-    """What distribution, tracker and estimator say of themselves, number by number; an enumeration
-    as a plain integer, since its type would be another one."""
+    """What distribution, tracker and estimator say of themselves, number by number;
+    ``disagreement``: m, poses refused, and disagreements learnt; ``deficit`` and ``contact``: N."""
     tension, tracker, pose = record[0].tension, record[0].tracker, record[0].pose
+    wrench = record[0].wrench
     tension.iterations = iterations
-    tracker.disagreement = disagreement
-    tracker.refused = refused
-    tracker.learnt = learnt
+    tracker.disagreement = disagreement[0]
+    tracker.refused = disagreement[1]
+    tracker.learnt = disagreement[2]
     pose.residual = residual
     pose.sigma = sigma
     pose.inconsistency = inconsistency
     pose.condition = condition
     pose.consistency = consistency
+    wrench.deficit = deficit
+    wrench.contact = contact
 
 
 @njit(cache=True)
 def write_law(
     record: Table,
     law: float,
-    velocity_term: float,
-    force_term: float,
-    deviation_term: float,
+    terms: tuple[float, float, float],
     cap: float,
     value: float,
     geometric: float,
-    storage: float,
-    stiffening: float,
-    dissipated: float,
-    external: float,
+    account: tuple[float, float, float, float, float],
     tank: float,
-    rate: float,
     rise_bound: float,
 ) -> None:
-    """The stiffness law's value and terms, the envelope's ``cap``, the limiter's ``value`` (N/m),
-    to which tensions add a ``geometric`` stiffness; and the account of the energy."""
+    """The stiffness law's value and ``terms`` (velocity, force, deviation), the envelope's ``cap``,
+    the limiter's ``value`` (N/m), to which tensions add a ``geometric`` stiffness; and the
+    ``account`` of the energy: storage, stiffening, dissipated, external, rate of the stiffness."""
     stiffness, energy = record[0].stiffness, record[0].energy
     stiffness.law = law
-    stiffness.velocity_term = velocity_term
-    stiffness.force_term = force_term
-    stiffness.deviation_term = deviation_term
+    stiffness.velocity_term = terms[0]
+    stiffness.force_term = terms[1]
+    stiffness.deviation_term = terms[2]
     stiffness.cap = cap
     stiffness.k_eq = value
     stiffness.measured = value + geometric
+    storage, stiffening, dissipated, external, rate = account
     energy.storage = storage
     energy.storage_rate = stiffening - dissipated + external
     energy.stiffening = stiffening
@@ -173,22 +252,99 @@ def write_law(
 @njit(cache=True)
 def write_margins(
     record: Table,
+    margins: tuple[float, float, float, float, float],
+    progress: float,
+    grade: int,
+    bound: int,
+) -> None:
+    """The envelope's ``margins`` (tension high and low, contact, speed, workspace), and what it
+    makes of them."""
+    envelope = record[0].envelope
+    envelope.tension_high = margins[0]
+    envelope.tension_low = margins[1]
+    envelope.contact = margins[2]
+    envelope.speed = margins[3]
+    envelope.workspace = margins[4]
+    envelope.progress = progress
+    envelope.grade = grade
+    envelope.bound = bound
+
+
+@njit(cache=True)
+def write_results(
+    record: Table,
+    position: Table,
+    quaternion: Table,
+    velocity: Table,
+    angular_velocity: Table,
+    external: Table,
+    cable_position: Table,
+    sampled_position: Table,
+    constants: Table,
+    centre: Table,
+    agonism: Table,
+    commanded: Table,
+    delivered: Table,
+    desired_position: Table,
+    desired_velocity: Table,
+    desired_acceleration: Table,
+    desired_quaternion: Table,
+    iterations: int,
+    distance: float,
+    refused: int,
+    learnt: int,
+    residual: float,
+    sigma: float,
+    inconsistency: float,
+    condition: float,
+    consistency: int,
+    deficit: float,
+    contact: float,
+    law: float,
+    velocity_term: float,
+    force_term: float,
+    deviation_term: float,
+    cap: float,
+    value: float,
+    geometric: float,
+    storage: float,
+    stiffening: float,
+    dissipated: float,
+    power: float,
+    rate: float,
+    tank: float,
+    rise_bound: float,
     tension_high: float,
     tension_low: float,
-    contact: float,
+    contact_margin: float,
     speed: float,
     workspace: float,
     progress: float,
     grade: int,
     bound: int,
 ) -> None:
-    """The envelope's, and what it makes of them."""
-    margins = record[0].envelope
-    margins.tension_high = tension_high
-    margins.tension_low = tension_low
-    margins.contact = contact
-    margins.speed = speed
-    margins.workspace = workspace
-    margins.progress = progress
-    margins.grade = grade
-    margins.bound = bound
+    """What is there only while the platform is regulated; single arguments, since a tuple takes
+    longer to hand over."""
+    estimate = (position, quaternion, velocity, angular_velocity, external)
+    desired = (desired_position, desired_velocity, desired_acceleration)
+    write_motion(
+        record, estimate, desired, desired_quaternion, cable_position, sampled_position, constants
+    )
+    write_tensions(record, centre, agonism, commanded, delivered)
+    write_found(
+        record,
+        iterations,
+        (distance, refused, learnt),
+        residual,
+        sigma,
+        inconsistency,
+        condition,
+        consistency,
+        deficit,
+        contact,
+    )
+    terms = (velocity_term, force_term, deviation_term)
+    account = (storage, stiffening, dissipated, power, rate)
+    write_law(record, law, terms, cap, value, geometric, account, tank, rise_bound)
+    margins = (tension_high, tension_low, contact_margin, speed, workspace)
+    write_margins(record, margins, progress, grade, bound)

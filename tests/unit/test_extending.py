@@ -41,9 +41,9 @@ SIGNAL = (
         '        _f8("lift", 0, "N", "external force upward, of the estimate"),\n',
     ),
     Edit(
-        "runtime/recording/cycle_writer.py",
-        "        wrench.contact[...] = self._sensing.contact\n",
-        "        wrench.lift[...] = estimate.external[2]\n",
+        "runtime/recording/record_writers.py",
+        "        wrench.external[k] = estimate[4][k]\n",
+        "    wrench.lift = estimate[4][2]\n",
     ),
 )
 STAGE_FILE = "runtime/control/heave.py"
@@ -75,7 +75,7 @@ CALLED = (
     ),
     Edit(
         "runtime/cycle.py",
-        "        self._writer.results(self._law, accepted=self._accepted)\n",
+        "        self._writer.results(self._law)\n",
         "        self.record.wrench.heave[...] = self._heave.most\n",
     ),
     Edit(
