@@ -28,7 +28,7 @@ from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.control.passivity import Limiter
 from tonus.runtime.control.referencing import Referencing
 from tonus.runtime.control.sensing import Sensing
-from tonus.runtime.control.tension import TensionLoop, drum_motion
+from tonus.runtime.control.tension import TensionLoop
 from tonus.runtime.control.tuning import NO_CHANGE, GainChange, Tuning
 from tonus.runtime.recording.cycle_writer import CycleWriter
 from tonus.runtime.safety.descent import Descent
@@ -40,6 +40,7 @@ from tonus.runtime.signals import CycleRecord
 from tonus.runtime.states import ARMED, Operator, State
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 _MOST_SKIPPED = 100
 """missed ticks in a row that the estimate is carried over: each takes as long as in a tick"""
 # Looked up once: a member of an enumeration takes ten times as long as a name (Python 3.11).
@@ -64,7 +65,6 @@ class ControlCycle:
         their numbers from 1 on."""
         period = control.rates.period
         self._robot, self._control, self._period = robot, control, period
-        self._radius, self._axial_stiffness = robot.drum_radius, robot.axial_stiffness
         self._resting = robot.rest[2]
         self.record = CycleRecord(robot.cables)
         self._kinematics = Kinematics(robot.geometry)
@@ -120,7 +120,8 @@ class ControlCycle:
         self._last_tick, self._skipped = -1, 0
         self.drums = self._isolation.drums
         self._drum_rate, self._none = np.zeros(robot.cables), np.zeros(robot.cables)
-        self._desired_drums = (np.zeros(robot.cables), np.zeros(robot.cables))
+        self._drum_motion = (self._drum_rate, np.zeros(robot.cables), np.zeros(robot.cables))
+        """rad/s (n,) that would follow the platform, rad/s and rad/s2 (n,) of the desired motion"""
         self._law = 0.0
         self._accepted = False
         self._finite = True
@@ -172,34 +173,27 @@ class ControlCycle:
         if sequence.passive_share >= 0.0:
             self._give_way(image)
             return
-        regulating = sequence.regulating
-        if regulating:
+        torque, usable = image.torque, sequence.sound
+        if sequence.regulating:
             estimate = self._estimate(image)
             self._regulate(estimate)
-            rate = self._drum_rates(estimate)
+            torque[:] = self._drive(estimate, usable)
+            if sequence.descending:
+                self._descent.bound(torque, sensing.rate, self._drum_rate, usable)
         elif sequence.straightening >= 0.0:
             straight = sequence.straightening * self._control.tension.referencing
             self._allocation.reference[:] = straight
-            rate = self._none
-        else:
-            self._allocation.reference[:] = 0.0
-            rate = None
-        torque = image.torque
-        if rate is None:
-            torque[:] = 0.0
-        else:
-            usable = sequence.sound
             torque[:] = self._loop(
                 self._allocation.reference,
                 sensing.tension,
-                rate,
+                self._none,
                 sensing.rate,
                 usable,
                 self._kinematics.lengths,
-                self._desired_drums if regulating else None,
             )
-            if sequence.descending:
-                self._descent.bound(torque, sensing.rate, self._drum_rate, usable)
+        else:
+            self._allocation.reference[:] = 0.0
+            torque[:] = 0.0
         self._torque[:] = torque
 
     def fall_back(self, image: ProcessImage, tick: int) -> None:
@@ -363,27 +357,30 @@ class ControlCycle:
                 self._kinematics.matrix, motion.external, sequence.faults, sequence.height
             )
             allocation.descend(self._descent, self._pulling, sequence.carrying, sequence.faults)
+            allocation.deliver(sensing.tension)
         else:
-            allocation.distribute(motion, stiffness, sequence.levels, sequence.carrying)
+            allocation.distribute(
+                motion, stiffness, sequence.levels, sequence.carrying, sensing.tension
+            )
             active = sequence.state is _ACTIVE
             self._controller.applied(allocation.reference, sequence.elapsed if active else -1.0)
-        allocation.deliver(sensing.tension)
 
-    def _drum_rates(self, estimate: Estimate) -> Array:
-        """Drum rates (n,) to damp against: those that follow the platform, or those desired."""
+    def _drive(self, estimate: Estimate, usable: Mask) -> Array:
+        """Torques (n,) for the references, zero but for drums that are ``usable`` (n,). Damped
+        against the drum rates that follow the platform, or those desired."""
         _, velocity, acceleration = self._guide.desired
-        desired_rate, desired_acceleration = self._desired_drums
-        self._finite = drum_motion(
+        sensing, loop = self._sensing, self._loop
+        self._finite = loop.follow(
             self._kinematics.matrix,
             self._allocation.wrench,
-            self._sensing.tension,
             (estimate.velocity, estimate.angular_velocity),
             (velocity, acceleration, self._guide.attitude[1], self._guide.turning[2]),
-            self._radius,
-            self._axial_stiffness,
-            self._drum_rate,
-            desired_rate,
-            desired_acceleration,
+            self._allocation.reference,
+            sensing.tension,
+            sensing.rate,
+            usable,
+            self._kinematics.lengths,
+            self._drum_motion,
+            follows=self._controller.follows_platform and not self.sequence.descending,
         )
-        follows = self._controller.follows_platform and not self.sequence.descending
-        return self._drum_rate if follows else desired_rate
+        return loop.torque

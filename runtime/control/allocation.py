@@ -6,6 +6,8 @@ of the state and the tension rate. In a descent the cables that are left are ask
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,7 @@ from tonus.runtime.control.controllers.base import share
 from tonus.runtime.control.distribution import (
     TensionDistribution,
     delivered,
+    distribute_tick,
     prepare,
 )
 from tonus.runtime.control.kinematics import Kinematics
@@ -55,12 +58,11 @@ class Allocation:
         self._gradient = np.zeros(cables)
         self._bearing = np.zeros((6, cables))
         self._low, self._high = np.zeros(cables), np.zeros(cables)
-        self._force = self.wrench[:3]
         self._contraction = 0.0
         """share by which all tensions are raised, on its way to what the stiffness asks for"""
         period = control.rates.period
         self._step = control.distribution.tension_rate * period
-        self._kept = (
+        self._prepared = (
             settings.least_force,
             self._step,
             self.agonism,
@@ -70,40 +72,61 @@ class Allocation:
             self.centre,
             self._bearing,
         )
+        self._kept = (*self._prepared, self.delivered, self.shortfall, *self._usual.kept)
+        # Asked once: of most controllers there is nothing to hear between the two kernels.
+        self._commands_tensions = type(controller).tensions is not Controller.tensions
         activation = settings.co_contraction_hz
         self._activate = 1.0 if activation is None else share(activation, period)
 
     def reset(self) -> None:
         self._contraction = 0.0
 
-    def distribute(self, motion: Motion, stiffness: float, levels: Levels, present: Mask) -> None:
+    def distribute(
+        self, motion: Motion, stiffness: float, levels: Levels, present: Mask, tension: Array
+    ) -> None:
         """Co-contraction follows the ``stiffness`` (N/m); a cable that is not ``present`` (n,)
-        carries nothing."""
+        carries nothing; ``tension`` (n,) N is measured, for `deliver`."""
         middle = levels.level * self._controller.tone
         settings, base = self._settings, self._controller.resting_stiffness
-        matrix = self._kinematics.matrix
         contraction = settings.co_contraction * (stiffness / base - 1.0)
         self._contraction += self._activate * (contraction - self._contraction)
-        prepare(
-            matrix,
+        distribution = self.distribution = self._usual
+        asked = (
+            self._kinematics.matrix,
             self._kinematics.lengths,
-            self._force,
+            self.wrench,
             self.reference,
             present,
             levels.low,
             levels.high,
             middle,
             self._contraction,
-            *self._kept,
         )
+        if self._commands_tensions:
+            self._draw(motion, stiffness, present, asked)
+        tensions = np.empty(len(self.centre))
+        inside, finite, deficit, self.geometric = distribute_tick(
+            self._commands_tensions, *asked, tension, tensions, *self._kept
+        )
+        if inside and finite:
+            distribution.found(deficit)
+            self.reference = tensions
+            return
+        self.reference = distribution.bounded(
+            tensions, self.centre, self._low, self._high, inside=inside
+        )
+        self.deliver(tension)
+
+    def _draw(
+        self, motion: Motion, stiffness: float, present: Mask, asked: tuple[Any, ...]
+    ) -> None:
+        """The tensions that a controller commands are what the references are drawn towards."""
+        matrix, lengths, wrench, *others = asked
+        prepare(matrix, lengths, wrench[:3], *others, *self._prepared)
         wanted = self._controller.tensions(motion, stiffness, self.centre)
         if wanted is not None:
             self.centre[:] = wanted * present
             self.wrench[:] = matrix @ self.centre
-        self.distribution = self._usual
-        self.reference = self._usual(
-            self._bearing, self.wrench, self.centre, self._low, self._high, self._gradient
-        )
 
     def descend(self, descent: Descent, tension: Array, carrying: Mask, faults: Faults) -> None:
         """What the cables that are left are asked for; ``tension`` (n,) N as far as believed."""

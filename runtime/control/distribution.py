@@ -241,6 +241,82 @@ def _solve(
     return True, finite, deficit
 
 
+@njit(cache=True)
+def distribute_tick(
+    prepared: bool,
+    matrix: Array,
+    lengths: Array,
+    wrench: Array,
+    before: Array,
+    present: NDArray[np.bool_],
+    lowest: float,
+    highest: float,
+    middle: float,
+    contraction: float,
+    tension: Array,
+    tensions: Array,
+    least: float,
+    reach: float,
+    agonism: Array,
+    gradient: Array,
+    low: Array,
+    high: Array,
+    centre: Array,
+    bearing: Array,
+    wrench_delivered: Array,
+    shortfall: Array,
+    weight: float,
+    preference: float,
+    scale: Array,
+    quadratic: Array,
+    scaled: Array,
+    target: Array,
+) -> tuple[bool, bool, float, float]:
+    """`prepare`, unless that is done, then `_solve` into ``tensions``, and where these are the
+    answer, what they and the measured ``tension`` (n,) have `delivered`; returns what both do."""
+    if not prepared:
+        prepare(
+            matrix,
+            lengths,
+            wrench[:3],
+            before,
+            present,
+            lowest,
+            highest,
+            middle,
+            contraction,
+            least,
+            reach,
+            agonism,
+            gradient,
+            low,
+            high,
+            centre,
+            bearing,
+        )
+    inside, finite, deficit = _solve(
+        bearing,
+        wrench,
+        low,
+        high,
+        centre,
+        gradient,
+        weight,
+        preference,
+        scale,
+        quadratic,
+        scaled,
+        target,
+        tensions,
+    )
+    geometric = 0.0
+    if inside and finite:
+        geometric = delivered(
+            matrix, tensions, wrench, gradient, tension, wrench_delivered, shortfall
+        )
+    return inside, finite, deficit, geometric
+
+
 class TensionDistribution:
     """Gives tensions (n,) in N that lie in their bounds, always."""
 
@@ -254,7 +330,8 @@ class TensionDistribution:
         self._scaled = (np.zeros((6, cables)), np.zeros(6))
         # Clarabel stores the upper triangle column by column.
         self._quadratic = np.zeros(cables * (cables + 1) // 2)
-        self._kept = (*self._weights, self._scale, self._quadratic, *self._scaled)
+        self.kept = (*self._weights, self._scale, self._quadratic, *self._scaled)
+        """the last arguments of the kernels"""
         self._none = np.zeros(cables)
         self._room = np.zeros(2 * cables)
         self._programme = self._build(settings, cables)
@@ -295,18 +372,34 @@ class TensionDistribution:
         says so.
         """
         tensions = np.empty(len(centre))
-        self.solver, self.iterations = _INTERIOR, 0
-        inside, finite, self.deficit = _solve(
+        inside, finite, deficit = _solve(
             matrix,
             wrench,
             low,
             high,
             centre,
             self._none if gradient is None else gradient,
-            *self._kept,
+            *self.kept,
             tensions,
         )
-        if not inside:
+        if inside and finite:
+            self.found(deficit)
+            return tensions
+        return self.bounded(tensions, centre, low, high, inside=inside)
+
+    def found(self, deficit: float) -> None:
+        """The free minimiser is the answer, and misses ``deficit`` (N) of the wrench."""
+        self.solver, self.iterations, self.deficit = _INTERIOR, 0, deficit
+
+    def bounded(
+        self, tensions: Array, centre: Array, low: Array, high: Array, *, inside: bool
+    ) -> Array:
+        """The answer where the free minimiser ``tensions`` is none: it lies beyond the bounds, or
+        it is ``inside`` and no number."""
+        finite = False
+        if inside:
+            self.iterations, self.deficit = 0, math.inf
+        else:
             scaled, target = self._scaled
             tensions = self._bounded(tensions, scaled, target, centre, low, high)
             finite, self.deficit = _deliver(scaled, target, low, high, tensions)

@@ -174,6 +174,84 @@ def _tick(
     )
 
 
+@njit(cache=True)
+def _follow(
+    matrix: Array,
+    wrench: Array,
+    velocity: Array,
+    turning: Array,
+    wanted_velocity: Array,
+    wanted_acceleration: Array,
+    wanted_turning: Array,
+    wanted_bend: Array,
+    follows: bool,
+    reference: Array,
+    measured: Array,
+    rate: Array,
+    usable: NDArray[np.bool_],
+    lengths: Array,
+    following: Array,
+    desired_rate: Array,
+    desired_acceleration: Array,
+    axial_stiffness: Array,
+    radius: Array,
+    inertia: Array,
+    viscous: Array,
+    efficiency: Array,
+    friction: tuple[float, float, float],
+    damping: Array,
+    limit: Array,
+    gains: tuple[float, float, float, float],
+    turn: Array,
+    slopes: tuple[float, float],
+    last: Array,
+    slope: Array,
+    expected: Array,
+    integral: Array,
+    torque: Array,
+) -> bool:
+    """`drum_motion`, then `_tick` against the rates that follow the platform or, unless it
+    ``follows``, the desired ones; returns what the first does."""
+    finite = drum_motion(
+        matrix,
+        wrench,
+        measured,
+        (velocity, turning),
+        (wanted_velocity, wanted_acceleration, wanted_turning, wanted_bend),
+        radius,
+        axial_stiffness,
+        following,
+        desired_rate,
+        desired_acceleration,
+    )
+    _tick(
+        reference,
+        measured,
+        following if follows else desired_rate,
+        rate,
+        usable,
+        lengths,
+        desired_rate,
+        desired_acceleration,
+        radius,
+        inertia,
+        viscous,
+        efficiency,
+        friction,
+        damping,
+        limit,
+        gains,
+        turn,
+        slopes,
+        last,
+        slope,
+        expected,
+        integral,
+        torque,
+    )
+    return finite
+
+
 def of_axis(settings: Settings, train: DriveTrain, robot: Robot) -> Settings:
     """The settings of one axis: they are stated for the robot's default drum, and the damping goes
     with the drum's inertia. A drum of another radius with the same mass at the cable then makes the
@@ -191,11 +269,13 @@ class TensionLoop:
         damping = np.array([own.rate_damping for own in each])
         self._past = (np.full(robot.cables, np.nan), np.zeros(robot.cables))
         self._still = (np.zeros(robot.cables), np.zeros(robot.cables))
-        self._torque = np.zeros(robot.cables)
+        self.torque = np.zeros(robot.cables)
+        """N m, of the last tick"""
         self.integral = np.zeros(robot.cables)
         """N"""
         friction, expected = settings.friction, np.zeros(robot.cables)
         self._goes_on = settings.integral > 0.0
+        self._axial_stiffness = robot.axial_stiffness
         self._kept = (
             radius,
             robot.drum_inertia,
@@ -218,7 +298,7 @@ class TensionLoop:
             *self._past,
             expected,
             self.integral,
-            self._torque,
+            self.torque,
         )
 
     def reset(self) -> None:
@@ -257,4 +337,40 @@ class TensionLoop:
             desired_acceleration,
             *self._kept,
         )
-        return self._torque
+        return self.torque
+
+    def follow(
+        self,
+        matrix: Array,
+        wrench: Array,
+        twist: tuple[Array, Array],
+        desired: tuple[Array, Array, Array, Array],
+        reference: Array,
+        measured: Array,
+        rate: Array,
+        usable: NDArray[np.bool_],
+        lengths: Array,
+        drums: tuple[Array, Array, Array],
+        *,
+        follows: bool,
+    ) -> bool:
+        """A tick in which the platform is regulated: the torques, which stay in `torque`, from
+        `drum_motion`, whose arguments and result these are; ``drums``: what that writes. The rate
+        is damped against the platform's where it ``follows`` that, else against the desired."""
+        return bool(
+            _follow(
+                matrix,
+                wrench,
+                *twist,
+                *desired,
+                follows,
+                reference,
+                measured,
+                rate,
+                usable,
+                lengths,
+                *drums,
+                self._axial_stiffness,
+                *self._kept,
+            )
+        )
