@@ -92,14 +92,85 @@ def _shares(
     return least, held[least]
 
 
+@njit(cache=True)
+def _foresee(
+    tension: Array,
+    contact: float,
+    position: Array,
+    velocity: Array,
+    bearing: NDArray[np.bool_],
+    last_contact: float,
+    swell: float,
+    last: Array,
+    over: NDArray[np.int64],
+    under: NDArray[np.int64],
+    held: Array,
+    low: Array,
+    high: Array,
+    enabled: bool,
+    horizon: float,
+    period: float,
+    follow: float,
+    least: float,
+    most: float,
+    slack: float,
+    span_high: float,
+    span_low: float,
+    contact_limit: float,
+    speed_limit: float,
+    soft_force: float,
+    warn_force: float,
+    soft_speed: float,
+    warn_speed: float,
+    edge: float,
+    margin: float,
+    band: float,
+    release: float,
+) -> tuple[float, float, float, float, float, float, float, float, int, int, int, float]:
+    """All that is computed of a tick: the ``swell`` (N/s) of the contact force; the shares that are
+    left of the tensions' spans, of contact and of speed, and the distance (m) to the box; then what
+    is met now: speed (m/s), place (m) and ticks beyond a tension; last, if ``enabled``, which bound
+    has least left and how much of it, as `_shares` has them. Numbers as `Envelope` keeps them."""
+    bounds = (least, most, slack)
+    to_high, to_low, longest_over, longest_under = _tension_margins(
+        tension, last, horizon / period, bearing, bounds, over, under
+    )
+    swell += follow * ((contact - last_contact) / period - swell)
+    force = max(contact, contact + horizon * swell)
+    inside, workspace, speed = _place_and_speed(position, velocity, horizon, low, high)
+    tension_high = to_high / span_high
+    place, share = 0, 1.0
+    if enabled:
+        left = (
+            (soft_force - force) / (soft_force - warn_force),
+            (soft_speed - speed) / (soft_speed - warn_speed),
+            workspace / margin if margin != 0.0 else math.inf,
+            tension_high / edge,
+        )
+        place, share = _shares(left, held, band, release)
+    return (
+        swell,
+        tension_high,
+        to_low / span_low,
+        (contact_limit - force) / contact_limit,
+        (speed_limit - speed) / speed_limit,
+        workspace,
+        speed,
+        inside,
+        longest_over,
+        longest_under,
+        place,
+        share,
+    )
+
+
 class Envelope:
     """Grades one tick; `cap`, `progress` and `fault` are what the cycle acts on."""
 
     def __init__(
         self, settings: Settings, tension: Tension, law: StiffnessLaw, robot: Robot, period: float
     ) -> None:
-        self._settings, self._tension, self._law = settings, tension, law
-        self._period = period
+        self._settings, self._law = settings, law
         box = robot.workspace
         self._low = np.array([box.x[0], box.y[0], box.z[0]])
         self._high = np.array([box.x[1], box.y[1], box.z[1]])
@@ -110,16 +181,36 @@ class Envelope:
         self._held = np.ones(len(_GRADED))
         """what is left of each graded bound, over 1 untouched, as it is acted on"""
         self._follow = 1.0 - math.exp(-2.0 * math.pi * settings.rate_cutoff_hz * period)
-        self._release = settings.release_rate * period
+        self._edge = 1.0 - settings.tension_warning
         # Full softness is reached a hysteresis short of the limit, so that the platform comes to
         # rest inside the bound and not on it.
-        s = settings
-        self._edges = (
+        s, t = settings, tension
+        self._kept = (
+            self._last_tension,
+            self._over,
+            self._under,
+            self._held,
+            self._low,
+            self._high,
+            s.enabled,
+            s.horizon,
+            period,
+            self._follow,
+            t.min,
+            t.max,
+            t.slack,
+            t.max - t.pre,
+            t.pre - t.min,
+            s.contact_limit,
+            s.speed_limit,
             s.contact_limit * (1.0 - s.hysteresis),
             s.contact_limit * s.contact_warning,
             s.speed_limit * (1.0 - s.hysteresis),
             s.speed_limit * s.speed_warning,
-            1.0 - s.tension_warning,
+            self._edge,
+            s.workspace_margin,
+            s.release_band,
+            s.release_rate * period,
         )
         self.reset()
 
@@ -148,36 +239,37 @@ class Envelope:
     ) -> None:
         """Grade a tick from filtered tensions (n,), filtered contact force, pose estimate and the
         mask ``bearing`` (n,) of cables that ought to carry tension."""
-        s, t = self._settings, self._tension
-        horizon = s.horizon
         if self._first:
             self._first = False
             self._last_tension[:] = tension
             self._last_contact, self._swell = contact, 0.0
-        swell = (contact - self._last_contact) / self._period
-        self._swell += self._follow * (swell - self._swell)
-        self._last_contact = contact
-        to_high, to_low, over, under = _tension_margins(
+        (
+            self._swell,
+            self.tension_high,
+            self.tension_low,
+            self.contact,
+            self.speed,
+            self.workspace,
+            speed,
+            inside,
+            over,
+            under,
+            place,
+            share,
+        ) = _foresee(
             tension,
-            self._last_tension,
-            horizon / self._period,
+            contact,
+            position,
+            velocity,
             bearing,
-            (t.min, t.max, t.slack),
-            self._over,
-            self._under,
+            self._last_contact,
+            self._swell,
+            *self._kept,
         )
-        self.tension_high = to_high / (t.max - t.pre)
-        self.tension_low = to_low / (t.pre - t.min)
-        force = max(contact, contact + horizon * self._swell)
-        self.contact = (s.contact_limit - force) / s.contact_limit
-        inside, self.workspace, speed = _place_and_speed(
-            position, velocity, horizon, self._low, self._high
-        )
-        self.speed = (s.speed_limit - speed) / s.speed_limit
-        if not s.enabled:
-            return
-        self._judge(contact, speed, inside, over, under)
-        self._soften(force, speed)
+        self._last_contact = contact
+        if self._settings.enabled:
+            self._judge(contact, speed, inside, over, under)
+            self._soften(_GRADED[place], share)
 
     def _judge(self, contact: float, speed: float, inside: float, over: int, under: int) -> None:
         """Red: what is met now, not what is predicted."""
@@ -194,23 +286,13 @@ class Envelope:
         elif inside < 0.0:
             self.fault = Fault.WORKSPACE_LIMIT
 
-    def _soften(self, force: float, speed: float) -> None:
-        """Amber: how much is left of each bound, over 1 untouched, 0 used up; the least decides."""
-        s = self._settings
-        soft_force, warn_force, soft_speed, warn_speed, edge = self._edges
-        left = (
-            (soft_force - force) / (soft_force - warn_force),
-            (soft_speed - speed) / (soft_speed - warn_speed),
-            self.workspace / s.workspace_margin if s.workspace_margin else math.inf,
-            self.tension_high / edge,
-        )
-        place, share = _shares(left, self._held, s.release_band, self._release)
-        bound = _GRADED[place]
+    def _soften(self, bound: Bound, share: float) -> None:
+        """Amber: of the ``bound`` that decides only a ``share`` is left, 1 untouched, 0 used up."""
         low, high = self._law.minimum, self._law.maximum
         stiffening = bound in (_CONTACT, _TENSION_HIGH)
         self.cap = low + share * (high - low) if stiffening else high
         self.progress = share
-        amber = share < 1.0 or self.tension_low < -edge
+        amber = share < 1.0 or self.tension_low < -self._edge
         if self.fault is not _NO_FAULT:
             self.grade = _RED
         elif amber:
