@@ -234,7 +234,9 @@ class ControlCycle:
         self._writer.tick(
             image, tick, operator, select, change, self._loop, accepted=self._accepted
         )
-        self._writer.results(self._law)
+        if self.sequence.regulating:
+            self._estimator.solve_cables(self._referencing.measured)
+            self._writer.results(self._law)
         return self.record
 
     @property
@@ -291,7 +293,7 @@ class ControlCycle:
         estimator, elastic = self._estimator, self._referencing.elastic
         for _ in range(min(self._skipped, _MOST_SKIPPED) if self._skipped else 0):
             estimator.step(lengths, self._pulling, elastic, self._nobody)
-        estimate = estimator.step(lengths, self._pulling, elastic, believed)
+        estimate = estimator.advance(lengths, self._pulling, elastic, believed)
         watched = sequence.sound
         if sequence.descending:
             slack = watched & ~descent.taut

@@ -150,6 +150,43 @@ def platform_wrench(
 
 
 @njit(cache=True)
+def impedance_wrench(
+    error: Array,
+    error_rate: Array,
+    stiffness: float,
+    damping: float,
+    weight: Array,
+    push: Array,
+    acceleration: Array,
+    mass: float,
+    quaternion: Array,
+    turning: Array,
+    wanted_turning: Array,
+    level: Array,
+    rotational_stiffness: float,
+    rotational_damping: float,
+    wrench: Array,
+) -> None:
+    """`platform_wrench` with the force of a `spring`."""
+    force = np.empty(3)
+    spring(error, error_rate, stiffness, damping, force)
+    platform_wrench(
+        force,
+        weight,
+        push,
+        acceleration,
+        mass,
+        quaternion,
+        turning,
+        wanted_turning,
+        level,
+        rotational_stiffness,
+        rotational_damping,
+        wrench,
+    )
+
+
+@njit(cache=True)
 def forward(
     measured: Array,
     usable: NDArray[np.bool_],
@@ -268,10 +305,10 @@ def _predict(
             covariance[TWIST + i, j] += h * pushed[i, j]
     pulled = np.zeros((size, 6))
     for j in range(size):
-        for i in range(6):
-            for k in range(6):
-                pulled[j, i] += covariance[j, EXTERNAL + k] * mobility[k, i]
-    for j in range(size):
+        for k in range(6):
+            share = covariance[j, EXTERNAL + k]
+            for i in range(6):
+                pulled[j, i] += share * mobility[k, i]
         for i in range(6):
             covariance[j, i] += h * (covariance[j, TWIST + i] + 0.5 * h * pulled[j, i])
             covariance[j, TWIST + i] += h * pulled[j, i]
@@ -388,11 +425,13 @@ def filter_tick(
         lag = max(0.0, covariance[own, own]) * (stretch - mean[i]) ** 2
         doubts[i] = math.sqrt(lag)
         variance = noise[1] + lag
+        # Row after row, so that a compiler may take several columns at once.
         for j in range(size):
-            value = -covariance[OFFSETS + i, j] - mean[i] * covariance[own, j]
-            for row in range(6):
-                value -= matrix[row, i] * covariance[row, j]
-            seen[j] = value
+            seen[j] = -covariance[OFFSETS + i, j] - mean[i] * covariance[own, j]
+        for row in range(6):
+            along = matrix[row, i]
+            for j in range(size):
+                seen[j] -= along * covariance[row, j]
         for row in range(6):
             innovation += matrix[row, i] * error[row]
             variance -= matrix[row, i] * seen[row]
@@ -508,10 +547,6 @@ def estimate_tick(
     innovations: Array,
     doubts: Array,
     believed: NDArray[np.bool_],
-    cables_position: Array,
-    cables_quaternion: Array,
-    cables_lengths: Array,
-    cables_matrix: Array,
     there: Array,
     oriented: Array,
     velocity: Array,
@@ -533,13 +568,11 @@ def estimate_tick(
     elastic: Array,
     usable: NDArray[np.bool_],
     count: int,
-    iterations: int,
-) -> tuple[float, float]:
-    """All that an estimator's tick computes: the filter; the pose from the lengths alone, its
-    lengths and matrix (``cables_...``); the estimate one period on (position ``there``, quaternion
-    ``oriented``, ``velocity``, ``turning``) and the ``external`` wrench (6,); and the row of this
-    tick, number ``count``, in what is kept of the past. The others as in `filter_tick`. Returns
-    what that and `forward` do."""
+) -> float:
+    """What a tick needs of the estimator: the filter; the estimate one period on (position
+    ``there``, quaternion ``oriented``, ``velocity``, ``turning``) and the ``external`` wrench (6,);
+    and the row of this tick, number ``count``, in what is kept of the past. The others as in
+    `filter_tick`, and what is returned."""
     state, body = (position, quaternion, rest, covariance, mean), (mass, inertia, gravity)
     anchors = (frame, platform)
     squared = filter_tick(
@@ -556,16 +589,6 @@ def estimate_tick(
         doubts,
         believed,
     )
-    residual = forward(
-        measured,
-        believed,
-        anchors,
-        cables_position,
-        cables_quaternion,
-        cables_lengths,
-        cables_matrix,
-        iterations,
-    )
     row = count % past_lengths.shape[0]
     past_lengths[row], past_elastic[row] = measured, elastic
     past_positions[row], past_quaternions[row] = position, quaternion
@@ -575,4 +598,4 @@ def estimate_tick(
         state, (*body, axial_stiffness), period, wrench, anchors, lengths, matrix, estimate
     )
     external[:] = rest[EXTERNAL - TWIST : OFFSETS - TWIST]
-    return squared, residual
+    return squared

@@ -208,10 +208,6 @@ class PoseEstimator:
             self.innovations,
             self.doubts,
             self.believed,
-            self.cable_position,
-            self._cable_quaternion,
-            self._cables.lengths,
-            self._cables.matrix,
             *self._published,
             self.estimate.external,
             self._past_lengths,
@@ -332,12 +328,20 @@ class PoseEstimator:
     def step(
         self, lengths: Array, tensions: Array, elastic: Array, usable: NDArray[np.bool_]
     ) -> Estimate:
-        """One tick with measured cable lengths (n,), nominal elongation included, tensions (n,),
-        and the part ``elastic`` (n,) of them that stretches the cables. A cable that is not
+        """One tick: `advance`, then `solve_cables`."""
+        estimate = self.advance(lengths, tensions, elastic, usable)
+        self.solve_cables(lengths)
+        return estimate
+
+    def advance(
+        self, lengths: Array, tensions: Array, elastic: Array, usable: NDArray[np.bool_]
+    ) -> Estimate:
+        """The estimate from measured cable lengths (n,), nominal elongation included, tensions
+        (n,), and the part ``elastic`` (n,) of them that stretches the cables. A cable that is not
         ``usable``, slack or far off says nothing about the pose."""
         settings = self._settings
         self._tensions[:] = tensions
-        squared, self.residual = estimate_tick(
+        squared = estimate_tick(
             *self._kept,
             *self._noise,
             *self._limits,
@@ -346,17 +350,28 @@ class PoseEstimator:
             elastic,
             usable,
             self._count,
-            _FIT_ITERATIONS,
         )
         share = self._period / settings.consistency_time
         self.inconsistency += share * (squared - self.inconsistency)
         # Half the limit, once beyond it: said once an episode.
         limit = settings.consistency_limit * (0.5 if self._odd else 1.0)
         self._odd = not self.inconsistency <= limit
-        if self._count % _CONDITION_TICKS == 0:
-            self.condition = self._cables.condition
         self._count += 1
         return self.estimate
+
+    def solve_cables(self, lengths: Array) -> None:
+        """The pose from the ``lengths`` (n,) alone, for the tick that `advance` has just been
+        called for. It is recorded and watched, and nothing is controlled by it: the drives need not
+        wait for it."""
+        self.residual = self._cables.fit(
+            lengths,
+            self.believed,
+            self.cable_position,
+            self._cable_quaternion,
+            iterations=_FIT_ITERATIONS,
+        )
+        if (self._count - 1) % _CONDITION_TICKS == 0:
+            self.condition = self._cables.condition
 
     def track(self, position: Array, quaternion: Array, delay: float) -> bool:
         """Use a tracker pose taken ``delay`` s before this tick.

@@ -66,6 +66,94 @@ def _squares(error: Array, last: Array, rate: Array, force: Array) -> tuple[floa
     return step, stretch, speed, power
 
 
+@njit(cache=True)
+def _fill(level: float, energy: float, efficiency: float, capacity: float) -> float:
+    """The tank's ``level`` (J) after ``energy`` (J) has left the loop; the ``efficiency``'s share
+    of it is kept, up to the ``capacity``. What is no number fills nothing."""
+    if math.isfinite(energy):
+        return min(capacity, level + efficiency * energy)
+    return level
+
+
+@njit(cache=True)
+def _admit(
+    level: float, minimum: float, stiffness: float, wanted: float, stretch: float
+) -> tuple[float, float]:
+    """The part of a rise (N/m) that the tank can pay, at |e|^2 = ``stretch`` (m2), and its level
+    (J) afterwards, never below the ``minimum``."""
+    spare = level - minimum
+    cost = 0.5 * (wanted - stiffness) * stretch
+    if not cost <= spare:
+        wanted = stiffness + 2.0 * spare / stretch
+        cost = spare
+    return wanted, max(level - cost, minimum)
+
+
+@njit(cache=True)
+def _rise_bound(
+    stiffness: float, alpha: float, ratio: float, mass: float, rise_rate: float
+) -> float:
+    """N/m/s at a stiffness, with D' = zeta sqrt(m/K) K'; at most the configured rate."""
+    spread = alpha * ratio * math.sqrt(mass / stiffness)
+    return min(2.0 * alpha * stiffness / (1.0 + spread), rise_rate)
+
+
+@njit(cache=True)
+def _limit(
+    wanted: float,
+    cap: float,
+    before: float,
+    level: float,
+    followed: bool,
+    error: Array,
+    rate: Array,
+    force: Array,
+    last: Array,
+    resistance: float,
+    period: float,
+    mass: float,
+    minimum: float,
+    maximum: float,
+    rising: tuple[float, float, float, float],
+    tank: tuple[float, float, float],
+) -> tuple[float, float, bool, float, float, float, float, float]:
+    """The stiffness (N/m) after ``before``, the tank's ``level`` (J), whether the next tick is
+    ``followed`` by this one's error, and the account: storage (J), stiffening, dissipated and
+    external power (W), and the stiffness's rate (N/m/s). ``rising``: as `_rise_bound` has them;
+    ``tank``: efficiency, capacity, minimum."""
+    efficiency, capacity, empty = tank
+    target = min(wanted, cap, maximum)
+    if not target >= minimum:  # also when it is not a number
+        target = minimum
+    step, stretch, speed, power = _squares(error, last, rate, force)
+    if followed:
+        # By Cauchy and Schwarz the damper took at least D |step|^2 / period since last tick.
+        level = _fill(level, resistance * step / period, efficiency, capacity)
+    follows = math.isfinite(stretch)
+    if not follows:
+        target = min(target, before)
+    if target > before:
+        alpha, ratio, felt, fastest = rising
+        highest = before + period * _rise_bound(before, alpha, ratio, felt, fastest)
+        paid, level = _admit(level, empty, before, min(target, highest), stretch)
+        value = min(max(paid, before), maximum)
+    else:
+        level = _fill(level, 0.5 * (before - target) * stretch, efficiency, capacity)
+        value = target
+    changed = (value - before) / period
+    storage = 0.5 * (mass * speed + value * stretch)
+    return (
+        value,
+        level,
+        follows,
+        storage,
+        0.5 * changed * stretch,
+        resistance * speed,
+        -power,
+        changed,
+    )
+
+
 class Tank:
     """The energy (J) that a rising stiffness may draw on, never below its minimum."""
 
@@ -77,21 +165,15 @@ class Tank:
         self.level = self._settings.tank_initial
 
     def fill(self, energy: float) -> None:
-        """``energy`` (J) that left the loop; the efficiency's share of it is kept, up to the
-        capacity. What is no number fills nothing."""
+        """``energy`` (J) that left the loop."""
         s = self._settings
-        if math.isfinite(energy):
-            self.level = min(s.tank_capacity, self.level + s.tank_efficiency * energy)
+        self.level = _fill(self.level, energy, s.tank_efficiency, s.tank_capacity)
 
     def admit(self, stiffness: float, wanted: float, stretch: float) -> float:
         """The part of a rise (N/m) that the tank can pay, at |e|^2 = ``stretch`` (m2)."""
-        spare = self.level - self._settings.tank_minimum
-        cost = 0.5 * (wanted - stiffness) * stretch
-        if not cost <= spare:
-            wanted = stiffness + 2.0 * spare / stretch
-            cost = spare
-        self.level = max(self.level - cost, self._settings.tank_minimum)
-        return wanted
+        s = self._settings
+        paid, self.level = _admit(self.level, s.tank_minimum, stiffness, wanted, stretch)
+        return paid
 
 
 @dataclass
@@ -129,13 +211,22 @@ class Limiter:
         damping_ratio: float,
         period: float,
     ) -> None:
-        self._law, self._period = law, period
+        self._law = law
         self._ratio, self._mass = damping_ratio, robot.platform.mass
         self.alpha = damping(damping_ratio, law.minimum, self._mass) / felt_inertia(robot)
         """1/s, of the rate bound"""
         self.tank = Tank(passivity)
         self.account = Account()
         self._last = np.zeros(3)
+        self._rising = (self.alpha, damping_ratio, self._mass, law.rise_rate)
+        self._kept = (
+            period,
+            self._mass,
+            law.minimum,
+            law.maximum,
+            self._rising,
+            (passivity.tank_efficiency, passivity.tank_capacity, passivity.tank_minimum),
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -144,40 +235,33 @@ class Limiter:
         self._followed = False
 
     def rise_bound(self, stiffness: float) -> float:
-        """N/m/s at a stiffness, with D' = zeta sqrt(m/K) K'; at most the configured rate."""
-        spread = self.alpha * self._ratio * math.sqrt(self._mass / stiffness)
-        return min(2.0 * self.alpha * stiffness / (1.0 + spread), self._law.rise_rate)
+        """N/m/s at a stiffness."""
+        return float(_rise_bound(stiffness, *self._rising))
 
     def __call__(self, wanted: float, cap: float, error: Array, rate: Array, force: Array) -> float:
         """Stiffness (N/m) of this tick, from position error and its rate (3,) and the external
         force (3,), which is only accounted for."""
-        law, before = self._law, self.value
-        target = min(wanted, cap, law.maximum)
-        if not target >= law.minimum:  # also when it is not a number
-            target = law.minimum
-        resistance = damping(self._ratio, before, self._mass)
-        step, stretch, speed, power = _squares(error, self._last, rate, force)
-        if self._followed:
-            # By Cauchy and Schwarz the damper took at least D |step|^2 / period since last tick.
-            self.tank.fill(resistance * step / self._period)
-        self._followed = math.isfinite(stretch)
-        if not self._followed:
-            target = min(target, before)
-        if target > before:
-            target = min(target, before + self._period * self.rise_bound(before))
-            self.value = min(max(self.tank.admit(before, target, stretch), before), law.maximum)
-        else:
-            self.tank.fill(0.5 * (before - target) * stretch)
-            self.value = target
-        self._settle(before, resistance, stretch, speed, power)
+        account, before, tank = self.account, self.value, self.tank
+        (
+            self.value,
+            tank.level,
+            self._followed,
+            account.storage,
+            account.stiffening,
+            account.dissipated,
+            account.external,
+            account.stiffness_rate,
+        ) = _limit(
+            wanted,
+            cap,
+            before,
+            tank.level,
+            self._followed,
+            error,
+            rate,
+            force,
+            self._last,
+            damping(self._ratio, before, self._mass),
+            *self._kept,
+        )
         return self.value
-
-    def _settle(
-        self, before: float, resistance: float, stretch: float, speed: float, power: float
-    ) -> None:
-        account = self.account
-        account.stiffness_rate = (self.value - before) / self._period
-        account.storage = 0.5 * (self._mass * speed + self.value * stretch)
-        account.stiffening = 0.5 * account.stiffness_rate * stretch
-        account.dissipated = resistance * speed
-        account.external = -power

@@ -65,6 +65,21 @@ def _between(start: Array, end: Array, shape: float, rate: float, bend: float) -
     return start + way * shape, way * rate, way * bend
 
 
+@njit(cache=True)
+def _scale(way: Array, shape: float, rate: float, bend: float, sample: Array) -> None:
+    for k in range(3):
+        sample[0, k] = way[k] * shape
+        sample[1, k] = way[k] * rate
+        sample[2, k] = way[k] * bend
+
+
+def _scaled(way: Array, shape: float, rate: float, bend: float) -> Sample:
+    """So many times the ``way`` (3,), and its derivatives."""
+    sample = np.empty((3, 3))
+    _scale(way, shape, rate, bend, sample)
+    return sample[0], sample[1], sample[2]
+
+
 @dataclass(frozen=True)
 class Move:
     """A minimum-jerk motion between two points, standing before and after it."""
@@ -102,10 +117,11 @@ class _Sine(Trajectory):
             da, dda = da / self._fade, dda / self._fade**2
         w = self._omega
         s, c = math.sin(w * t), math.cos(w * t)
-        return (
-            self._way * (a * s),
-            self._way * (da * s + a * w * c),
-            self._way * (dda * s + 2.0 * da * w * c - a * w * w * s),
+        return _scaled(
+            self._way,
+            a * s,
+            da * s + a * w * c,
+            dda * s + 2.0 * da * w * c - a * w * w * s,
         )
 
 

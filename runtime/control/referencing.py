@@ -76,7 +76,8 @@ class Referencing:
         self.elastic = np.zeros(robot.cables)
         """N (n,), the part of the tensions that stretches the cables"""
         self._last = np.zeros(robot.cables)
-        self._lengths = np.zeros(robot.cables)
+        self.measured = np.zeros(robot.cables)
+        """m (n,), the last `lengths`"""
         self._kept = (
             self.unstretched,
             self._radius,
@@ -86,7 +87,7 @@ class Referencing:
             self.wound,
             self._last,
             self.elastic,
-            self._lengths,
+            self.measured,
         )
         self.position = np.zeros(3)
         self.quaternion = np.array([1.0, 0.0, 0.0, 0.0])
@@ -152,4 +153,4 @@ class Referencing:
         before which so many were ``skipped``; they stay until the next call, and so do the
         unstretched ones in `wound` and the tensions in `elastic`."""
         _lengths(*self._kept, angle, tension, self._period * (1 + skipped))
-        return self._lengths
+        return self.measured

@@ -110,8 +110,6 @@ class CycleWriter:
     def results(self, law: float) -> None:
         """What is there only while the platform is regulated; ``law``: N/m, the stiffness law's
         value."""
-        if not self._sequence.regulating:
-            return
         allocation, estimator, limiter = self._allocation, self._estimator, self._limiter
         envelope, guide = self._envelope, self._guide
         distribution, disagreement = allocation.distribution, estimator.disagreement

@@ -27,6 +27,7 @@ FEWEST_DOUBTED = 7
 """the same once a cable was excluded by a contradiction, which may have named the wrong one: with
 six no length contradicts another one, and a wrong one adds energy (docs/stop.md)"""
 MOVING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
+_REGULAR = (State.HOLD, State.ACTIVE)
 _ENABLING = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
 
 
@@ -110,6 +111,12 @@ class Sequence:
         """m, of the platform above its cradle"""
         self._lower_s = self._settings.lower_s
         self._waited, self._lowering = 0.0, False
+        tension = control.tension
+        self._full = Levels(
+            tension.slack + (tension.min - tension.slack),
+            tension.max,
+            tension.referencing + (tension.pre - tension.referencing),
+        )
         self._tightness = 0.0
         self._straightness = 0.0
         """how far tensions had grown when a stop came, 0 to 1, on the way to each level"""
@@ -314,6 +321,9 @@ class Sequence:
     @property
     def levels(self) -> Levels:
         """Full from HOLD on, growing in PRETENSION, shrinking at the end of a stop."""
+        if self.state in _REGULAR:
+            self._tightness = 1.0
+            return self._full
         tension, settings = self._control.tension, self._settings
         share = 1.0
         if self.state is State.PRETENSION:

@@ -70,12 +70,12 @@ CALLED = (
     ),
     Edit(
         "runtime/cycle.py",
-        "        estimate = estimator.step(lengths, self._pulling, elastic, believed)\n",
+        "        estimate = estimator.advance(lengths, self._pulling, elastic, believed)\n",
         "        self._heave(float(estimate.external[2]))\n",
     ),
     Edit(
         "runtime/cycle.py",
-        "        self._writer.results(self._law)\n",
+        "            self._writer.results(self._law)\n",
         "        self.record.wrench.heave[...] = self._heave.most\n",
     ),
     Edit(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.control import Control, TensionLoop
 from tonus.config.schema.robot import Robot
-from tonus.runtime.control.compiled import platform_wrench, spring
+from tonus.runtime.control.compiled import impedance_wrench, platform_wrench, spring
 from tonus.runtime.control.controllers.linear import LinearLaw, NoLinearLawError
 from tonus.runtime.control.passivity import damping
 from tonus.runtime.control.stiffness import Law, LawTerms
@@ -90,6 +90,8 @@ class Controller(ABC):
         """relative increases of the stiffness by the law; zero without a law"""
         impedance = control.impedance
         self._rotational = (impedance.rotational_stiffness, impedance.rotational_damping)
+        # Asked once: the force that a class does not replace needs no call of its own.
+        self._own_force = type(self).force is not Controller.force
         self._weight = np.array([0.0, 0.0, robot.platform.mass * robot.gravity])
 
     @property
@@ -147,8 +149,27 @@ class Controller(ABC):
         """Wrench (6,) N and N m for the cables, at the permitted ``stiffness`` (N/m): `force`, the
         feed-forward of inertia, weight and desired contact force, and a rotational spring and
         damper that keep the desired orientation."""
-        forces = (self.force(motion, stiffness), self._weight, motion.push)
-        return self._levelled(motion, forces, motion.desired_acceleration)
+        if self._own_force:
+            forces = (self.force(motion, stiffness), self._weight, motion.push)
+            return self._levelled(motion, forces, motion.desired_acceleration)
+        mass, wrench = self._robot.platform.mass, np.empty(6)
+        impedance_wrench(
+            motion.error,
+            motion.error_rate,
+            stiffness,
+            damping(self.damping_ratio, stiffness, mass),
+            self._weight,
+            motion.push,
+            motion.desired_acceleration,
+            mass,
+            motion.quaternion,
+            motion.angular_velocity,
+            motion.desired_angular_velocity,
+            motion.desired_quaternion,
+            *self._rotational,
+            wrench,
+        )
+        return wrench
 
     def _levelled(
         self, motion: Motion, forces: tuple[Array, Array, Array], acceleration: Array = NOTHING
