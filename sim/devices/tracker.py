@@ -151,8 +151,9 @@ class Tracker:
     def _on_grid(self, position: NDArray[np.float64]) -> tuple[float, float, float]:
         grid = self._noise.position_grid
         if grid > 0.0:
-            position = np.round(position / grid) * grid
-        return float(position[0]), float(position[1]), float(position[2])
+            position = np.rint(position / grid) * grid
+        x, y, z = position.tolist()
+        return x, y, z
 
     def poll(self, now_ns: int) -> list[bytes]:
         """Datagrams that have arrived by ``now_ns``, in order, each handed out once."""
@@ -166,11 +167,12 @@ def _turned(
     quaternion: NDArray[np.float64], error: NDArray[np.float64]
 ) -> tuple[float, float, float, float]:
     """The orientation with a small rotation vector (rad, platform frame) of error behind it."""
-    w, x, y, z = (float(part) for part in quaternion)
+    w, x, y, z = quaternion.tolist()
     angle = sqrt(float(error @ error))
     scale = sin(0.5 * angle) / angle if angle > 0.0 else 0.5
     c = cos(0.5 * angle)
-    ex, ey, ez = (scale * float(part) for part in error)
+    turn_x, turn_y, turn_z = error.tolist()
+    ex, ey, ez = scale * turn_x, scale * turn_y, scale * turn_z
     return (
         w * c - x * ex - y * ey - z * ez,
         w * ex + x * c + y * ez - z * ey,
