@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tonus.drivers.canopen.channel import Channel, bits_of
 from tonus.drivers.canopen.frames import joined
@@ -18,35 +19,29 @@ class Batch:
 
     def __init__(self, frames: Sequence[tuple[int, int, int]]) -> None:
         """Channel, identifier and length of each; those of a channel one behind the other."""
-        self.frames = np.zeros(len(frames), RAW_FRAME)
-        for row, (channel, identifier, size) in zip(self.frames, frames, strict=True):
-            row["channel"], row["identifier"], row["dlc"] = channel, identifier, size
-        self._memory = self.frames.view(np.uint8).data
-        first = RAW_FRAME.fields["data"][1] if RAW_FRAME.fields is not None else 0
-        self._places = [
-            slice(at, at + size)
-            for at, (_, _, size) in zip(
-                range(first, self.frames.nbytes, RAW_FRAME.itemsize), frames, strict=True
-            )
-        ]
-        self._identifiers: dict[int, list[tuple[int, slice]]] = {}
-        for (channel, identifier, _), place in zip(frames, self._places, strict=True):
-            self._identifiers.setdefault(channel, []).append((identifier, place))
-        self.bits = {channel: bits_of(self.of(channel)) for channel in self._identifiers}
+        self._frames = np.zeros(len(frames), RAW_FRAME)
+        self._words = self._frames["data"].view(np.uint64)
+        self._data = [bytes(size) for _, _, size in frames]
+        self._of_channel: dict[int, list[tuple[int, int]]] = {}
+        """place and identifier of each frame"""
+        for place, (channel, identifier, size) in enumerate(frames):
+            self._frames[place] = (0, identifier, size, 0, channel, 0)
+            self._of_channel.setdefault(channel, []).append((place, identifier))
+        self.bits = {channel: bits_of(self.of(channel)) for channel in self._of_channel}
         """on the wire of each channel"""
 
-    def fill(self, data: Sequence[bytes]) -> None:
+    def fill(self, data: list[bytes]) -> None:
         """With the data of each."""
-        memory = self._memory
-        for place, each in zip(self._places, data, strict=True):
-            memory[place] = each
+        self._data = data
 
     def of(self, channel: int) -> list[tuple[int, bytes]]:
         """Identifiers and data of a channel's frames."""
-        memory = self._memory
-        return [
-            (identifier, bytes(memory[place])) for identifier, place in self._identifiers[channel]
-        ]
+        return [(identifier, self._data[place]) for place, identifier in self._of_channel[channel]]
+
+    def together(self) -> NDArray[np.void]:
+        """All of them, (n,) of `RAW_FRAME`, valid until the next call."""
+        self._words[:] = [int.from_bytes(data, "little") for data in self._data]
+        return self._frames
 
 
 class Channels:
@@ -80,8 +75,11 @@ class Channels:
                 channel.sync(tick)
 
     def _send_joined(self, batch: Batch, now: int) -> bool:
-        if self._joined is None or not self._joined.send_joined(batch.frames, now):
+        if self._joined is None:
+            return False
+        frames = batch.together()
+        if not self._joined.send_joined(frames, now):
             return False
         if self._tap is not None:
-            self._tap.sent_together(batch.frames, 0, now)
+            self._tap.sent_together(frames, 0, now)
         return True
