@@ -62,7 +62,7 @@ class Allocation:
         """share by which all tensions are raised, on its way to what the stiffness asks for"""
         period = control.rates.period
         self._step = control.distribution.tension_rate * period
-        self._prepared = (
+        self._prepared: tuple[Any, ...] = (
             settings.least_force,
             self._step,
             self.agonism,
@@ -72,7 +72,12 @@ class Allocation:
             self.centre,
             self._bearing,
         )
-        self._kept = (*self._prepared, self.delivered, self.shortfall, *self._usual.kept)
+        self._kept: tuple[Any, ...] = (
+            *self._prepared,
+            self.delivered,
+            self.shortfall,
+            *self._usual.kept,
+        )
         # Asked once: of most controllers there is nothing to hear between the two kernels.
         self._commands_tensions = type(controller).tensions is not Controller.tensions
         activation = settings.co_contraction_hz
@@ -91,7 +96,7 @@ class Allocation:
         contraction = settings.co_contraction * (stiffness / base - 1.0)
         self._contraction += self._activate * (contraction - self._contraction)
         distribution = self.distribution = self._usual
-        asked = (
+        asked: tuple[Any, ...] = (
             self._kinematics.matrix,
             self._kinematics.lengths,
             self.wrench,
@@ -105,9 +110,8 @@ class Allocation:
         if self._commands_tensions:
             self._draw(motion, stiffness, present, asked)
         tensions = np.empty(len(self.centre))
-        inside, finite, deficit, self.geometric = distribute_tick(
-            self._commands_tensions, *asked, tension, tensions, *self._kept
-        )
+        asked = (*asked, tension, tensions, *self._kept)
+        inside, finite, deficit, self.geometric = distribute_tick(self._commands_tensions, *asked)
         if inside and finite:
             distribution.found(deficit)
             self.reference = tensions
@@ -135,6 +139,15 @@ class Allocation:
             self._kinematics.matrix, self.wrench, self.reference, tension, carrying, faults
         )
         self.centre[:] = descent.centre
+
+    def rehearse(self, descent: Descent) -> None:
+        """What an ordinary tick needs no answer to: a descent's distribution, and bounds that are
+        met, which also make `deliver` a call of its own."""
+        cables = len(self.centre)
+        low, high, matrix = np.zeros(cables), np.ones(cables), np.ones((6, cables))
+        for most in (2.0, 0.5):
+            descent.distribution(matrix, np.zeros(6), most * high, low, high)
+        self.deliver(low)
 
     def deliver(self, tension: Array) -> None:
         """What the references, and the measured ``tension`` (n,) N, give of the wrench."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -16,6 +17,8 @@ from tonus.drivers.process_image import NEVER, AxisState, ProcessImage
 from tonus.runtime.control.filters import ButterworthBank
 
 Array = NDArray[np.float64]
+Table = Any
+"""A structured array, whose columns are attributes in compiled code."""
 SILENT, FAULTED, NOT_ENABLED, DEFECT = 1, 2, 4, 8
 """The bits of an alarm: a device too long without an answer; a drive in a fault state, or with a
 fresh statusword and not in Operation Enabled; a cell that reports a defect."""
@@ -143,13 +146,8 @@ def _alarm(
 
 @njit(cache=True)
 def _sense(
-    angle: Array,
-    age: NDArray[np.uint16],
-    sampled_ns: NDArray[np.int64],
-    state: NDArray[np.uint8],
-    reported: Array,
-    cell_age: NDArray[np.uint16],
-    status: NDArray[np.uint8],
+    axes: Table,
+    cells: Table,
     tick: int,
     period: float,
     fastest: Array,
@@ -175,12 +173,14 @@ def _sense(
     radius: Array,
     winding: Array,
 ) -> int:
-    """All of a tick; returns its alarm. First the image's columns, then limits (s, rad/s (n,), N,
-    ticks, ticks), then what `Sensing` keeps. Single arrays, since a tuple of them takes twice as
-    long to hand over."""
+    """All of a tick; returns its alarm. First the image's tables, then limits (s, rad/s (n,), N,
+    ticks, ticks), then what `Sensing` keeps. Single arrays, since a tuple of them takes longer to
+    hand over."""
+    angle, age, sampled_ns = axes.angle, axes.age, axes.sampled_ns
+    cell_age = cells.age
     limit, drums = (period, fastest), (ticks, times_ns)
     _drum_rates(angle, age, sampled_ns, tick, limit, last_angle, drums, rate, interval, implausible)
-    _tared(reported, tare, largest, force, implausible_cells)
+    _tared(cells.force, tare, largest, force, implausible_cells)
     _count_silence(age, last_age, fresh, implausible, silent)
     _count_silence(cell_age, last_cell_age, fresh, implausible_cells, silent_cells)
     ages, silences = (age, cell_age), (silent, silent_cells)
@@ -188,7 +188,7 @@ def _sense(
     _trust(ages, silences, odd, (fresh, stale), usable, present, sound)
     for i in range(rate.shape[0]):
         winding[i] = radius[i] * rate[i]
-    return _alarm(silences, age, state, status, (fresh, stale))
+    return _alarm(silences, age, axes.state, cells.status, (fresh, stale))
 
 
 @njit(cache=True)
@@ -269,18 +269,7 @@ class Sensing:
         return float(self.filter.value[-1])
 
     def step(self, image: ProcessImage, tick: int) -> None:
-        axis, cell = image.axis, image.cell
-        self.alarm = _sense(
-            axis.angle,
-            axis.age,
-            axis.sampled_ns,
-            axis.state,
-            cell.force,
-            cell.age,
-            cell.status,
-            tick,
-            *self._kept,
-        )
+        self.alarm = _sense(image.axes, image.cells, tick, *self._kept)
         self.filter.step(self.force)
 
     def lost_axis(self, start: int = 0) -> int:

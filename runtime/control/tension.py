@@ -19,6 +19,7 @@ filter's delay would cost the phase margin that `tonus.tools.margins.tension_loo
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -276,7 +277,7 @@ class TensionLoop:
         friction, expected = settings.friction, np.zeros(robot.cables)
         self._goes_on = settings.integral > 0.0
         self._axial_stiffness = robot.axial_stiffness
-        self._kept = (
+        self._kept: tuple[Any, ...] = (
             radius,
             robot.drum_inertia,
             robot.viscous_friction,

@@ -64,7 +64,7 @@ def _rehearse(config: Config, scenario: Scenario) -> bool:
     control = config.control.model_copy(update=changes)
     cycle = ControlCycle(config.robot, control, config.tracker, scenario.reference)
     image = ProcessImage(config.robot.cables)
-    cycle.sequence.rehearse(image)
+    cycle.rehearse(image)
     image.axes["age"] = image.cells["age"] = 0
     image.tracker["position"] = config.robot.rest
     image.tracker["delay"] = _DELAY_TICKS * config.control.rates.period

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from typing import Any
 
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.control.allocation import Allocation
@@ -47,8 +48,8 @@ class CycleWriter:
         self._guide, self._estimator, self._controller = guide, estimator, controller
         self._limiter, self._envelope, self._allocation = limiter, envelope, allocation
         self._tuning = tuning
-        self._measured = (sensing.rate, sensing.tare, sensing.filter.value)
-        self._found = (
+        self._measured: tuple[Any, ...] = (sensing.rate, sensing.tare, sensing.filter.value)
+        self._found: tuple[Any, ...] = (
             *estimator.found,
             allocation.centre,
             allocation.agonism,
@@ -77,14 +78,13 @@ class CycleWriter:
         if number:
             checksum = zlib.crc32(_CHANGE.pack(*change), checksum)
         regulating = sequence.regulating
-        faults = sequence.faults
+        faults, gains = sequence.faults, self._tuning.gains
         write_tick(
             self._record.data,
             image.axes,
             image.cells,
             image.tracker,
             image.commands,
-            *self._measured,
             faults.failed,
             allocation.reference,
             sensing.tension,
@@ -102,9 +102,12 @@ class CycleWriter:
             guide.chosen,
             number,
             float(value),
-            *self._tuning.gains,
+            gains[0],
+            gains[1],
+            gains[2],
             int(allocation.distribution.solver) if regulating else _NO_SOLVER,
             accepted and regulating,
+            *self._measured,
         )
 
     def results(self, law: float) -> None:
@@ -116,7 +119,6 @@ class CycleWriter:
         account, terms = limiter.account, self._controller.terms
         write_results(
             self._record.data,
-            *self._found,
             *guide.desired,
             guide.attitude[0],
             distribution.iterations,
@@ -152,4 +154,5 @@ class CycleWriter:
             envelope.progress,
             int(envelope.grade),
             int(envelope.bound),
+            *self._found,
         )

@@ -64,9 +64,6 @@ def write_tick(
     cells: Table,
     tracker: Table,
     commands: Table,
-    rate: Table,
-    tare: Table,
-    filtered: Table,
     failed: Table,
     reference: Table,
     tension: Table,
@@ -89,6 +86,9 @@ def write_tick(
     force_gain: float,
     solver: int,
     accepted: bool,
+    rate: Table,
+    tare: Table,
+    filtered: Table,
 ) -> None:
     """What every tick has: what came in (`write_measured`), where the state machine is, and what
     the drives are told, with the tensions (n,) that it comes from."""
@@ -273,18 +273,6 @@ def write_margins(
 @njit(cache=True)
 def write_results(
     record: Table,
-    position: Table,
-    quaternion: Table,
-    velocity: Table,
-    angular_velocity: Table,
-    external: Table,
-    cable_position: Table,
-    sampled_position: Table,
-    constants: Table,
-    centre: Table,
-    agonism: Table,
-    commanded: Table,
-    delivered: Table,
     desired_position: Table,
     desired_velocity: Table,
     desired_acceleration: Table,
@@ -322,6 +310,18 @@ def write_results(
     progress: float,
     grade: int,
     bound: int,
+    position: Table,
+    quaternion: Table,
+    velocity: Table,
+    angular_velocity: Table,
+    external: Table,
+    cable_position: Table,
+    sampled_position: Table,
+    constants: Table,
+    centre: Table,
+    agonism: Table,
+    commanded: Table,
+    delivered: Table,
 ) -> None:
     """What is there only while the platform is regulated; single arguments, since a tuple takes
     longer to hand over."""

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from tonus.config.schema.robot import Robot
@@ -34,6 +35,113 @@ _FEWEST = 5
 """lengths that are compared, the wrong one among them"""
 _UNEXPLAINED = 0.25
 """share of a common step that a translation of the tracker may leave"""
+_SURELY = 0.999
+"""share of a limit below which a few bits do not matter"""
+
+
+@njit(cache=True)
+def _measure(
+    lengths: Array,
+    tensions: Array,
+    newer: int,
+    older: int,
+    share: float,
+    distance: Array,
+    axial_stiffness: Array,
+    pulling: float,
+    gap: Array,
+    stretch: Array,
+    taut: NDArray[np.bool_],
+) -> bool:
+    """Of the instant a ``share`` of the way from row ``newer`` to row ``older``: what each length
+    exceeds its ``distance`` by, its elongation (m), and whether its cable is ``pulling`` (N).
+    Whether all are numbers."""
+    finite = True
+    for i in range(gap.shape[0]):
+        length = (1.0 - share) * lengths[newer, i] + share * lengths[older, i]
+        tension = (1.0 - share) * tensions[newer, i] + share * tensions[older, i]
+        gap[i] = length - distance[i]
+        stretch[i] = length * tension / axial_stiffness[i]
+        taut[i] = tension > pulling
+        finite = finite and math.isfinite(gap[i]) and math.isfinite(tension)
+    return finite
+
+
+@njit(cache=True)
+def _is_small(matrix: Array, step: Array, limit: float) -> bool:
+    """Whether the translation that explains a ``step`` (n,) of the lengths best is below a
+    ``limit`` (m), by Cramer's rule: a few bits less certain than what solves it, and without what
+    that costs. ``matrix`` (6, n): structure matrix."""
+    xx = xy = xz = yy = yz = zz = x = y = z = 0.0
+    for i in range(step.shape[0]):
+        a, b, c = matrix[0, i], matrix[1, i], matrix[2, i]
+        xx, xy, xz = xx + a * a, xy + a * b, xz + a * c
+        yy, yz, zz = yy + b * b, yz + b * c, zz + c * c
+        x, y, z = x + a * step[i], y + b * step[i], z + c * step[i]
+    first, second, third = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    size = xx * first + xy * second + xz * third
+    along = first * x + second * y + third * z
+    across = second * x + (xx * zz - xz * xz) * y + (xy * xz - xx * yz) * z
+    upward = third * x + (xy * xz - xx * yz) * y + (xx * yy - xy * xy) * z
+    return math.sqrt(along * along + across * across + upward * upward) < limit * size
+
+
+@njit(cache=True)
+def _keep(
+    gap: Array,
+    taut: NDArray[np.bool_],
+    stretch: Array,
+    slot: int,
+    before: int,
+    known: bool,
+    gaps: Array,
+    stretches: Array,
+    change: Array,
+    stretched: Array,
+) -> None:
+    """Put a pose into row ``slot``, of a slack cable what row ``before`` has, if that is ``known``;
+    what gap and elongation have changed by since that row's last pose."""
+    for i in range(gap.shape[0]):
+        change[i] = gap[i] - gaps[slot, i]
+        stretched[i] = abs(stretch[i] - stretches[slot, i])
+        gaps[slot, i] = gaps[before, i] if known and not taut[i] else gap[i]
+        if taut[i]:
+            stretches[slot, i] = stretch[i]
+        else:
+            stretches[slot, i] = stretches[before, i] if known else 0.0
+
+
+# Compiled with the file: the first to ask it is a pose far into a run.
+@njit(
+    "int64(float64[::1], boolean[::1], boolean[::1], float64[::1], float64, float64, float64)",
+    cache=True,
+)
+def _contradicting(
+    change: Array,
+    taut: NDArray[np.bool_],
+    excluded: NDArray[np.bool_],
+    stretch: Array,
+    witness: float,
+    witness_share: float,
+    prominence: float,
+) -> int:
+    """The cable whose ``change`` is beyond its limit and stands out, or -1."""
+    cable, largest, second, told = 0, -1.0, -1.0, 0
+    for i in range(change.shape[0]):
+        counts = (taut[i] or change[i] < 0.0) and not excluded[i]
+        off = abs(change[i]) if counts else 0.0
+        if taut[i] and not excluded[i]:
+            told += 1
+        if off > largest:
+            cable, largest, second = i, off, largest
+        elif off > second:
+            second = off
+    if not taut[cable]:
+        told += 1
+    limit = witness + witness_share * stretch[cable]
+    if told >= _FEWEST and largest > max(limit, prominence * second):
+        return cable
+    return -1
 
 
 class Witness:
@@ -86,41 +194,50 @@ class Witness:
         whole = int(back)
         share, newer = back - whole, (self._ticks - 1 - whole) % depth
         older = (newer - 1) % depth
-        length = (1.0 - share) * self._lengths[newer] + share * self._lengths[older]
-        tension = (1.0 - share) * self._tensions[newer] + share * self._tensions[older]
         self._seen.evaluate(position, quaternion)
-        gap = length - self._seen.lengths
-        if not (np.isfinite(gap).all() and np.isfinite(tension).all()):
-            return
-        self._compare(gap, tension > self._taut, length * tension / self._stiffness)
+        cables = len(self._last)
+        gap, stretch, taut = np.empty(cables), np.empty(cables), np.empty(cables, dtype=bool)
+        if _measure(
+            self._lengths,
+            self._tensions,
+            newer,
+            older,
+            share,
+            self._seen.lengths,
+            self._stiffness,
+            self._taut,
+            gap,
+            stretch,
+            taut,
+        ):
+            self._compare(gap, taut, stretch)
 
     def _compare(self, gap: Array, taut: NDArray[np.bool_], stretch: Array) -> None:
         """``gap`` (n,) m: length less distance; ``stretch`` (n,) m of it is elongation."""
         count = len(self._gaps)
+        known, full = self._poses > 0, self._poses >= count
+        if known:
+            step = gap - self._last
+            if not _is_small(self._seen.matrix, step, _SURELY * self._settings.witness):
+                self._gaps += self._moved(step)
         slot, before = self._poses % count, (self._poses - 1) % count
-        if self._poses:
-            self._gaps += self._moved(gap - self._last)
-        full = self._poses >= count
-        then, stretched = self._gaps[slot].copy(), self._stretches[slot].copy()
+        change, stretched = np.empty(len(gap)), np.empty(len(gap))
         self._last[:] = gap
-        known = self._poses > 0
-        self._gaps[slot] = np.where(taut, gap, self._gaps[before]) if known else gap
-        self._stretches[slot] = np.where(taut, stretch, self._stretches[before] if known else 0.0)
+        _keep(
+            gap, taut, stretch, slot, before, known, self._gaps, self._stretches, change, stretched
+        )
         self._poses += 1
         if full:
-            self._judge(gap - then, taut, np.abs(stretch - stretched))
+            self._judge(change, taut, stretched)
 
     def _judge(self, change: Array, taut: NDArray[np.bool_], stretch: Array) -> None:
-        settings = self._settings
-        off = np.abs(change) * ((taut | (change < 0.0)) & ~self._excluded)
-        cable = int(off.argmax())
-        second = float(np.sort(off)[-2])
-        limit = settings.witness + settings.witness_share * stretch[cable]
-        told = int((taut & ~self._excluded).sum()) + int(not taut[cable]) >= _FEWEST
-        wrong = told and off[cable] > max(limit, settings.prominence * second)
-        same = wrong and cable == self._named
-        self._times = self._times + 1 if same else int(wrong)
-        self._named = cable if wrong else -1
+        s = self._settings
+        cable = _contradicting(
+            change, taut, self._excluded, stretch, s.witness, s.witness_share, s.prominence
+        )
+        same = cable >= 0 and cable == self._named
+        self._times = self._times + 1 if same else int(cable >= 0)
+        self._named = cable
 
     def _moved(self, step: Array) -> Array:
         """(n,) m of a pose's ``step`` (n,) m of all lengths that is a translation of the tracker,
