@@ -20,8 +20,8 @@ from tonus.config.schema.scenario import Reference
 from tonus.config.schema.tracker import Tracker
 from tonus.drivers.process_image import AxisCommand, ProcessImage
 from tonus.runtime.control.allocation import Allocation
-from tonus.runtime.control.controllers import Controller, Motion, make_controller
-from tonus.runtime.control.controllers.base import norm
+from tonus.runtime.control.controllers import Motion, make_controller
+from tonus.runtime.control.controllers.base import norm, rehearse_descent
 from tonus.runtime.control.estimator import Doubts, Estimate, PoseEstimator
 from tonus.runtime.control.guide import Guide
 from tonus.runtime.control.kinematics import Kinematics
@@ -208,19 +208,7 @@ class ControlCycle:
         nothing is compiled in the tick of a fault. For a cycle that is thrown away."""
         self.sequence.rehearse(image)
         self._allocation.rehearse(self._descent)
-        still = np.zeros(3)
-        motion = Motion(
-            *(still, still, still),
-            still,
-            self._referencing.quaternion,
-            *(still, still, still),
-            0.0,
-            still,
-            self._none,
-            self._none,
-            still,
-        )
-        Controller.descent(self._controller, motion)
+        rehearse_descent(self._controller)
 
     def _give_way(self, image: ProcessImage) -> None:
         """A tick of a passive stop, or of a descent that has landed and lets go."""

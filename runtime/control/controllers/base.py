@@ -208,6 +208,13 @@ class Controller(ABC):
         return None
 
 
+def rehearse_descent(controller: Controller) -> None:
+    """What a ``controller`` is asked in a descent only, as every controller answers it."""
+    still = NOTHING
+    vectors = (still, still, still, still, LEVEL, still, still, still)
+    Controller.descent(controller, Motion(*vectors, 0.0, still, still, still, still))
+
+
 def norm(vector: Array) -> float:
     """Euclidean, of a vector (3,)."""
     x, y, z = vector.tolist()
