@@ -269,18 +269,20 @@ class Isolation:
                 return Fault.DRUM_STUCK, stuck
         return fault, place
 
-    def disobedient(self, mode: StopMode) -> tuple[Fault, int]:
+    def disobedient(self, mode: StopMode, failed: NDArray[np.bool_]) -> tuple[Fault, int]:
         """The first drum whose motion does not match its torque, independent of the estimate. In a
         stop that leaves the path (``mode``) drums work at their limits, where losses are least
         certain, and slack cables snap taut. In a descent a slack cable may be torn, and a cell
-        frozen."""
+        frozen: of those that have not ``failed`` (n,), since each is named once and would hide the
+        next."""
         s = self._settings
         rough = mode > StopMode.ON_PATH
         if mode is StopMode.DESCENT:
             if self._overwound.any():
                 return Fault.CABLE_TORN, int(self._overwound.argmax())
-            if (self._repeated >= s.frozen_ticks).any():
-                return Fault.CELL_FROZEN, int((self._repeated >= s.frozen_ticks).argmax())
+            frozen = (self._repeated >= s.frozen_ticks) & ~failed
+            if frozen.any():
+                return Fault.CELL_FROZEN, int(frozen.argmax())
         if self.drums.most_misled < (s.torque_descent_ticks if rough else s.torque_ticks):
             return Fault.NONE, -1
         return Fault.DRUM_TORQUE, int(self.drums.misled.argmax())

@@ -395,7 +395,7 @@ class Sequence:
             self.faults.add(Fault.NOT_FINITE, -1)
         self._examine_devices(image)
         if self.enabled and self.state is not State.STANDBY:
-            self.faults.add(*self._isolation.disobedient(self.stop_mode))
+            self.faults.add(*self._isolation.disobedient(self.stop_mode, self.faults.failed))
         if self.state in MOVING:
             # Without excluding the cable: what a stop needs of it, it knows already.
             cable = self._witness.misread

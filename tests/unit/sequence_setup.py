@@ -136,7 +136,8 @@ class Way:
         self.concluded.append(tension)
         return self.refusal
 
-    def _disobedient(self, mode: StopMode) -> tuple[Fault, int]:
+    def _disobedient(self, mode: StopMode, failed: Any) -> tuple[Fault, int]:
+        assert failed is self.sequence.faults.failed
         self.asked.append(mode)
         return self.disobedient
 

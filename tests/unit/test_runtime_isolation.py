@@ -76,7 +76,7 @@ class Watched:
                 self.watched,
                 INTERVAL,
             )
-        drum = self.isolation.disobedient(self.mode)
+        drum = self.isolation.disobedient(self.mode, ~self.watched)
         return drum if drum[0] is not Fault.NONE else self.isolation.found(given["tension"])
 
     def found_after(self, most: int) -> tuple[Fault, int, int]:

@@ -76,13 +76,13 @@ class Residuals:
 
     @property
     def descending(self) -> tuple[Fault, int]:
-        return self.isolation.disobedient(StopMode.DESCENT)
+        return self.isolation.disobedient(StopMode.DESCENT, ~self.watched)
 
     @property
     def elsewhere(self) -> tuple[tuple[Fault, int], ...]:
         """In every other mode, where neither a slack cable nor a frozen cell is looked for."""
         others = [mode for mode in StopMode if mode is not StopMode.DESCENT]
-        return tuple(self.isolation.disobedient(mode) for mode in others)
+        return tuple(self.isolation.disobedient(mode, ~self.watched) for mode in others)
 
 
 @pytest.fixture
@@ -379,6 +379,16 @@ def test_a_frozen_cell_is_found_in_a_descent_in_its_tick(ticks: int) -> None:
     assert given.descending == NOTHING
 
 
+def test_a_frozen_cell_that_has_its_name_hides_no_other() -> None:
+    given = Residuals(frozen_ticks=5)
+    given.tick(3)
+    frozen(given, 2, 4)
+    given.tick(5)
+    assert given.descending == (Fault.CELL_FROZEN, 2)
+    given.watched[2] = False
+    assert given.descending == (Fault.CELL_FROZEN, 4)
+
+
 def test_a_force_that_is_frozen_under_its_noise_is_counted_anew_after_a_reset() -> None:
     given = Residuals(frozen_band=2.0, frozen_step=8.0)  # readings change by 1 N
     given.reference[4] += 8.0
@@ -404,9 +414,9 @@ def test_a_drum_is_misled_for_the_ticks_that_are_set(given: Residuals, mode: Sto
     drums = given.isolation.drums
     for misled, found in ((ticks - 1, NOTHING), (ticks, (Fault.DRUM_TORQUE, 6))):
         drums.misled[6] = drums.most_misled = misled
-        assert given.isolation.disobedient(mode) == found
+        assert given.isolation.disobedient(mode, ~given.watched) == found
     given.isolation.reset()
-    assert given.isolation.disobedient(mode) == NOTHING
+    assert given.isolation.disobedient(mode, ~given.watched) == NOTHING
 
 
 def test_a_drum_is_stuck_only_where_a_length_contradicts(given: Residuals) -> None:
