@@ -8,6 +8,7 @@ reproduce every output bit for bit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -361,6 +362,8 @@ class ControlCycle:
         )
         sequence.height = estimate.position.item(2) - self._resting
         sequence.load = max(norm(motion.external) - motion.contact, 0.0)
+        across, along, _ = motion.external.tolist()
+        sequence.aside = max(math.hypot(across, along) - motion.contact, 0.0)
         if sequence.descending:
             allocation.wrench[:3] -= self._descent.balanced(
                 self._kinematics.matrix, motion.external, sequence.faults, sequence.height

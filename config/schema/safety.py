@@ -45,6 +45,10 @@ class Stop(Section):
     """N: most, likewise"""
     proportional: NonNegative
     """of the tension loop in a descent: faster than where a person is to be met softly"""
+    calm: NonNegative = 20.0
+    """the same once nothing throws the platform any more"""
+    throw_s: Positive = 0.1
+    """s, time constant of the way there after each loss of a cable"""
     ease_s: Positive
     """s in which the tensions ease off from what they were when it began"""
     tension_rate: Positive
@@ -69,14 +73,18 @@ class Stop(Section):
     """N that a drum gives by itself"""
     passive_damping: Positive
     """N s/m by which it damps its own motion"""
+    passive_speed: Positive = 0.15
+    """m/s beyond which the damping is `reel_damping`; once all drums have been slower for as long
+    as lowering takes on the path, a passive stop reduces its tension"""
     passive_force: Positive
     """N: bound on the sum of both"""
     rest_speed: Positive
     """m/s of cable below which a drum counts as standing"""
     rest_s: Positive
-    """s that all drums have to stand before a passive stop lets go"""
+    """s that all drums have to stand before a passive stop lets go, and again before drives are
+    disabled"""
     passive_s: Positive
-    """s after which it lets go in any case"""
+    """s after which it lets go in any case, and for which it waits at least for drums to stand"""
 
     @model_validator(mode="after")
     def _ordered(self) -> Stop:

@@ -4,11 +4,12 @@ The *passive* stop uses only the drum's own rate v (m/s, reeling in positive):
 
     F = T_0 - d v,  |F| <= F_max
 
-With the storage function V = kinetic + strain + weight - T_0 (sum of reeled-in lengths), which has
-a lower bound since no cable can be shorter than nothing, V' = -d sum v^2 - friction <= 0 for any
-subset of cables, torn, slipped or wrong: no cable's torque depends on another's measurement. The
-rate is a period and a half old; d must stay below m_drum / (3 periods) for the sampled loop to
-remove energy (`tests/property/test_any_passive_stop.py` verifies both).
+where d is larger for the part of v beyond ``passive_speed``. With the storage function
+V = kinetic + strain + weight - T_0 (sum of reeled-in lengths), which has a lower bound since no
+cable can be shorter than nothing, V' = -d sum v^2 - friction <= 0 for any subset of cables, torn,
+slipped or wrong: no cable's torque depends on another's measurement. The rate is a period and a
+half old; d must stay below m_drum / (3 periods) for the sampled loop to remove energy
+(`tests/property/test_any_passive_stop.py` verifies both).
 
 A *descent* plans forces, and the guard bounds the effect of a wrong plan: reeling in faster than
 ``reel_in`` and reeling out faster than ``reel_out`` is braked, and a drum adds no more energy
@@ -36,15 +37,20 @@ def _passive(
     share: Array,
     radius: Array,
     law: tuple[float, float, float],
+    brake: tuple[float, float],
     torque: Array,
 ) -> None:
-    """``radius`` (n,) of the drums; ``law``: T_0, d, F_max; ``share`` (n,): of T_0, 0 to 1."""
+    """``radius`` (n,) of the drums; ``law``: T_0, d, F_max; ``brake``: speed, and what the
+    damping grows by beyond it; ``share`` (n,): of T_0, 0 to 1."""
     tension, damping, largest = law
+    fastest, harder = brake
     for i in range(rate.shape[0]):
         if not chosen[i]:
             continue
         torque[i] = 0.0
-        force = share[i] * tension - damping * radius[i] * rate[i]
+        speed = radius[i] * rate[i]
+        beyond = max(speed - fastest, 0.0) + min(speed + fastest, 0.0)
+        force = share[i] * tension - damping * speed - harder * beyond
         if math.isfinite(force):
             torque[i] = radius[i] * min(max(force, -largest), largest)
 
@@ -108,6 +114,8 @@ class Guard:
         s = settings
         self._radius = robot.drum_radius
         self._law = (s.passive_tension, s.passive_damping, s.passive_force)
+        harder = max(s.reel_damping - s.passive_damping, 0.0)
+        self._brake = (s.passive_speed, harder)
         self._speeds = (s.reel_in, s.reel_out, s.reel_damping)
         self._slack = (s.take_up_speed, s.take_up_damping, s.reel_in)
         self._period, self._capacity = period, s.tank
@@ -124,7 +132,8 @@ class Guard:
         ``share`` of the passive tension, of all or of each (n,)."""
         self._torque[:] = 0.0
         self._share[:] = share
-        _passive(rate, trusted, self._share, self._radius, self._law, self._torque)
+        law = (self._law, self._brake)
+        _passive(rate, trusted, self._share, self._radius, *law, self._torque)
         return self._torque
 
     def take_up(

@@ -98,6 +98,8 @@ class Sequence:
         """s into the state at which the mode began, and the stop let go; -1 for not"""
         self._standing, self._loose = 0.0, False
         """s for which all drums have stood; whether they have been let go entirely"""
+        self._slow = 0.0
+        """s for which they have been slow, in a passive stop"""
         self._lowest = math.inf
         """m, least height above the cradle since a descent has settled"""
         self.reason = ""
@@ -107,6 +109,10 @@ class Sequence:
         self.referenced = False
         self.load = 0.0
         """N, what the platform would be pushed away with if it were let go now"""
+        self.aside = 0.0
+        """N of it, level"""
+        self._aside_before = 0.0
+        """and before the platform was down"""
         self.height = 0.0
         """m, of the platform above its cradle"""
         self._lower_s = self._settings.lower_s
@@ -183,7 +189,8 @@ class Sequence:
         lost = int(faults.failed.sum())
         blind = any(faults.has(cause) for cause in PASSIVE) or faults.at(Fault.LENGTH_DRIFT, -1)
         fewest = FEWEST_DOUBTED if faults.contradicted else FEWEST
-        if not self.referenced or blind or len(faults.failed) - lost < fewest or self._hangs:
+        known = self.referenced and not blind and len(faults.failed) - lost >= fewest
+        if not known or self._hangs or self._is_held():
             wanted = StopMode.PASSIVE
         elif lost or not self._sensing.present.all():
             wanted = StopMode.DESCENT
@@ -192,6 +199,7 @@ class Sequence:
         if wanted > self.stop_mode:
             self.stop_mode, self._mode_at = wanted, self.elapsed
             self._standing, self._lowest = 0.0, math.inf
+            self._slow = 0.0
         if self.elapsed - self._mode_at >= self._control.stop.settle_s:
             self._lowest = min(self._lowest, self.height)
 
@@ -239,13 +247,14 @@ class Sequence:
                 self._loose, self._standing = True, 0.0
             return
         if self.stop_mode is not StopMode.PASSIVE:
-            late = self.stop_time - self.stop_ends
-            pushed = self.load > self._settings.release_load and late < self._settings.hold_s
-            if self.height <= stop.landed and late >= 0.0 and not pushed:
+            # Whatever seems to push it: by whose measurement, only cells could tell.
+            if self.height <= stop.landed and self.stop_time >= self.stop_ends:
                 self._released_at = self.elapsed
             return
+        self._slow = self._slow + self._period if fastest < stop.passive_speed else 0.0
+        rests = self._standing >= stop.rest_s or self._slow >= max(self._lower_s, stop.rest_s)
         late = self.elapsed - self._mode_at >= stop.passive_s
-        if self.referenced and (self._standing >= stop.rest_s or late):
+        if self.referenced and (rests or late):
             self._released_at = self.elapsed
 
     def plan_stop(self, lower_s: float) -> None:
@@ -368,7 +377,10 @@ class Sequence:
         if not self.referenced:
             return self.passive_share <= 0.0
         stop = self._control.stop
-        late = self.elapsed - self._released_at >= self._settings.stop_s + stop.landing_s
+        longest = self._released_at + stop.landing_s
+        if self.stop_mode is StopMode.PASSIVE:
+            longest = max(longest, self._mode_at + stop.passive_s)
+        late = self.elapsed - longest >= self._settings.stop_s
         return self._loose and (self._standing >= stop.rest_s or late)
 
     @property
@@ -382,6 +394,16 @@ class Sequence:
             return True
         late = self.stop_time - self.stop_ends
         return late >= (0.0 if self._standing >= stop.rest_s else stop.landing_s)
+
+    def _is_held(self) -> bool:
+        """A stop on its path is down, and is held aside as it was not before: by the cradle. The
+        path leads elsewhere, and would drag the platform out in the end."""
+        stop = self._control.stop
+        if self.stop_mode is not StopMode.ON_PATH:
+            return False
+        if not self._lowering or self.height > stop.landed:
+            self._aside_before = self.aside
+        return self.aside > self._aside_before + stop.load_free
 
     def _watch(self, image: ProcessImage, operator: Operator, finite: bool) -> Event | None:
         """Every fault in every state; the first since the last reset is an event."""

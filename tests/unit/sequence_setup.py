@@ -35,6 +35,8 @@ OVERRIDES = {
     "control.stop.landed": 0.01,
     "control.stop.rise": 0.02,
     "control.stop.rest_speed": 0.02,
+    "control.stop.passive_speed": 0.15,
+    "control.stop.load_free": 15.0,
 }
 CONFIG, _ = load("config/can.yaml", overrides=OVERRIDES)
 CONTROL, ROBOT = CONFIG.control, CONFIG.robot
@@ -52,6 +54,10 @@ LANDING_TICKS = 16
 """landing_s, for which drums that were let go may go on moving"""
 RELEASE_TICKS = 16
 """stop_s"""
+FAST = 10.0
+"""rad/s of a drum that a passive stop waits for: 0.2 m/s"""
+LOWER_TICKS = 32
+"""lower_s"""
 HELD_TICKS = 20
 """hold_s"""
 
@@ -219,5 +225,5 @@ def passive() -> Way:
     way = Way().to(State.ACTIVE)
     way.step(finite=False)
     assert way.sequence.stop_mode is StopMode.PASSIVE
-    way.sensing.rate = np.full(N, 1.0)
+    way.sensing.rate = np.full(N, FAST)
     return way

@@ -19,6 +19,7 @@ SETTINGS = CONFIG.control.stop.model_copy(
         "passive_tension": 30.0,
         "passive_damping": 100.0,
         "passive_force": 80.0,
+        "passive_speed": 0.4,
         "reel_in": 0.2,
         "reel_out": 0.3,
         "reel_damping": 500.0,
@@ -50,6 +51,14 @@ def test_the_passive_law_of_each_drum(guard: Guard) -> None:
     assert torque / RADIUS == pytest.approx([20.0, 50.0, -80.0, 80.0, 0.0, 0.0, 0.0, 30.0])
     again = guard.passive(np.zeros(N), ~trusted)
     assert again / RADIUS == pytest.approx([0.0] * 6 + [30.0, 0.0]), "nothing is left of before"
+
+
+def test_a_drum_that_turns_faster_brakes() -> None:
+    """With 500 N s/m beyond 0.4 m/s, to both sides."""
+    strong = Guard(ROBOT, SETTINGS.model_copy(update={"passive_force": 300.0}), PERIOD)
+    speeds = each(0.4, 0.5, -0.4, -0.5)
+    torque = strong.passive(speeds / RADIUS, EVERY)
+    assert torque[:4] / RADIUS[:4] == pytest.approx([-10.0, -60.0, 70.0, 120.0])
 
 
 def test_a_share_of_the_passive_tension(guard: Guard) -> None:

@@ -7,7 +7,9 @@ import pytest
 
 from tests.unit.sequence_setup import (
     CONTROL,
+    FAST,
     LANDING_TICKS,
+    LOWER_TICKS,
     PASSIVE_TICKS,
     RELEASE_TICKS,
     REST_TICKS,
@@ -55,8 +57,35 @@ def test_a_drum_that_turns_is_waited_for(sign: float) -> None:
     assert enabled(way) == REST_TICKS + RELEASE_TICKS + REST_TICKS
 
 
-def test_drums_that_never_stand_are_released_in_the_end() -> None:
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_drums_that_are_slow_for_as_long_as_lowering_takes_are_released(sign: float) -> None:
+    """Their tension may be all that moves them. One that is fast is waited for anew."""
+    way = passive()
+    slow = 0.99 * STOP.passive_speed / ROBOT.drum_radius
+    way.sensing.rate = slow.copy()
+    way.steps(LOWER_TICKS - 1)
+    way.sensing.rate[2] = sign * 1.01 * STOP.passive_speed / ROBOT.drum_radius[2]
+    way.steps(1)
+    way.sensing.rate = slow
+    way.steps(LOWER_TICKS)
+    assert way.sequence.passive_share == 1.0
+    way.steps(2)
+    assert way.sequence.passive_share < 1.0
+
+
+def test_drums_that_are_never_slow_are_released_in_the_end() -> None:
     assert enabled(passive()) == PASSIVE_TICKS + RELEASE_TICKS + LANDING_TICKS
+
+
+def test_without_a_tension_a_platform_has_the_time_of_a_passive_stop_to_come_down() -> None:
+    """Drums that are slow, and do not stand: they go on damping until `passive_s` is over, and for
+    `landing_s` at least."""
+    for late in (0, PASSIVE_TICKS - LOWER_TICKS):
+        way = passive()
+        way.steps(late)
+        way.sensing.rate = 1.01 * STOP.rest_speed / ROBOT.drum_radius
+        left = PASSIVE_TICKS if late == 0 else LOWER_TICKS + LANDING_TICKS
+        assert enabled(way) == pytest.approx(left + RELEASE_TICKS, abs=1)
 
 
 def test_drums_that_are_torn_or_not_believed_are_not_waited_for() -> None:
@@ -73,7 +102,7 @@ def test_drums_that_are_torn_or_not_believed_are_not_waited_for() -> None:
 
 def test_a_stop_that_becomes_passive_counts_from_there() -> None:
     way = descent()
-    way.sensing.rate = np.full(N, 1.0)
+    way.sensing.rate = np.full(N, FAST)
     way.steps(20)
     way.step(finite=False)
     assert way.sequence.stop_mode is StopMode.PASSIVE
@@ -102,7 +131,7 @@ def test_another_passive_stop_is_released_anew() -> None:
     way.steps(1, after=State.FAULT)
     way.step(Operator.RESET)
     way.to(State.ACTIVE)
-    way.sensing.rate = np.full(N, 1.0)
+    way.sensing.rate = np.full(N, FAST)
     way.step(finite=False)
     assert way.sequence.passive_share == 1.0
     assert enabled(way) == PASSIVE_TICKS + RELEASE_TICKS + LANDING_TICKS

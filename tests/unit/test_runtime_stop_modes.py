@@ -241,7 +241,7 @@ def test_a_report_is_no_contradiction_that_excludes() -> None:
 def test_drums_that_never_stand_are_let_go_in_the_end() -> None:
     statue = go_on(Statue().until(State.HOLD), defective(*range(8)))
     angle, ticks = statue.image.axes["angle"].copy(), 0
-    swing = 2.0 * CONTROL.stop.rest_speed / RADIUS * CONTROL.rates.period
+    swing = 2.0 * CONTROL.stop.passive_speed / RADIUS * CONTROL.rates.period
 
     while statue.state is State.SAFE_STOP:
         ticks += 1

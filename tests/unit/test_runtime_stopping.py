@@ -223,7 +223,8 @@ def test_a_load_while_the_platform_comes_to_rest_is_nothing_to_wait_for(way: Way
     assert enabled(way) == STOP_TICKS - 15
 
 
-def test_with_contact_nothing_is_waited_for_and_a_descent_holds_a_load_once_it_has_landed() -> None:
+def test_with_contact_nothing_is_waited_for_nor_by_a_descent_that_has_landed() -> None:
+    """Whatever load it measures: a wrong cell would be one."""
     touching = Way().to(State.ACTIVE)
     touching.envelope.fault = Fault.CONTACT_LIMIT
     touching.step()
@@ -231,7 +232,29 @@ def test_with_contact_nothing_is_waited_for_and_a_descent_holds_a_load_once_it_h
     assert enabled(touching) == STOP_TICKS
     down = descent()
     down.sequence.load, down.sequence.height = 100.0, 0.0
-    assert enabled(down) == STOP_TICKS + HELD_TICKS + RELEASE_TICKS + REST_TICKS
+    assert enabled(down) == STOP_TICKS + RELEASE_TICKS + REST_TICKS
+
+
+@pytest.mark.parametrize(("aside", "height"), [(15.0, 0.01), (100.0, 0.011)])
+def test_a_path_may_push_above_the_cradle_and_a_little_in_it(aside: float, height: float) -> None:
+    way = Way().stop()
+    way.steps(20)
+    way.sequence.aside, way.sequence.height = aside, height
+    assert enabled(way) == STOP_TICKS - 20
+    assert way.sequence.stop_mode is StopMode.ON_PATH
+
+
+def test_a_path_that_presses_the_platform_against_its_cradle_is_left(way: Way) -> None:
+    """By more than what pushed it before it was down."""
+    way.sequence.aside, way.sequence.height = 30.0, 0.011
+    way.steps(20)
+    way.sequence.height = 0.01
+    way.steps(5)
+    way.sequence.aside = 45.0
+    way.steps(5)
+    way.sequence.aside = 45.1
+    assert until(way, StopMode.PASSIVE) == 1
+    assert way.sequence.faults.first is Fault.NONE
 
 
 def test_another_stop_waits_anew(way: Way) -> None:

@@ -74,7 +74,9 @@ The times are in `control.sequence`.
 | release | `stop_s` | stiffness from K0 to K_min, tensions to the referencing level, together |
 | disable | at once | every drive, while its cable still has that tension |
 
-A stop because of contact uses K_min from its first tick.
+A stop because of contact uses K_min from its first tick. A platform that is at most
+`control.stop.landed` above its cradle, and is then held aside by `load_free` more than before, is
+held by the cradle itself, and the path leads elsewhere: the stop becomes passive.
 
 ### Descent
 
@@ -82,27 +84,34 @@ A cable is excluded when its drive or cell is lost or defective, or when its len
 contradicts the others. Its tension reference is zero. The active cables carry the weight and damp
 every motion; no position is held, and the platform comes down. The values are in `control.stop`.
 
-- The remaining tension of an excluded cable counts as a load. On a drum that turns freely it falls
-  to zero within a few `release_s`.
+- The remaining tension of an excluded cable counts as a load. Its drum damps by itself as in a
+  passive stop if encoder, motor and cell are sound and the cable is not torn; on a drum that turns
+  freely the tension falls to zero within a few `release_s`.
 - The drum of a cable below half of `taut_tension` follows the platform and reels in `take_up_speed`
   faster, until the cable pulls.
 - Each drum brakes above the speeds `reel_in` and `reel_out`, and adds no more energy than its
   `tank` holds.
-- A descent takes as long as a stop on the path, without the wait. Then every drive is disabled if
-  the platform is no more than `landed` above the cradle. If not, the stop becomes passive when all
+- The tension loop has the gain `proportional` while a loss throws the platform, and `calm` later
+  (`throw_s`).
+- A descent takes as long as a stop on the path, without the wait. Then, if the platform is no more
+  than `landed` above the cradle, whatever load is measured, each drum damps by itself while its
+  tension goes to zero within `stop_s`, and the drives are disabled when all drums are at rest, at
+  the latest `landing_s` later. If it is higher, the stop becomes passive when all
   drums are at rest, at the latest after another `landing_s`. It also becomes passive when the
   platform rises by `rise` later than `settle_s`: a measurement that it relies on is then wrong.
 
 ### Passive
 
 It uses no pose, no cell and no plan. Each drum with a usable encoder gets the force
-`passive_tension` minus `passive_damping` times its own rate, at most `passive_force`. When all
-drums have been at rest for `rest_s`, and after `passive_s` in any case, the tension goes to zero
-within `stop_s` and every drive is disabled. A stop becomes passive when a computed value is not a
-number, when the cables contradict each other and none stands out, when too few are left, or when a
-descent does not come down. Before the cables are referenced it releases their tension within
-`stop_s`. After an exception in control the same law acts, with the times in `operation.fallback`;
-the run ends.
+`passive_tension` minus `passive_damping` times its own rate, at most `passive_force`, and is braked
+with `reel_damping` beyond `passive_speed`. When all drums have been at rest for `rest_s`, or slower
+than that for as long as lowering takes on the path, and after `passive_s` in any case, the tension
+goes to zero within `stop_s`; the damping stays, and the platform comes down against it. Every
+drive is disabled when all drums have then been at rest for `rest_s`, at the latest after
+`passive_s` and `landing_s`. A stop becomes passive when a computed value is not a number, when the
+cables contradict each other and none stands out, when too few are left, or when a descent does not
+come down. Before the cables are referenced it releases their tension within `stop_s`. After an
+exception in control the same law acts, with the times in `operation.fallback`; the run ends.
 
 ### Emergency stop and brakes
 
