@@ -180,7 +180,9 @@ class ControlCycle:
             self._regulate(estimate)
             torque[:] = self._drive(estimate, usable)
             if sequence.descending:
-                self._descent.bound(torque, sensing.rate, self._drum_rate, usable)
+                fresh = image.axis.age <= self._control.freshness.measurement_ticks
+                damping = sequence.faults.damping & fresh
+                self._descent.bound(torque, sensing.rate, self._drum_rate, usable, damping)
         elif sequence.straightening >= 0.0:
             straight = sequence.straightening * self._control.tension.referencing
             self._allocation.reference[:] = straight
@@ -381,18 +383,22 @@ class ControlCycle:
         """Torques (n,) for the references, zero but for drums that are ``usable`` (n,). Damped
         against the drum rates that follow the platform, or those desired."""
         _, velocity, acceleration = self._guide.desired
-        sensing, loop = self._sensing, self._loop
+        sensing, loop, reference = self._sensing, self._loop, self._allocation.reference
+        felt, descending = sensing.tension, self.sequence.descending
+        if descending:
+            felt = self._descent.felt(reference, felt, self.sequence.faults.failed)
         self._finite = loop.follow(
             self._kinematics.matrix,
             self._allocation.wrench,
             (estimate.velocity, estimate.angular_velocity),
             (velocity, acceleration, self._guide.attitude[1], self._guide.turning[2]),
-            self._allocation.reference,
+            reference,
             sensing.tension,
+            felt,
             sensing.rate,
             usable,
             self._kinematics.lengths,
             self._drum_motion,
-            follows=self._controller.follows_platform and not self.sequence.descending,
+            follows=self._controller.follows_platform and not descending,
         )
         return loop.torque

@@ -188,6 +188,7 @@ def _follow(
     follows: bool,
     reference: Array,
     measured: Array,
+    felt: Array,
     rate: Array,
     usable: NDArray[np.bool_],
     lengths: Array,
@@ -211,8 +212,8 @@ def _follow(
     integral: Array,
     torque: Array,
 ) -> bool:
-    """`drum_motion`, then `_tick` against the rates that follow the platform or, unless it
-    ``follows``, the desired ones; returns what the first does."""
+    """`drum_motion`, then `_tick` for the tensions ``felt`` (n,) N, against the rates that follow
+    the platform or, unless it ``follows``, the desired ones; returns what the first does."""
     finite = drum_motion(
         matrix,
         wrench,
@@ -227,7 +228,7 @@ def _follow(
     )
     _tick(
         reference,
-        measured,
+        felt,
         following if follows else desired_rate,
         rate,
         usable,
@@ -348,6 +349,7 @@ class TensionLoop:
         desired: tuple[Array, Array, Array, Array],
         reference: Array,
         measured: Array,
+        felt: Array,
         rate: Array,
         usable: NDArray[np.bool_],
         lengths: Array,
@@ -356,8 +358,9 @@ class TensionLoop:
         follows: bool,
     ) -> bool:
         """A tick in which the platform is regulated: the torques, which stay in `torque`, from
-        `drum_motion`, whose arguments and result these are; ``drums``: what that writes. The rate
-        is damped against the platform's where it ``follows`` that, else against the desired."""
+        `drum_motion`, whose arguments and result these are; ``drums``: what that writes; ``felt``
+        (n,) N: the tensions that the loop answers. The rate is damped against the platform's where
+        it ``follows`` that, else against the desired."""
         return bool(
             _follow(
                 matrix,
@@ -367,6 +370,7 @@ class TensionLoop:
                 follows,
                 reference,
                 measured,
+                felt,
                 rate,
                 usable,
                 lengths,

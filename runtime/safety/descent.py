@@ -48,6 +48,10 @@ def _unexplained(matrix: Array, pulling: Mask, force: Array) -> None:
                 force[k] -= more * matrix[k, i]
 
 
+def _share(part: float, whole: float) -> float:
+    return part / whole if part < whole else 1.0
+
+
 class Descent:
     """Tension references and torques of a descent, and the guard that bounds them."""
 
@@ -66,6 +70,10 @@ class Descent:
         self.planned = np.zeros(robot.cables)
         """N (n,), the last tension references"""
         self._most = np.zeros(robot.cables)
+        self._calm = _share(control.stop.calm, control.stop.proportional)
+        self._eager, self._calming = 1.0, math.exp(-period / control.stop.throw_s)
+        self._gone = np.zeros(robot.cables, dtype=bool)
+        self._felt = np.zeros(robot.cables)
         self._release = math.exp(-period / control.stop.release_s)
         self._low, self._high = np.zeros(robot.cables), np.zeros(robot.cables)
         self._load = np.zeros(3)
@@ -73,6 +81,7 @@ class Descent:
     def begin(self, tension: Array) -> None:
         """From tensions (n,) of this tick."""
         self.guard.reset()
+        self._eager = 1.0
         self.centre[:] = tension
         self.taut[:] = True
 
@@ -84,7 +93,7 @@ class Descent:
         stop = self._stop
         self._load[:] = external if height > stop.landed else 0.0
         if faults.count:
-            unmeasured = faults.failed & ~faults.cells_trusted & ~faults.torn
+            unmeasured = (faults.failed & ~faults.cells_trusted & ~faults.torn) | faults.damping
             if unmeasured.any():
                 _unexplained(matrix, unmeasured, self._load)
         load = norm(self._load)
@@ -100,10 +109,27 @@ class Descent:
             return tension
         self._most[~faults.failed] = tension[~faults.failed]
         self._most[faults.let_go] *= self._release
+        damping = faults.damping
+        eased = self._stop.passive_tension + self._release * (
+            self._most[damping] - self._stop.passive_tension
+        )
+        self._most[damping] = eased
         pulls = np.minimum(np.maximum(tension, 0.0), np.maximum(self._most, 0.0))
         pulls[~faults.failed] = tension[~faults.failed]
         pulls[faults.failed & ~faults.cells_trusted] = 0.0
         return pulls
+
+    def felt(self, reference: Array, tension: Array, failed: Mask) -> Array:
+        """Tensions (n,) for the loop, which answers a deviation from its ``reference`` (n,) with
+        all its gain while a loss throws the platform. After each of the cables that ``failed``
+        (n,) this fades: drums that yield to every newton yield to a push as well, and sway."""
+        self._eager *= self._calming
+        if (failed != self._gone).any():
+            self._gone[:] = failed
+            self._eager = 1.0
+        share = self._calm + (1.0 - self._calm) * self._eager
+        self._felt[:] = reference + share * (tension - reference)
+        return self._felt
 
     def plan(
         self,
@@ -133,8 +159,14 @@ class Descent:
         self.planned[:] = planned
         return planned
 
-    def bound(self, torque: Array, rate: Array, following: Array, usable: Mask) -> None:
+    def bound(
+        self, torque: Array, rate: Array, following: Array, usable: Mask, damping: Mask
+    ) -> None:
         """The tension loop's torques (n,) made safe in place, at drum rates (n,) rad/s;
-        ``following``: the rates that would follow the platform."""
-        self.guard.take_up(torque, rate, following, usable & ~self.taut)
-        self.guard.bound(torque, rate, usable)
+        ``following``: the rates that would follow the platform; ``damping`` (n,): drums of
+        given-up cables that damp by themselves, since a drum without a torque lets its cable go
+        slack, and snap taut under a heavy drum."""
+        if damping.any():
+            torque[damping] = self.guard.passive(rate, damping)[damping]
+        self.guard.take_up(torque, rate, following, (usable | damping) & ~self.taut)
+        self.guard.bound(torque, rate, usable | damping)

@@ -115,9 +115,16 @@ class Faults:
         return ~self.without(frozenset({Fault.CABLE_TORN}))
 
     @property
+    def damping(self) -> NDArray[np.bool_]:
+        """(n,) excluded cables whose drums and cells are sound, though what they say together is
+        not: in a descent each of these drums is its own passive stop."""
+        sound = self.drums_trusted & self.drums_obedient & self.without(_HELD) & ~self.torn
+        return self.failed & sound & self.cells_trusted
+
+    @property
     def let_go(self) -> NDArray[np.bool_]:
         """(n,) excluded cables whose drum turns freely: their tension falls to zero."""
-        return self.failed & self.without(_HELD)
+        return self.failed & self.without(_HELD) & ~self.damping
 
     @property
     def cells_trusted(self) -> NDArray[np.bool_]:

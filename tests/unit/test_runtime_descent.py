@@ -108,3 +108,51 @@ def test_any_load_and_cables_as_scipy_has_it(descent: Descent, matrix: Array) ->
         held = min(max(size - FREE, 0.0), MOST) / max(size, FREE)
         found = faults(*((Fault.CELL_LOST, int(cable)) for cable in cables))
         assert descent.balanced(matrix, load, found, HIGH) == pytest.approx(held * rest, abs=0.6)
+
+
+def test_after_the_throw_the_loop_is_as_elsewhere(descent: Descent) -> None:
+    """With a third of its gain; a cable that is lost later throws the platform again."""
+    stop, none = CONTROL.stop, np.zeros(ROBOT.cables, dtype=bool)
+    planned, tension = np.full(ROBOT.cables, 20.0), np.full(ROBOT.cables, 26.0)
+    for failed in (none | (np.arange(ROBOT.cables) == 3), none | (np.arange(ROBOT.cables) < 2)):
+        assert descent.felt(planned, tension, failed) == pytest.approx(np.full(8, 26.0), abs=0.05)
+        for _ in range(round(stop.throw_s / 0.001)):
+            felt = descent.felt(planned, tension, failed)
+        assert felt == pytest.approx(np.full(8, 22.0 + 4.0 / np.e), abs=0.05)
+        for _ in range(1000):
+            felt = descent.felt(planned, tension, failed)
+        assert felt == pytest.approx(
+            np.full(8, 20.0 + 6.0 * stop.calm / stop.proportional), abs=0.01
+        )
+
+
+def test_the_drum_of_a_given_up_cable_damps_if_it_can_and_follows_a_slack_one(
+    descent: Descent, matrix: Array
+) -> None:
+    """Without a torque the cable would go slack, and snap taut under a heavy drum."""
+    stop, found = CONTROL.stop, faults((Fault.LENGTH_DRIFT, 2), (Fault.LENGTH_JUMP, 5))
+    assert np.flatnonzero(found.damping).tolist() == [2, 5]
+    carrying, tension = ~found.failed, np.full(ROBOT.cables, 20.0)
+    descent.pulling(tension, faults())
+    tension[5] = 0.0
+    pulls = descent.pulling(tension, found)
+    descent.plan(matrix, np.zeros(6), np.full(8, 20.0), pulls, carrying, found)
+    torque, rate, following = np.zeros(8), np.full(8, 1.0), np.full(8, 2.0)
+    descent.bound(torque, rate, following, carrying, found.damping)
+    radius = ROBOT.drum_radius[2]
+    damped = radius * (stop.passive_tension - stop.passive_damping * radius)
+    assert torque[2] == pytest.approx(damped)
+    closing = stop.take_up_damping * (stop.take_up_speed + radius)
+    assert torque[5] == pytest.approx(radius * closing)
+    assert not torque[carrying].any()
+
+
+def test_what_a_drum_that_damps_pulls_is_believed_up_to_its_own_tension(descent: Descent) -> None:
+    found, tension = faults((Fault.LENGTH_DRIFT, 2)), np.full(ROBOT.cables, 40.0)
+    descent.pulling(tension, faults())
+    for _ in range(1000):
+        pulls = descent.pulling(tension, found)
+    assert pulls[2] == pytest.approx(CONTROL.stop.passive_tension, rel=1e-6)
+    assert np.delete(pulls, 2) == pytest.approx(np.full(7, 40.0))
+    tension[2] = 5.0
+    assert descent.pulling(tension, found)[2] == 5.0

@@ -78,7 +78,10 @@ def test_what_each_fault_leaves(fault: Fault) -> None:
     ):
         assert rows.tolist() == [fault not in causes or cable != 5 for cable in range(N)]
     free = gone and fault not in HOLDING
-    assert found.let_go.tolist() == [free and cable == 5 for cable in range(N)]
+    unlike = fault in OF_THE_CELL | OF_THE_ENCODER | {Fault.DRUM_TORQUE, Fault.CABLE_TORN}
+    damps = free and not unlike
+    assert found.damping.tolist() == [damps and cable == 5 for cable in range(N)]
+    assert found.let_go.tolist() == [free and not damps and cable == 5 for cable in range(N)]
     assert found.contradicted is (fault in BY_CONTRADICTION)
     assert {*OF_THE_CELL, *HOLDING, *BY_CONTRADICTION, Fault.CABLE_TORN} == CABLE_GONE
     assert frozenset({Fault.NOT_FINITE}) == PASSIVE

@@ -51,7 +51,7 @@ def test_a_loop_that_follows_is_the_motion_of_the_drums_and_the_loop(follows: bo
     loops = [TensionLoop(ROBOT, CONTROL.tension_loop, CONTROL.rates.period) for _ in range(2)]
     usable = np.ones(CABLES, dtype=bool)
     for _ in range(5):
-        reference, measured, rate = draw.uniform(20.0, 60.0, (3, CABLES))
+        reference, measured, felt, rate = draw.uniform(20.0, 60.0, (4, CABLES))
         twist = (draw.normal(size=3), draw.normal(size=3))
         desired = tuple(draw.normal(size=3) for _ in range(4))
         drums = tuple(np.zeros(CABLES) for _ in range(3))
@@ -62,6 +62,7 @@ def test_a_loop_that_follows_is_the_motion_of_the_drums_and_the_loop(follows: bo
             desired,
             reference,
             measured,
+            felt,
             rate,
             usable,
             kinematics.lengths,
@@ -80,7 +81,7 @@ def test_a_loop_that_follows_is_the_motion_of_the_drums_and_the_loop(follows: bo
             *alone,
         )
         against = alone[0] if follows else alone[1]
-        torque = loops[1](reference, measured, against, rate, usable, kinematics.lengths, alone[1:])
+        torque = loops[1](reference, felt, against, rate, usable, kinematics.lengths, alone[1:])
         np.testing.assert_array_equal(drums, alone)
         np.testing.assert_array_equal(loops[0].torque, torque)
 
