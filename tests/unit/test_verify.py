@@ -9,12 +9,15 @@ from typing import Any
 
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
+from click.testing import Result as Said
 from loop import QUICK
 
 from tonus.config.loader import HERE
-from tonus.tools.cli.failures import explained
+from tonus.sim.errors import LabError
 from tonus.tools.cli.verify import verify
+from tonus.tools.run.order import Order, Result
+from tonus.tools.verify import play
 
 GOOD: list[dict[str, Any]] = [
     {"kind": "ends", "state": "STANDBY"},
@@ -48,7 +51,7 @@ def scenario(folder: Path, name: str, expect: list[dict[str, Any]], **more: Any)
     return str(path)
 
 
-def carried_out(folder: Path, *words: str) -> Result:
+def carried_out(folder: Path, *words: str) -> Said:
     config = folder / "quick.yaml"
     shipped = (HERE / "direct.yaml").read_text().replace("!include ", f"!include {HERE}/")
     config.write_text(f"{shipped}\nset: {json.dumps(QUICK)}\n")
@@ -56,10 +59,10 @@ def carried_out(folder: Path, *words: str) -> Result:
     return CliRunner().invoke(verify, [*words, *own])
 
 
-def line(result: Result) -> str:
-    assert result.exception is not None
-    text, code = explained(result.exception)  # type: ignore[arg-type]
-    assert code == 2
+def line(result: Said) -> str:
+    """The only one on standard error."""
+    assert result.exit_code == 2, result.output
+    (text,) = result.stderr.splitlines()
     return text
 
 
@@ -148,5 +151,40 @@ def test_what_cannot_be_judged_is_one_line(
 ) -> None:
     text = line(carried_out(tmp_path, scenario(tmp_path, "own", expect, **more)))
     assert said in text
-    assert "\n" not in text
     assert not (tmp_path / "out").exists(), "it is refused before anything is played"
+
+
+def test_what_cannot_be_played_leaves_the_others_their_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A misspelt signal is refused before anything is played, the lab's refusal comes later."""
+    names = [
+        scenario(tmp_path, "misspelt", [{**BAD[3], "field": "k_qe"}]),
+        scenario(tmp_path, "refused", GOOD),
+        scenario(tmp_path, "good", GOOD, duration=0.1),
+    ]
+    carry_out = play.run
+
+    def refusing(order: Order) -> Result:
+        if order.scenario.name == "refused":
+            raise LabError("the lab cannot be built")
+        return carry_out(order)
+
+    monkeypatch.setattr(play, "run", refusing)
+    report = tmp_path / "report.xml"
+    result = carried_out(tmp_path, *names, "--junit", str(report))
+    assert result.exit_code == 2, result.output
+    first, second = result.stderr.splitlines()
+    assert first.startswith(f"tonus: {names[0]}: expect.0: there is no signal")
+    assert second == f"tonus: {names[1]}: the lab cannot be built"
+    assert result.stdout.splitlines()[0] == f"passed  {names[2]}"
+    assert "quick.yaml: all 1 passed, 2 refused" in result.stdout
+    suite = ET.parse(report).getroot()  # written by us
+    assert [suite.get(key) for key in ("tests", "failures", "errors")] == ["3", "0", "2"]
+    assert len(suite.findall("testcase/error")) == 2
+
+
+def test_a_mistake_in_the_configuration_is_said_once(tmp_path: Path) -> None:
+    names = [scenario(tmp_path, name, GOOD) for name in ("one", "two")]
+    text = line(carried_out(tmp_path, *names, "--set", "control.nothing=1"))
+    assert "control.nothing" in text

@@ -25,24 +25,25 @@ def explained(error: Exception) -> tuple[str, int]:
         return "", 1
     if isinstance(error, click.UsageError):
         hint = f"; see {error.ctx.command_path} --help" if error.ctx is not None else ""
-        return _line(f"{error.format_message().rstrip('.')}{hint}"), 2
+        return line(f"{error.format_message().rstrip('.')}{hint}"), 2
     if isinstance(error, click.ClickException):
-        return _line(error.format_message()), 2
+        return line(error.format_message()), 2
     if isinstance(error, ConfigError | ControllerError | LabError | ToolError):
-        return _line(str(error)), 2
+        return line(str(error)), 2
     if isinstance(error, DriverError | DaemonError):
-        return _line(str(error)), 1
+        return line(str(error)), 1
     if isinstance(error, OSError):
         where = error.filename if error.filename is not None else "input or output"
         reason = (error.strerror or "cannot be used").lower()
-        return _line(f"{where}: {reason}; check the path, its permissions and the disk"), 2
+        return line(f"{where}: {reason}; check the path, its permissions and the disk"), 2
     if isinstance(error, MemoryError):
-        return _line("not enough memory; process less at a time"), 2
+        return line("not enough memory; process less at a time"), 2
     if isinstance(error, RuntimeError) and _NO_CACHE in str(error):
-        return _line(_CACHE_ADVICE), 2
+        return line(_CACHE_ADVICE), 2
     raise error
 
 
-def _line(text: str) -> str:
-    """A file name may hold a line break; the message is one line whatever happens."""
+def line(text: str) -> str:
+    """What is said of an error. A file name may hold a line break; this is one line whatever
+    happens."""
     return f"tonus: {' '.join(text.split())}"

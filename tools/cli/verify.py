@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from tonus.config import load
+from tonus.config import ConfigError, load
 from tonus.tools.check.rules import check
+from tonus.tools.cli.failures import line
 from tonus.tools.errors import ToolError
 from tonus.tools.folders import make_folder
 from tonus.tools.settings import overrides_of
@@ -46,20 +47,40 @@ def verify(
     """Play each of SCENARIOS in virtual time and judge its run by what it expects.
 
     A scenario is the name of a shipped one or a YAML file. A warning or error that no expectation
-    names fails as well. Exit code 1: an expectation was not met.
+    names fails as well. Exit code 1: an expectation was not met; 2: a scenario cannot be played,
+    which keeps none of the others from being judged.
     """
-    cases = [_case(name, config, seed, settings, out, scenarios) for name in scenarios]
-    judged = []
-    for each in play_all(cases, jobs):
-        _show(each)
+    cases, judged, told = [], [], set[str]()
+    for name in scenarios:
+        try:
+            cases.append(_case(name, config, seed, settings, out, scenarios))
+        except (ConfigError, ToolError) as error:
+            judged.append(Judged(name, 0.0, [], str(error)))
+            _refuse(judged[-1], told)
+    for each in play_all(cases, jobs) if cases else ():
         judged.append(each)
+        if each.refused:
+            _refuse(each, told)
+        else:
+            _show(each)
     if report is not None:
         make_folder(report.parent)
         junit.write(report, judged)
-    failed = sum(not each.passed for each in judged)
-    verdict = f"{failed} of {len(judged)} failed" if failed else f"all {len(judged)} passed"
-    click.echo(f"{config}: {verdict}; logs in {out}")
-    raise click.exceptions.Exit(1 if failed else 0)
+    refused = sum(bool(each.refused) for each in judged)
+    failed = sum(each.failed for each in judged)
+    if refused < len(judged):
+        played = len(judged) - refused
+        verdict = f"{failed} of {played} failed" if failed else f"all {played} passed"
+        more = f", {refused} refused" if refused else ""
+        click.echo(f"{config}: {verdict}{more}; logs in {out}")
+    raise click.exceptions.Exit(2 if refused else 1 if failed else 0)
+
+
+def _refuse(judged: Judged, told: set[str]) -> None:
+    """Say why, once: a mistake in the configuration is one of every scenario."""
+    if judged.refused not in told:
+        told.add(judged.refused)
+        click.echo(line(judged.refused), err=True)
 
 
 def _case(
@@ -90,7 +111,7 @@ def _case(
 
 
 def _show(judged: Judged) -> None:
-    click.echo(f"{'passed' if judged.passed else 'FAILED':<7} {judged.name}")
+    click.echo(f"{'FAILED' if judged.failed else 'passed':<7} {judged.name}")
     for each in judged.verdicts:
         mark = "FAILED" if each.problem else "ok"
         tail = f"; {each.problem}" if each.problem else ""

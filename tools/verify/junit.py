@@ -16,13 +16,16 @@ def write(path: Path, judged: Sequence[Judged]) -> None:
         "testsuite",
         name="tonus verify",
         tests=str(len(judged)),
-        failures=str(sum(not each.passed for each in judged)),
+        failures=str(sum(each.failed for each in judged)),
+        errors=str(sum(bool(each.refused) for each in judged)),
         time=f"{sum(each.seconds for each in judged):.3f}",
     )
     for each in judged:
         case = SubElement(
             suite, "testcase", classname="tonus.verify", name=each.name, time=f"{each.seconds:.3f}"
         )
+        if each.refused:
+            SubElement(case, "error", message=each.refused)
         missed = [f"{one.expected}: {one.problem}" for one in each.verdicts if one.problem]
         if missed:
             SubElement(case, "failure", message=missed[0]).text = "\n".join(missed)

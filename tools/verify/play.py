@@ -11,8 +11,12 @@ from pathlib import Path
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
+from tonus.drivers.errors import DriverError
+from tonus.runtime.errors import ControllerError
 from tonus.runtime.timing import clock
+from tonus.sim.errors import LabError
 from tonus.tools.draft import write_whole
+from tonus.tools.errors import ToolError
 from tonus.tools.expect import Run
 from tonus.tools.log import open as open_log
 from tonus.tools.run.composer import Order, run
@@ -39,17 +43,23 @@ class Judged:
     seconds: float
     """s of wall time"""
     verdicts: list[Verdict]
+    refused: str = ""
+    """why it cannot be played; empty: it was"""
 
     @property
-    def passed(self) -> bool:
-        return not any(each.problem for each in self.verdicts)
+    def failed(self) -> bool:
+        """An expectation was not met."""
+        return any(each.problem for each in self.verdicts)
 
 
 def play(case: Case) -> Judged:
     """Play and judge one; log and summary stay in its folder."""
     began = clock.wall_seconds()
     order = Order(case.config, case.scenario, case.out, case.seed, True, lambda _: None, live=False)
-    result = run(order)
+    try:
+        result = run(order)
+    except (ControllerError, DriverError, LabError, ToolError) as error:
+        return Judged(case.name, clock.wall_seconds() - began, [], f"{case.name}: {error}")
     asked = Run(open_log(result.log), reason=result.outcome.reason)
     write_whole(case.out / "summary.json", json.dumps(asked.summary, indent=2) + "\n")
     verdicts = judge(asked, case.scenario.expect)
