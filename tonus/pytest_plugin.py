@@ -7,7 +7,7 @@ what stands behind a fixture, `tonus.tools.testing`, comes with the fixture's fi
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -33,6 +33,8 @@ _MARKS = (
     "tonus_expect(*events): warnings and errors that a run of the test may report",
 )
 _CASE = pytest.StashKey["Case"]()
+_OF_ITS_RUNS, _OF_SHARED_RUNS = "Tonus", "Tonus: shared runs"
+"""titles of what is told of a failed test"""
 _REAL_TIME = "tonus-real-time"
 
 
@@ -140,9 +142,32 @@ def pytest_runtest_makereport(
     report = yield
     if mistake:
         report.longrepr = f"{item.nodeid}: {mistake}"
-    case = item.stash.get(_CASE, None)
-    if case is None or call.when != "call":
-        return report
+    own = item.stash.get(_CASE, None) if call.when == "call" else None
+    shared = _shared_case(item) if call.when != "teardown" else None
+    for title, case in ((_OF_ITS_RUNS, own), (_OF_SHARED_RUNS, shared)):
+        if case is not None:
+            _keep(item, case, title, report, call)
+    if call.when == "call" and (own is not None or shared is not None):
+        _add_figures(report, own, shared, call.duration)
+    return report
+
+
+def _shared_case(item: pytest.Item) -> Case | None:
+    """Of the runs that a test shares with others of its file."""
+    module = item.getparent(pytest.Module)
+    if module is None or "tonus_shared_run" not in getattr(item, "fixturenames", ()):
+        return None
+    return module.stash.get(_CASE, None)
+
+
+def _keep(
+    item: pytest.Item,
+    case: Case,
+    title: str,
+    report: pytest.TestReport,
+    call: pytest.CallInfo[None],
+) -> None:
+    """Keep the runs as the option says, and tell of them below a failure."""
     keep = setting(item.config, "keep")
     if keep == "all" or (keep == "failed" and report.failed):
         kept = case.keep(failed=report.failed)
@@ -151,15 +176,28 @@ def pytest_runtest_makereport(
         item.user_properties += paths  # of which the JUnit file is made, at the teardown
     if report.failed:
         error = call.excinfo.value if call.excinfo is not None else None
-        text = case.account(error, kept=keep != "none")
+        text = case.account(error, kept=keep != "none", nodeid=item.nodeid)
         add = getattr(report.longrepr, "addsection", None)
         if add is not None:
-            add("Tonus", text)
+            add(title, text)
         else:
-            report.sections.append(("Tonus", text))
+            report.sections.append((title, text))
+
+
+def _add_figures(
+    report: pytest.TestReport, own: Case | None, shared: Case | None, duration: float
+) -> None:
+    """For the tables at the end. A shared run's cost is that of the first test that uses it."""
+    bring_up, run = (0.0, 0.0) if own is None else own.spent()
+    before, shared_run = (0.0, 0.0) if shared is None else shared.spent()
+    spent = {
+        "bring_up": bring_up + before,
+        "run": run + shared_run,
+        "analysis": max(duration - bring_up - run, 0.0),
+    }
+    measures = [] if own is None else own.measures
     # In the report's dictionary, so that pytest-xdist brings it from its workers.
-    report.__dict__["tonus"] = case.figures(call.duration)
-    return report
+    report.__dict__["tonus"] = {"measures": measures, "durations": spent}
 
 
 def _mistake(call: pytest.CallInfo[None]) -> str:
@@ -208,8 +246,9 @@ def tonus_seed(request: pytest.FixtureRequest) -> int:
     return int(getattr(request, "param", setting(request.config, "seed")))
 
 
-@pytest.fixture
-def _tonus_case(request: pytest.FixtureRequest, tonus_seed: int) -> Iterator[Case]:
+@contextmanager
+def _made(request: pytest.FixtureRequest, seed: int) -> Iterator[Case]:
+    """A case for the runs and labs of a test, or for the runs that the tests of a file share."""
     from tonus.tools.testing.arguments import mapping
     from tonus.tools.testing.case import Case
 
@@ -229,7 +268,7 @@ def _tonus_case(request: pytest.FixtureRequest, tonus_seed: int) -> Iterator[Cas
         out=config.rootpath / setting(config, "out"),
         config=chosen.get("config", setting(config, "config")),
         overrides=overrides,
-        seed=tonus_seed,
+        seed=seed,
         options=[
             f"--tonus-{name}={config.getoption(f'tonus_{name}')}"
             for name in ("config", "seed", "out")
@@ -242,6 +281,22 @@ def _tonus_case(request: pytest.FixtureRequest, tonus_seed: int) -> Iterator[Cas
     finally:
         del node.stash[_CASE]
         case.close()
+
+
+@pytest.fixture
+def _tonus_case(request: pytest.FixtureRequest, tonus_seed: int) -> Iterator[Case]:
+    with _made(request, tonus_seed) as case, case.active():
+        yield case
+
+
+@pytest.fixture(scope="module")
+def tonus_shared_run(request: pytest.FixtureRequest) -> Iterator[Player]:
+    """As ``tonus_run``, for a fixture of the file: several tests look at one `Run`."""
+    from tonus.tools.testing.player import Player
+
+    expected = [name for mark in request.node.iter_markers("tonus_expect") for name in mark.args]
+    with _made(request, int(setting(request.config, "seed"))) as case:
+        yield Player(case, expected)
 
 
 @pytest.fixture

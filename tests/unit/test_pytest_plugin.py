@@ -15,9 +15,10 @@ from loop import QUICK
 
 from tests.foreign import pytest_in
 from tonus.runtime.signals import SCHEMA_VERSION
-from tonus.tools.expect import Run
+from tonus.tools.expect import ExpectationError, Run
 from tonus.tools.log import open as open_log
 from tonus.tools.testing.case import Case
+from tonus.tools.testing.player import Player
 
 INI = """\
 [pytest]
@@ -124,6 +125,32 @@ def test_a_bound(tonus_measure):
 """
 
 
+SHARED = """\
+import pytest
+
+MADE = []
+
+
+@pytest.fixture(scope="module")
+def run(tonus_shared_run):
+    MADE.append(tonus_shared_run("hold", duration=0.1))
+    return MADE[-1]
+
+
+def test_a_shared_run(run):
+    assert run.state == "STANDBY"
+    assert run.log.metadata["seed"] == "5"
+
+
+def test_it_is_one(run, tonus_lab):
+    assert MADE == [run]
+
+
+def test_a_shared_run_that_is_not_as_expected(run):
+    run.expect("drive_lost")
+"""
+
+
 class Session(NamedTuple):
     folder: Path
     text: str
@@ -148,6 +175,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "tests").mkdir()
     (folder / "tests" / "test_light.py").write_text(LIGHT)
     (folder / "tests" / "test_project.py").write_text(PROJECT)
+    (folder / "tests" / "test_shared.py").write_text(SHARED)
     return folder
 
 
@@ -170,6 +198,7 @@ def test_what_should_pass_passes_and_nothing_else(session: Session) -> None:
         *("test_a_figure_out_of_bounds", "test_a_warning_that_nobody_expected"),
         *("test_a_held_run_that_its_test_did_not_end", "test_a_held_run_that_nobody_asked"),
         *("test_needs_what_is_unknown", "test_a_mark_that_is_misspelt", "test_a_bound"),
+        "test_a_shared_run_that_is_not_as_expected",
     }
     failed = {
         name
@@ -230,7 +259,7 @@ def test_what_is_kept_of_a_good_run(tmp_path: Path) -> None:
         *(("log2", folder / "run2.mcap"), ("summary2", folder / "summary2.json")),
     ]
     assert (folder / "run2.mcap").read_bytes() == GOLDEN.read_bytes()
-    assert case.command == "python -m pytest --tonus-seed=1 'test_a.py::test_b[seed1]'"
+    assert case.command(case.nodeid) == "python -m pytest --tonus-seed=1 'test_a.py::test_b[seed1]'"
     case.close()
     assert not case.runtime.exists()
     assert folder.exists()
@@ -248,6 +277,29 @@ def test_a_held_run_is_kept_and_judged_at_the_end_of_its_test(session: Session) 
     assert "report.html" in text
     assert "the last events:" not in text, "there was none"
     assert "cable_torn" in session.failure("test_a_held_run_that_nobody_asked")
+
+
+def test_a_shared_run_is_kept_by_its_file_and_repeated_by_its_test(session: Session) -> None:
+    name = "test_a_shared_run_that_is_not_as_expected"
+    text = session.failure(name)
+    assert "no event drive_lost" in text
+    assert f"again: python -m pytest tests/test_shared.py::{name}" in text
+    folder = session.folder / "tonus-out" / "tests-test_shared.py"
+    assert {each.name for each in folder.iterdir()} == {"run.mcap", "summary.json", "report.html"}
+    assert str(folder / "run.mcap") in text
+    (cost,) = re.findall(r"^ +\S+ +\S+ +\S+  tests/test_shared.py.*$", session.text, re.MULTILINE)
+    assert cost.endswith("::test_a_shared_run"), "it is that of the first one"
+
+
+@pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK)
+@pytest.mark.tonus_expect("*")
+def test_a_shared_run_is_judged_when_it_is_made(tonus_run: Player) -> None:
+    """So that a warning is an error of every test that asks for it, whichever is the first."""
+    shared = Player(tonus_run._case, ["stop_mode"])
+    faults = [{"kind": "cable_cut", "axis": 2, "at": 1.0}]
+    with pytest.raises(ExpectationError, match=r"unexpected warnings or errors .* cable_torn"):
+        shared("hold", faults=faults)
+    Player(tonus_run._case, ["*"])("hold", faults=faults)
 
 
 def test_mistakes_in_marks_are_one_line(session: Session) -> None:

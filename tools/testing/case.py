@@ -8,8 +8,8 @@ import re
 import shlex
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from operator import methodcaller
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,7 +38,8 @@ class Measure(NamedTuple):
 
 
 class Case:
-    """Made for each test that uses a fixture of the plugin, and closed after it."""
+    """Made for each test that uses a fixture of the plugin, and closed after it; and for the runs
+    that the tests of a file share."""
 
     def __init__(
         self,
@@ -64,6 +65,8 @@ class Case:
         """s of wall time"""
         self._measures: list[Measure] = []
         self._kept: list[tuple[str, Path]] = []
+        self._kept_of = (False, 0)
+        """whether of a failed test, and how many runs"""
         self.open: list[Callable[[], object]] = []
         """each ends a run that the test has not ended itself"""
         self.closing = ExitStack()
@@ -72,18 +75,25 @@ class Case:
         self.runtime = Path(tempfile.mkdtemp(prefix="tonus-", dir=place))
         """the test's own runtime directory, short enough for a socket's name"""
         self._work = Path(tempfile.mkdtemp(prefix="tonus-runs-"))
-        self._before = os.environ.get("TONUS_RUNTIME_DIR")
+
+    @contextmanager
+    def active(self) -> Iterator[None]:
+        """Whatever runs meanwhile has the runtime directory of this test."""
+        before = os.environ.get("TONUS_RUNTIME_DIR")
         os.environ["TONUS_RUNTIME_DIR"] = str(self.runtime)
+        try:
+            yield
+        finally:
+            if before is None:
+                os.environ.pop("TONUS_RUNTIME_DIR", None)
+            else:
+                os.environ["TONUS_RUNTIME_DIR"] = before
 
     def close(self) -> None:
         """End what the test left open; remove its folders, but not what was kept."""
         try:
             self.closing.close()
         finally:
-            if self._before is None:
-                os.environ.pop("TONUS_RUNTIME_DIR", None)
-            else:
-                os.environ["TONUS_RUNTIME_DIR"] = self._before
             shutil.rmtree(self.runtime, ignore_errors=True)
             shutil.rmtree(self._work, ignore_errors=True)
 
@@ -153,8 +163,10 @@ class Case:
     def keep(self, *, failed: bool) -> list[tuple[str, Path]]:
         """Copy logs and summaries, and of a failed test the report pages, to a folder that bears
         the test's name. Gives each file's kind and path."""
-        if not self.runs:
-            return []
+        kept_of = (failed or self._kept_of[0], len(self.runs))
+        if kept_of == self._kept_of or not self.runs:
+            return self._kept
+        self._kept, self._kept_of = [], kept_of
         from tonus.tools.report.page import report  # matplotlib: half a second for every test
 
         folder = self._out / _file_name(self.nodeid)
@@ -178,8 +190,9 @@ class Case:
                 self._kept.append((f"report{tail}", page))
         return self._kept
 
-    def account(self, error: BaseException | None, *, kept: bool) -> str:
-        """What a reader needs beside the failure itself: events, files, the command."""
+    def account(self, error: BaseException | None, *, kept: bool, nodeid: str = "") -> str:
+        """What a reader needs beside the failure itself: events, files, the command. ``nodeid`` of
+        the test that failed, where it is not this one."""
         lines: list[str] = []
         if isinstance(error, ExpectationError):
             lines.append(error.figure)
@@ -190,20 +203,24 @@ class Case:
         lines.append(f"seed {self.seed}, configuration {self.config}")
         if kept:
             lines += [f"{name}: {path}" for name, path in self._kept]
-        return "\n".join([*lines, f"again: {self.command}"])
+        return "\n".join([*lines, f"again: {self.command(nodeid or self.nodeid)}"])
 
-    @property
-    def command(self) -> str:
-        """Runs this test again, with the same result."""
-        path, *rest = self.nodeid.split("::")
+    def command(self, nodeid: str) -> str:
+        """Runs a test again, with the same result."""
+        path, *rest = nodeid.split("::")
         node = "::".join([os.path.relpath(self._root / path, self._invoked), *rest])
         return shlex.join(["python", "-m", "pytest", *self._options, node])
 
-    def figures(self, duration: float) -> dict[str, Any]:
-        """For the report of a test whose call took ``duration`` s."""
-        analysis = max(duration - self.bring_up_s - self.run_s, 0.0)
-        spent = {"bring_up": self.bring_up_s, "run": self.run_s, "analysis": analysis}
-        return {"measures": [each._asdict() for each in self._measures], "durations": spent}
+    @property
+    def measures(self) -> list[dict[str, Any]]:
+        """The figures recorded, for the test's report."""
+        return [each._asdict() for each in self._measures]
+
+    def spent(self) -> tuple[float, float]:
+        """s of wall time for bring-ups and for runs since this was asked last."""
+        told = self.bring_up_s, self.run_s
+        self.bring_up_s = self.run_s = 0.0
+        return told
 
 
 def _file_name(nodeid: str) -> str:

@@ -27,10 +27,12 @@ enabled."""
 
 
 class Player:
-    """The fixture ``tonus_run``."""
+    """The fixtures ``tonus_run`` and ``tonus_shared_run``."""
 
-    def __init__(self, case: Case) -> None:
-        self._case = case
+    def __init__(self, case: Case, expected: Sequence[str] | None = None) -> None:
+        """``expected``: names of warnings and errors; a run with another one is refused at once.
+        None: the test judges its runs at its end."""
+        self._case, self._expected = case, expected
 
     def __call__(
         self,
@@ -48,7 +50,10 @@ class Player:
         ``scenario`` and ``config`` are names of shipped ones or files, which are looked for beside
         the test and in the project's root folder. ``faults`` are added to those of the scenario.
         ``overrides`` maps dotted keys of the configuration to values, beside those of the mark.
-        ``duration``: s in ACTIVE. Raises `ConfigError`, `ToolError` and `LabError`.
+        ``duration``: s in ACTIVE.
+
+        Raises `ConfigError`, `ToolError` and `LabError`, and `ExpectationError` for what nobody
+        expected of a shared run.
         """
         __tracebackhide__ = True
         case = self._case
@@ -60,10 +65,15 @@ class Player:
         chosen = case.seeded(seed)
         began = clock.wall_seconds()
         order = Order(settings, played, case.folder(), chosen, True, lambda _: None, live=False)
-        result = carry_out(order)
+        with case.active():
+            result = carry_out(order)
         total = clock.wall_seconds() - began
         run = Run(open_log(result.log), reason=result.outcome.reason)
-        return case.ran(run, total, result.seconds)
+        case.ran(run, total, result.seconds)
+        if self._expected is not None:
+            run.allow(*self._expected)
+            run.undisturbed()
+        return run
 
 
 class LabFactory:
