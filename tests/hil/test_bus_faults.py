@@ -10,8 +10,9 @@ from collections import deque
 import can
 import pytest
 from hil.can_bench import CONFIG, PERIOD_S, Bench, enabled, on_lab
-from hil.runs import configured
+from loop import QUICK
 
+from tonus.config import load
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.master import CanopenFieldbus
@@ -321,7 +322,7 @@ class Heard:
 
 def stalled(operator: Commander, at_s: float) -> tuple[Outcome, Heard]:
     """The daemon on CAN, stopped once by its host."""
-    config, scenario = configured(duration=1.0)
+    config, scenario = load("config/can.yaml", "hold", QUICK)
     heard = Heard()
 
     async def main() -> Outcome:

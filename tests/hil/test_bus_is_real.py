@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import can
 import numpy as np
 import pytest
-from hil.runs import configured, virtual
 from loop import QUICK
 
 import tonus
@@ -20,14 +17,14 @@ from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.sim.lab.engine import Lab
 from tonus.tools.testing.held import HeldFactory
+from tonus.tools.testing.player import Player
 
 DRIVES, CELLS = (1, 2), (17, 18)
 
 
-def test_a_plain_listener_sees_the_documented_frames(tmp_path: Path) -> None:
+def test_a_plain_listener_sees_the_documented_frames() -> None:
     """Boot-up, SDO configuration, SYNC, RPDO and TPDO with their COB-IDs, by python-can alone."""
-    config, scenario = configured(duration=0.1)
-    del tmp_path
+    config, scenario = load("config/can.yaml", "hold", QUICK)
 
     async def listen() -> list[can.Message]:
         lab = Lab(config, scenario.lab, seed=1, clock=clock.now_ns)
@@ -81,12 +78,9 @@ def test_a_node_that_stops_answering_is_a_named_fault_and_a_controlled_stop(
     assert not drives["torque_command"][old, 2].any()
 
 
-def test_when_the_master_falls_silent_every_drive_leaves_operation_enabled(
-    tmp_path: Path,
-) -> None:
+def test_when_the_master_falls_silent_every_drive_leaves_operation_enabled() -> None:
     """By its own heartbeat consumer, within the configured time, and with the right emergency."""
-    del tmp_path
-    config, scenario = configured()
+    config, scenario = load("config/can.yaml", "hold", QUICK)
     bus = config.fieldbus
     assert isinstance(bus, CanopenBus)
     timeout_ms = master_timeout_ms(bus, bus.drive, config.tolerance)
@@ -121,12 +115,13 @@ def test_when_the_master_falls_silent_every_drive_leaves_operation_enabled(
     assert 0x8130 in codes
 
 
-def test_one_channel_at_1_khz_visibly_overloads(tmp_path: Path) -> None:
-    config, scenario = configured("config/one_channel.yaml", duration=0.5)
-    result, log = virtual(config, scenario, tmp_path)
-    assert result.outcome.state is State.FAULT
-    ages = log["/tonus/drives"]["age"]
-    assert (ages > config.control.freshness.measurement_ticks).any()
+@pytest.mark.tonus(config="config/one_channel.yaml", overrides=QUICK)
+@pytest.mark.tonus_expect("*")
+def test_one_channel_at_1_khz_visibly_overloads(tonus_run: Player) -> None:
+    run = tonus_run("hold", duration=0.5)
+    assert run.state == "FAULT"
+    fresh = load("config/one_channel.yaml")[0].control.freshness.measurement_ticks
+    assert (run.log["/tonus/drives"]["age"] > fresh).any()
 
 
 async def _milliseconds(count: int) -> None:

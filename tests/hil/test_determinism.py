@@ -12,9 +12,12 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hil.runs import configured, virtual
 
-pytestmark = pytest.mark.wide
+from tests.loop import QUICK
+from tonus.config import load
+from tonus.tools.testing.player import Player
+
+pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.wide]
 
 SECONDS = "0.2"
 
@@ -24,7 +27,7 @@ def _digest(path: Path) -> str:
 
 
 def _start(out: Path, bus: str) -> subprocess.Popen[bytes]:
-    config, _ = configured(f"config/{bus}.yaml")
+    config, _ = load(f"config/{bus}.yaml", "hold", QUICK)
     path = out / "quick.yaml"
     path.write_text(yaml.safe_dump(config.model_dump(mode="json")))
     command = [sys.executable, "-m", "tonus.tools.cli", "run", str(path), "--virtual", "--json"]
@@ -41,14 +44,12 @@ def _undisturbed(out: Path, bus: str) -> str:
 
 @pytest.mark.parametrize("bus", ["direct", pytest.param("can", marks=pytest.mark.long)])
 def test_in_one_process_the_same_seed_is_the_same_run_and_another_is_not(
-    bus: str, tmp_path: Path
+    bus: str, tonus_run: Player
 ) -> None:
-    digests = []
-    for number, seed in enumerate((3, 3, 4)):
-        config, scenario = configured(f"config/{bus}.yaml", duration=0.2)
-        result, _ = virtual(config, scenario, tmp_path / str(number), seed=seed)
-        digests.append(_digest(result.log))
-    first, same, other = digests
+    first, same, other = (
+        _digest(tonus_run("hold", config=f"config/{bus}.yaml", duration=0.2, seed=seed).path)
+        for seed in (3, 3, 4)
+    )
     assert first == same != other
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hil.runs import configured, virtual
 
+from tests.composed import configured, virtual
 from tonus.runtime.signals import TABLE
 from tonus.sim.can.wire.timing import frame_bits
 from tonus.tools.log import Log

@@ -4,31 +4,30 @@ and with the cells on another fieldbus."""
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hil.runs import configured, virtual
 
+from tests.loop import QUICK
 from tonus.runtime.states import State
+from tonus.tools.expect import Run
 from tonus.tools.log import Log
+from tonus.tools.testing.player import Player
 
-START_NS = 1_000_000_000
-"""The runs tick from here, whatever their bring-up takes."""
+pytestmark = pytest.mark.tonus(config="config/ethercat.yaml", overrides=QUICK)
 ACTIVE = int(State.ACTIVE)
 
 
-def _run(path: str, out: Path, seed: int = 1) -> tuple[Path, Log]:
-    config, scenario = configured(path, "sine_z", duration=0.3)
-    result, log = virtual(config, scenario, out, seed=seed, start_ns=START_NS)
-    assert not result.outcome.fault, result.outcome.reason
-    assert result.outcome.misses.own == result.outcome.misses.host == 0
-    return result.log, log
+def _run(play: Player, config: str | None = None) -> Run:
+    run = play("sine_z", config=config, duration=0.3)
+    assert run.state == "STANDBY", run.reason
+    assert run.summary["missed_ticks"] == run.summary["missed_by_host"] == 0
+    return run
 
 
 @pytest.fixture(scope="module")
-def ethercat(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Log]:
-    return _run("config/ethercat.yaml", tmp_path_factory.mktemp("ethercat"))
+def ethercat(tonus_shared_run: Player) -> Run:
+    return _run(tonus_shared_run)
 
 
 def _figures(log: Log) -> dict[str, float]:
@@ -53,30 +52,26 @@ def _alike(one: Log, other: Log) -> None:
 
 
 @pytest.mark.wide
-def test_the_same_seed_is_the_same_run_byte_for_byte(
-    ethercat: tuple[Path, Log], tmp_path: Path
-) -> None:
-    again, _ = _run("config/ethercat.yaml", tmp_path)
-    digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in (ethercat[0], again)]
+def test_the_same_seed_is_the_same_run_byte_for_byte(ethercat: Run, tonus_run: Player) -> None:
+    runs = (ethercat, _run(tonus_run))
+    digests = [hashlib.sha256(run.path.read_bytes()).hexdigest() for run in runs]
     assert digests[0] == digests[1]
 
 
-def test_every_measurement_of_the_run_was_fresh(ethercat: tuple[Path, Log]) -> None:
-    log = ethercat[1]
+def test_every_measurement_of_the_run_was_fresh(ethercat: Run) -> None:
+    log = ethercat.log
     assert (log["/tonus/drives"]["age"][2:] == 0).all()
     assert (log["/tonus/force_cells"]["age"][2:] == 0).all()
-    names = {event.name for event in log.events()}
+    names = {event.name for event in ethercat.events}
     assert names <= {"state", "stop_mode", "operator", "envelope"}, names
 
 
 @pytest.mark.long
-def test_it_is_the_run_on_can_within_noise(ethercat: tuple[Path, Log], tmp_path: Path) -> None:
-    _, can = _run("config/can.yaml", tmp_path)
-    _alike(ethercat[1], can)
+def test_it_is_the_run_on_can_within_noise(ethercat: Run, tonus_run: Player) -> None:
+    _alike(ethercat.log, _run(tonus_run, "config/can.yaml").log)
 
 
 def test_drives_on_ethercat_and_cells_on_can_are_one_robot(
-    ethercat: tuple[Path, Log], tmp_path: Path
+    ethercat: Run, tonus_run: Player
 ) -> None:
-    _, mixed = _run("config/mixed.yaml", tmp_path)
-    _alike(mixed, ethercat[1])
+    _alike(_run(tonus_run, "config/mixed.yaml").log, ethercat.log)

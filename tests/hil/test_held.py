@@ -12,10 +12,10 @@ from pathlib import Path
 from select import select
 
 import pytest
-from hil.runs import configured, virtual
 from loop import QUICK
 from mcap.reader import make_reader
 
+from tests.composed import configured
 from tonus.config.schema.faults import CableCut, Unplug
 from tonus.runtime.states import Operator, State
 from tonus.tools.errors import ToolError
@@ -24,6 +24,7 @@ from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay
 from tonus.tools.run.held import HeldRobot, HeldRun
 from tonus.tools.testing.held import HeldFactory
+from tonus.tools.testing.player import Player
 
 pytestmark = pytest.mark.wide
 
@@ -56,22 +57,22 @@ def messages(path: Path, from_ns: int) -> dict[str, list[tuple[int, bytes]]]:
     return found
 
 
+@pytest.mark.tonus(overrides=QUICK)
+@pytest.mark.tonus_expect("*")
 @pytest.mark.parametrize("path", BUSES)
-def test_a_run_from_a_held_robot_is_the_rest_of_one_from_off(path: str, tmp_path: Path) -> None:
-    """Bit for bit, frames, truth and events included, with a fault that only the second was told
-    of at its start; and it replays."""
-    config, plain = configured(path, duration=0.3)
-    _, struck = configured(path, duration=0.3, script={"faults": [FAULTS[path]]})
-    _, whole = virtual(config, struck, tmp_path / "whole")
-    with closing(HeldRobot(config, plain)) as held:
-        result = held.play(tmp_path / "rest", struck)
-    _, first, *_ = open_log(result.log).times("/tonus/state")
-    rest, expected = messages(result.log, first), messages(whole.path, first)
+def test_a_run_from_a_held_robot_is_the_rest_of_one_from_off(
+    path: str, tonus_run: Player, tonus_held: HeldFactory
+) -> None:
+    """Bit for bit, frames, truth and events included, with a fault that a held robot is told of
+    only after its bring-up; and it replays."""
+    told = {"config": path, "faults": [FAULTS[path]], "duration": 0.3}
+    whole, held = tonus_run("hold", **told), tonus_held.play("hold", **told)
+    _, first, *_ = held.log.times("/tonus/state")
+    rest, expected = messages(held.path, first), messages(whole.path, first)
     assert rest.keys() == expected.keys()
     assert [topic for topic in rest if rest[topic] != expected[topic]] == []
-    again = replay(open_log(result.log))
-    assert again.ticks > 500
-    assert again.first is None
+    assert len(held.log["/tonus/timing"]) > 500
+    held.replays()
 
 
 def test_it_is_operated_tick_by_tick(robot: HeldRobot, tmp_path: Path) -> None:

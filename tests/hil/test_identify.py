@@ -12,12 +12,18 @@ from typing import Any
 
 import pytest
 import yaml
-from runs import configured, virtual
 
-from tonus.runtime.states import State
+from tests.loop import QUICK
+from tests.scripted import scripted
+from tonus.config import load
 from tonus.tools.cli.main import main
+from tonus.tools.testing.player import Player
 
-pytestmark = pytest.mark.wide
+pytestmark = [
+    pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK),
+    pytest.mark.tonus_expect("*"),
+    pytest.mark.wide,
+]
 
 GIVEN: dict[str, Any] = {
     "lab.plant.stiffness_scale": 1.12,
@@ -57,21 +63,13 @@ def swept() -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def logs(tonus_shared_run: Player) -> list[Path]:
     """The same robot moved by sines, and pushed."""
-    paths = []
-    for name, duration, script in (("motion", 10.0, None), ("load", 4.5, swept())):
-        config, scenario = configured(
-            "config/direct.yaml",
-            f"identify_{name}",
-            duration=duration,
-            overrides=GIVEN,
-            script=script,
-        )
-        result, log = virtual(config, scenario, tmp_path_factory.mktemp(name))
-        assert result.outcome.state is State.STANDBY
-        paths.append(log.path)
-    return paths
+    moved = tonus_shared_run("identify_motion", overrides=GIVEN, duration=10.0)
+    pushed = scripted("identify_load", lab=swept())
+    runs = (moved, tonus_shared_run(pushed, overrides=GIVEN, duration=4.5))
+    assert [run.state for run in runs] == ["STANDBY", "STANDBY"]
+    return [run.path for run in runs]
 
 
 def of(paths: list[Path], out: Path) -> dict[str, Any]:
@@ -152,7 +150,7 @@ def test_the_fragment_is_yaml_for_the_configuration(found: dict[str, Any]) -> No
     assert fragment["robot"]["drum"]["inertia"] == pytest.approx(0.0060, rel=0.01)
     assert fragment["lab"]["plant"]["load_friction"] == pytest.approx(0.05, rel=0.15)
     overrides = [f"{a}.{b}.{c}" for a, s in fragment.items() for b, t in s.items() for c in t]
-    configured("config/direct.yaml", overrides=dict.fromkeys(overrides, 1.0))
+    load("config/direct.yaml", overrides=dict.fromkeys(overrides, 1.0))
 
 
 def test_the_figure_is_drawn(found: dict[str, Any]) -> None:
@@ -160,19 +158,19 @@ def test_the_figure_is_drawn(found: dict[str, Any]) -> None:
     assert {response["kind"] for response in found["responses"]} == {"platform", "loop"}
 
 
-def test_six_cables_are_said_not_to_show_their_damping(tmp_path: Path) -> None:
-    config, scenario = configured("config/six.yaml", "identify_motion", duration=4.0)
-    _, log = virtual(config, scenario, tmp_path)
-    said = of([log.path], tmp_path)
+def test_six_cables_are_said_not_to_show_their_damping(tonus_run: Player, tmp_path: Path) -> None:
+    run = tonus_run("identify_motion", config="config/six.yaml", duration=4.0)
+    said = of([run.path], tmp_path)
     assert all(e["name"] != "cable_damping" for e in said["estimates"])
     assert any("more than six cables" in note for note in said["notes"])
 
 
 @pytest.mark.long
-def test_sines_against_the_phantom_give_its_stiffness_and_damping(tmp_path: Path) -> None:
-    config, scenario = configured("config/direct.yaml", "identify_phantom", duration=8.0)
-    _, log = virtual(config, scenario, tmp_path)
-    estimates = {e["name"]: e for e in of([log.path], tmp_path)["estimates"]}
+def test_sines_against_the_phantom_give_its_stiffness_and_damping(
+    tonus_run: Player, tmp_path: Path
+) -> None:
+    run = tonus_run("identify_phantom", duration=8.0)
+    estimates = {e["name"]: e for e in of([run.path], tmp_path)["estimates"]}
     for name, share in (("outer_stiffness", 0.01), ("outer_damping", 0.1), ("moved_mass", 0.02)):
         assert abs(estimates[name]["error"]) <= share * estimates[name]["truth"]
         assert abs(estimates[name]["error"]) <= estimates[name]["half_width"]

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hil.runs import configured, virtual
 
+from tests.loop import QUICK
+from tests.scripted import scripted
 from tonus.config import load
+from tonus.config.loader import load_scenario
 from tonus.config.schema.scenario import Scenario
 from tonus.runtime.states import State
 from tonus.tools.cli.log.compare import compare
@@ -23,33 +25,34 @@ from tonus.tools.paper.table import text
 from tonus.tools.report.compare import _as_played, load_of
 from tonus.tools.report.compare import compare as put_side_by_side
 from tonus.tools.report.differences import differences
+from tonus.tools.testing.player import Player
 
-pytestmark = pytest.mark.wide
+pytestmark = [
+    pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK),
+    pytest.mark.wide,
+]
 
 RUNS = (("bio", 1), ("bio", 2), ("pid", 1))
 FADE, PERIOD = 0.5, 0.5
 """s, of the sine that is played"""
 
 
-def play(controller: str, seed: int, folder: Path, **overrides: object) -> Log:
+def played(play: Player, controller: str, seed: int, **overrides: object) -> Log:
     """One period of 5 mm at 2 Hz, after a fade."""
-    config, scenario = configured(
-        "config/direct.yaml",
-        "sine_z",
+    sine = load_scenario("sine_z").reference.model_dump()
+    sine |= {"amplitude": 0.005, "fade": FADE, "frequency": 1.0 / PERIOD}
+    return play(
+        scripted("sine_z", reference=sine),
+        controller=controller,
+        seed=seed,
+        overrides=overrides,
         duration=FADE + PERIOD + 0.05,
-        overrides={"control.controller": controller, **overrides},
-    )
-    sine = {**scenario.reference.model_dump(), "amplitude": 0.005, "fade": FADE}
-    data = {**scenario.model_dump(), "reference": {**sine, "frequency": 1.0 / PERIOD}}
-    return virtual(config, Scenario.model_validate(data), folder, seed=seed)[1]
+    ).log
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, int], Log]:
-    return {
-        (controller, seed): play(controller, seed, tmp_path_factory.mktemp(f"{controller}{seed}"))
-        for controller, seed in RUNS
-    }
+def logs(tonus_shared_run: Player) -> dict[tuple[str, int], Log]:
+    return {each: played(tonus_shared_run, *each) for each in RUNS}
 
 
 def test_repetitions_are_one_column_with_their_spread(
@@ -95,9 +98,9 @@ def test_without_truth_the_measurements_stand_in_and_that_is_said(
 
 @pytest.mark.long
 def test_unlike_gains_of_one_controller_are_two_columns(
-    logs: dict[tuple[str, int], Log], tmp_path: Path
+    logs: dict[tuple[str, int], Log], tonus_run: Player
 ) -> None:
-    other = play("pid", 1, tmp_path, **{"control.pid.integral.gain": 100.0})
+    other = played(tonus_run, "pid", 1, **{"control.pid.integral.gain": 100.0})
     table, _ = put_side_by_side([logs["pid", 1], other])
     assert [column.name for column in table.columns[2:]] == ["pid 1", "pid 2"]
 

@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from can_bench import Bench, enabled, on_lab
-from runs import configured, virtual
+from hil.can_bench import Bench, enabled, on_lab
 
+from tests.loop import QUICK
 from tests.segment_bench import SegmentBench, run, until
 from tonus.config import Config, load
 from tonus.drivers.errors import BringUpError
 from tonus.drivers.process_image import AxisCommand, AxisState
-from tonus.runtime.states import State
-from tonus.tools.log.replay import replay
+from tonus.tools.testing.player import Player
 
 pytestmark = pytest.mark.wide
 
@@ -138,16 +137,14 @@ def test_the_fieldbus_on_ethercat_does_the_same() -> None:
     ("name", "scenario", "duration"),
     [("mixed_drives", "contact_near", 4.0), ("mixed_drives_ethercat", "sine_x", 0.5)],
 )
+@pytest.mark.tonus(overrides=QUICK)
+@pytest.mark.tonus_expect("envelope")
 def test_a_run_goes_as_planned_and_replays_to_the_last_bit(
-    name: str, scenario: str, duration: float, tmp_path: Path
+    name: str, scenario: str, duration: float, tonus_run: Player
 ) -> None:
-    config, played = configured(f"config/{name}.yaml", scenario, duration=duration)
-    result, log = virtual(config, played, tmp_path)
-    assert result.outcome.state is State.STANDBY
-    assert not result.outcome.fault
-    peak = float(log["/tonus/truth"]["contact_force"].max())
-    assert peak <= config.control.envelope.contact_limit
+    run = tonus_run(scenario, config=f"config/{name}.yaml", duration=duration)
+    assert run.state == "STANDBY", run.reason
+    peak = float(run.signal("truth", "contact_force").values.max())
+    assert peak <= MIXED.control.envelope.contact_limit
     assert (peak > 1.0) == (scenario == "contact_near")
-    found = replay(log)
-    assert found.ticks > 1000
-    assert not found.differing
+    run.replays()

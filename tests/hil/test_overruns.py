@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from runs import configured
 
+from tests.composed import configured
 from tonus.config import load
 from tonus.config.schema.realtime import Overrun, RealTime
 from tonus.runtime.states import Operator, State

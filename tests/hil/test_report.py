@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from runs import configured, virtual
 
+from tests.loop import QUICK
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
 from tonus.tools.report.figures import Cloud
@@ -19,6 +19,9 @@ from tonus.tools.report.panels import position_error
 from tonus.tools.report.story import Story
 from tonus.tools.report.thin import thin
 from tonus.tools.run.summary import Indicators, summarise
+from tonus.tools.testing.player import Player
+
+pytestmark = pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK)
 
 SECTIONS = ["time", "envelope", "spectra", "timing", "events", "settings"]
 if available():
@@ -51,9 +54,8 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def quiet(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    config, scenario = configured("config/direct.yaml", "sine_x", duration=0.8)
-    return virtual(config, scenario, tmp_path_factory.mktemp("quiet"))[1].path
+def quiet(tonus_shared_run: Player) -> Path:
+    return tonus_shared_run("sine_x", duration=0.8).path
 
 
 def page_of(log: Path, out: Path) -> tuple[Page, list[float]]:
@@ -77,11 +79,11 @@ def test_a_page_is_whole_in_itself_and_begins_with_the_verdict(quiet: Path, tmp_
 
 
 @pytest.mark.long
-def test_a_fault_is_named_first_and_shown_from_near(tmp_path: Path) -> None:
+@pytest.mark.tonus_expect("*")
+def test_a_fault_is_named_first_and_shown_from_near(tonus_run: Player, tmp_path: Path) -> None:
     fault = {"kind": "unplug", "channel": "can1", "node": 3, "at": 1.0}
-    config, scenario = configured("config/can.yaml", script={"faults": [fault]})
-    log = virtual(config, scenario, tmp_path)[1]
-    page, _ = page_of(log.path, tmp_path / "report.html")
+    run = tonus_run("hold", config="config/can.yaml", faults=[fault])
+    page, _ = page_of(run.path, tmp_path / "report.html")
     assert len(page.sections) == len(SECTIONS) + 1
     assert "drive_lost" in page.text.partition("tracking error")[0]
     assert "can1/3" in page.text
@@ -130,13 +132,12 @@ def test_a_run_in_pieces_comes_to_what_the_whole_one_comes_to(
 
 
 @pytest.mark.wide
-def test_a_run_in_several_files_is_reported_whole(tmp_path: Path) -> None:
+def test_a_run_in_several_files_is_reported_whole(tonus_run: Player, tmp_path: Path) -> None:
     several = {"recording.rotate_s": 1.0, "recording.chunk_ms": 200}
-    config, scenario = configured("config/direct.yaml", overrides=several)
-    log = virtual(config, scenario, tmp_path)[1]
-    assert (tmp_path / "run.2.mcap").exists()
-    page, _ = page_of(log.path, tmp_path / "report.html")
-    assert f"{len(log['/tonus/timing'])} cycles" in page.text
+    run = tonus_run("hold", overrides=several, duration=0.5)
+    assert run.path.with_name("run.2.mcap").exists()
+    page, _ = page_of(run.path, tmp_path / "report.html")
+    assert f"{len(run.log['/tonus/timing'])} cycles" in page.text
 
 
 def test_thinned_curves_keep_every_peak() -> None:

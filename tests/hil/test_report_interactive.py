@@ -10,24 +10,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from runs import configured, virtual
 
+from tests.loop import QUICK
 from tonus.tools.cli.log.report import report as command
 from tonus.tools.log import open as open_log
 from tonus.tools.report import figures, interactive, panels
 from tonus.tools.report.sheet import FINE
 from tonus.tools.report.story import Story
 from tonus.tools.report.thin import POINTS
+from tonus.tools.testing.player import Player
 
-pytestmark = pytest.mark.wide
+pytestmark = [
+    pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK),
+    pytest.mark.wide,
+]
 
 MARKUP = "</script><img src=x onerror=alert(1)>"
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    config, scenario = configured("config/direct.yaml", "sine_x", duration=5.0)
-    return virtual(config, scenario, tmp_path_factory.mktemp("looked"))[1].path
+def log(tonus_shared_run: Player) -> Path:
+    return tonus_shared_run("sine_x", duration=5.0).path
 
 
 def test_without_plotly_the_page_is_as_before_and_one_line_says_how_to_get_more(

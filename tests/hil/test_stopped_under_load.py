@@ -3,13 +3,18 @@ in one of its own; a fault's stop has to cope with the load."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from runs import configured, virtual
 
-pytestmark = pytest.mark.wide
+from tests.loop import QUICK
+from tests.scripted import scripted
+from tonus.config import load
+from tonus.tools.testing.player import Player
+
+pytestmark = [
+    pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK),
+    pytest.mark.wide,
+]
 
 _PULLS_ON = {
     "load": {
@@ -20,24 +25,23 @@ _PULLS_ON = {
 }
 
 
-def test_the_load_ends_with_the_run(tmp_path: Path) -> None:
-    config, scenario = configured("config/direct.yaml", duration=2.0, script=_PULLS_ON)
-    result, log = virtual(config, scenario, tmp_path)
-    assert result.outcome.fault == 0, result.outcome.reason
-    force = np.linalg.norm(log["/tonus/truth"]["load"][:, :3], axis=1)
+def test_the_load_ends_with_the_run(tonus_run: Player) -> None:
+    run = tonus_run(scripted(lab=_PULLS_ON), duration=2.0)
+    assert run.state == "STANDBY", run.reason
+    force = np.linalg.norm(run.log["/tonus/truth"]["load"][:, :3], axis=1)
     assert force.max() > 30.0
     assert force[-1] == 0.0
     # As fast as the configuration states: no jump, and over before the platform is lowered far.
     falls = -np.diff(force).min() / 1e-3
-    assert config.lab is not None
-    assert falls == pytest.approx(config.lab.load_release, rel=0.02)
+    lab = load("config/direct.yaml")[0].lab
+    assert lab is not None
+    assert falls == pytest.approx(lab.load_release, rel=0.02)
 
 
-def test_after_a_fault_the_load_pulls_on(tmp_path: Path) -> None:
+@pytest.mark.tonus_expect("*")
+def test_after_a_fault_the_load_pulls_on(tonus_run: Player) -> None:
     torn = {"kind": "cable_cut", "axis": 2, "at": 5.0}
-    script = _PULLS_ON | {"faults": [torn]}
-    config, scenario = configured("config/direct.yaml", duration=4.0, script=script)
-    result, log = virtual(config, scenario, tmp_path)
-    assert result.outcome.fault != 0
-    force = np.linalg.norm(log["/tonus/truth"]["load"][:, :3], axis=1)
+    run = tonus_run(scripted(lab=_PULLS_ON), faults=[torn], duration=4.0)
+    assert run.state == "FAULT"
+    force = np.linalg.norm(run.log["/tonus/truth"]["load"][:, :3], axis=1)
     assert force[-1] == force.max() == pytest.approx(60.0)

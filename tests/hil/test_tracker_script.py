@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from hil.runs import configured, virtual
+
+from tests.loop import QUICK
+from tests.scripted import scripted
+from tonus.tools.testing.player import Player
 
 
-def test_the_tracker_is_hidden_and_knocked_when_the_scenario_says(tmp_path: Path) -> None:
+@pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK)
+@pytest.mark.tonus_expect("tracker_*", "pose_*")
+def test_the_tracker_is_hidden_and_knocked_when_the_scenario_says(tonus_run: Player) -> None:
     begin, gap, shift = 2.4, 0.2, 0.004
     script = {
         "occlusions": [{"at": begin, "duration": gap}],
         "tracker_shifts": [{"at": 0.0, "duration": begin, "position": [0.0, shift, 0.0]}],
     }
-    config, scenario = configured("config/direct.yaml", script=script)
-    result, log = virtual(config, scenario, tmp_path)
-    assert not result.outcome.fault, result.outcome.reason
+    run = tonus_run(scripted(lab=script), duration=0.5)
+    assert run.state == "STANDBY", run.reason
+    log = run.log
     seen = log["/tonus/tracker"]
     fresh = np.flatnonzero(seen["fresh"])
     silences = np.diff(fresh)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hil.runs import configured, virtual
-from loop import QUICK, ClosedLoop
 
+from tests.loop import QUICK, ClosedLoop
 from tests.torn import Torn
 from tonus.config import load
 from tonus.config.loader import load_bounds
@@ -18,11 +16,15 @@ from tonus.runtime.signals import TABLE
 from tonus.runtime.states import Fault, State
 from tonus.sim.devices.cia402.axis_table import TARGET
 from tonus.sim.devices.samples import Samples
-from tonus.tools.campaign.invariants import within_bounds
 from tonus.tools.identify import identify
 from tonus.tools.log import Log
+from tonus.tools.log.attached import configuration
+from tonus.tools.testing.player import Player
 
-pytestmark = pytest.mark.wide
+pytestmark = [
+    pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK),
+    pytest.mark.wide,
+]
 
 CABLES = 8
 
@@ -31,23 +33,22 @@ FLIPPED = (1, 4, 6)
 SIGNS = np.array([-1 if axis in FLIPPED else 1 for axis in range(CABLES)])
 UNLIKE, _ = load("config/unlike_axes.yaml")
 AXES = UNLIKE.robot.model_dump(mode="json")["axes"]
-START_NS = 2_000_000_000
 Wire = dict[str, list[Any]]
 
 
-def test_a_robot_that_lists_the_defaults_for_every_axis_is_the_same_robot(tmp_path: Path) -> None:
+@pytest.mark.tonus_expect("envelope")
+def test_a_robot_that_lists_the_defaults_for_every_axis_is_the_same_robot(
+    tonus_run: Player,
+) -> None:
     uniform, _ = load("config/direct.yaml")
     robot = uniform.robot.model_dump(mode="json")
     same = {name: robot[name] for name in ("cable", "drum", "gearbox", "motor")} | {"sign": 1}
     logs = []
-    for number, axes in enumerate(({}, dict.fromkeys(range(CABLES), same))):
-        config, scenario = configured(
-            "config/direct.yaml", "contact", overrides={"robot.axes": axes}
-        )
-        assert len(config.robot.axes) == len(axes)
-        result, log = virtual(config, scenario, tmp_path / str(number))
-        assert result.outcome.state is State.STANDBY, result.outcome.reason
-        logs.append(log)
+    for axes in ({}, dict.fromkeys(range(CABLES), same)):
+        run = tonus_run("contact", overrides={"robot.axes": axes}, duration=0.5)
+        assert run.state == "STANDBY", run.reason
+        assert len(configuration(run.log).robot.axes) == len(axes)
+        logs.append(run.log)
     for name in (*(topic.name for topic in TABLE), "/tonus/truth"):
         ours, theirs = (log[name] for log in logs)
         assert len(ours) > 1000
@@ -74,21 +75,16 @@ def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
     "path", [BUSES[0], *(pytest.param(path, marks=pytest.mark.long) for path in BUSES[1:])]
 )
 def test_motors_that_turn_the_other_way_move_the_platform_alike(
-    path: str, wire: Wire, tmp_path: Path
+    path: str, wire: Wire, tonus_run: Player
 ) -> None:
     wires, logs = [], []
-    for name, flipped in (("uniform", ()), ("flipped", FLIPPED)):
+    for flipped in ((), FLIPPED):
         wire.clear()
-        config, scenario = configured(
-            path,
-            "sine_z",
-            duration=1.0,
-            overrides={"robot.axes": {axis: {"sign": -1} for axis in flipped}},
-        )
-        result, log = virtual(config, scenario, tmp_path / name, start_ns=START_NS)
-        assert not result.outcome.fault, result.outcome.reason
+        axes = {"robot.axes": {axis: {"sign": -1} for axis in flipped}}
+        run = tonus_run("sine_z", config=path, overrides=axes, duration=1.0)
+        assert run.state == "STANDBY", run.reason
         wires.append(dict(wire))
-        logs.append(log)
+        logs.append(run.log)
     _same_motion(*logs)
     one, other = ({row[0]: row[1:] for row in exchanged["sent"]} for exchanged in wires)
     shared = sorted(one.keys() & other.keys())
@@ -125,30 +121,26 @@ def _same_motion(one: Log, other: Log) -> None:
     ("scenario", "duration"),
     [pytest.param("load_test", 14.0, marks=pytest.mark.long), ("contact_near", 4.5)],
 )
+@pytest.mark.tonus_expect("wrench_deficit", "envelope")
 def test_other_winches_on_four_axes_play_it_to_its_end_within_bounds(
-    scenario: str, duration: float, tmp_path: Path
+    scenario: str, duration: float, tonus_run: Player
 ) -> None:
-    config, played = configured("config/unlike_axes.yaml", scenario, duration=duration)
-    result, log = virtual(config, played, tmp_path, seed=4)
-    assert result.outcome.state is State.STANDBY, result.outcome.reason
-    assert result.outcome.fault is Fault.NONE, "isolation finds nothing"
-    assert within_bounds(log, replayed=True) == []
+    run = tonus_run(scenario, config="config/unlike_axes.yaml", duration=duration, seed=4)
+    assert run.state == "STANDBY", "isolation finds nothing"
+    run.invariants(replayed=True)
+    log = run.log
     active = log["/tonus/state"]["state"] == State.ACTIVE
     stiffness = log["/tonus/stiffness"]["k_eq"][active]
     assert active.sum() == round(1000.0 * duration) + 1
-    assert (stiffness >= config.control.stiffness.minimum).all()
+    assert (stiffness >= UNLIKE.control.stiffness.minimum).all()
     if scenario == "contact_near":
-        assert (
-            5.0 < log["/tonus/truth"]["contact_force"].max() < config.control.envelope.contact_limit
-        )
+        limit = UNLIKE.control.envelope.contact_limit
+        assert 5.0 < log["/tonus/truth"]["contact_force"].max() < limit
 
 
-def test_each_kind_of_axis_is_identified_by_itself(tmp_path: Path) -> None:
-    config, played = configured(
-        "config/direct.yaml", "identify_motion", duration=10.0, overrides={"robot.axes": AXES}
-    )
-    _, log = virtual(config, played, tmp_path)
-    found = identify([log.path], truth=True)
+def test_each_kind_of_axis_is_identified_by_itself(tonus_run: Player) -> None:
+    run = tonus_run("identify_motion", overrides={"robot.axes": AXES}, duration=10.0)
+    found = identify([run.path], truth=True)
     inertia = {each.axes: each for each in found.estimates if each.name == "drum_inertia"}
     assert list(inertia) == [(0, 1, 2, 3), (4, 5, 6), (7,)]
     assert inertia[4, 5, 6].keys == tuple(f"robot.axes.{axis}.drum.inertia" for axis in (4, 5, 6))
@@ -160,11 +152,11 @@ def test_each_kind_of_axis_is_identified_by_itself(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", [BUSES[1], pytest.param(BUSES[2], marks=pytest.mark.long)])
-def test_the_drives_of_other_winches_are_set_up_on_a_bus(path: str, tmp_path: Path) -> None:
+def test_the_drives_of_other_winches_are_set_up_on_a_bus(path: str, tonus_run: Player) -> None:
     """Each against the rated torque of its own motor; a wrong one would be refused."""
-    config, scenario = configured(path, "sine_z", duration=0.6, overrides={"robot.axes": AXES})
-    result, log = virtual(config, scenario, tmp_path)
-    assert not result.outcome.fault, result.outcome.reason
+    run = tonus_run("sine_z", config=path, overrides={"robot.axes": AXES}, duration=0.6)
+    assert run.state == "STANDBY", run.reason
+    log = run.log
     part = slice(-500, None)
     wanted = log["/tonus/pose"]["desired_position"]
     error = (log["/tonus/pose"]["position"] - wanted)[log["/tonus/state"]["state"] == State.ACTIVE]

@@ -9,21 +9,25 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 from click.testing import CliRunner
-from hil.runs import configured, virtual
+from loop import QUICK
 
 from tonus.drivers.process_image import AxisState
 from tonus.tools.cli.export import export
+from tonus.tools.testing.held import HeldFactory
 
 
-def test_the_frames_of_a_run_decode_to_what_control_saw(tmp_path: Path) -> None:
+@pytest.mark.tonus(overrides=QUICK)
+def test_the_frames_of_a_run_decode_to_what_control_saw(
+    tonus_held: HeldFactory, tmp_path: Path
+) -> None:
     out = tmp_path / "can.dbc"
     result = CliRunner().invoke(export, ["dbc", "config/can.yaml", "--out", str(out)])
     assert result.exit_code == 0, result.output
     database = cantools.database.load_file(out)
     assert isinstance(database, Database)
-    config, scenario = configured(duration=0.1)
-    outcome, log = virtual(config, scenario, tmp_path)
-    assert not outcome.outcome.fault
+    robot = tonus_held(at="ACTIVE")
+    robot.advance(500)
+    log = robot.end().log
     drives, cells, due = log["/tonus/drives"], log["/tonus/force_cells"], log.times("/tonus/drives")
     states = {state.name: int(state) for state in AxisState}
     known, compared = {message.frame_id for message in database.messages}, 0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 from click.testing import CliRunner
-from hil.runs import configured, virtual
+from loop import QUICK
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -18,14 +18,14 @@ from tonus.runtime.signals import TABLE
 from tonus.tools.cli.export import export as export_command
 from tonus.tools.log import Log
 from tonus.tools.log.export import export
+from tonus.tools.testing.player import Player
+
+pytestmark = pytest.mark.tonus(overrides=QUICK)
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
-    config, scenario = configured(duration=0.1)
-    result, log = virtual(config, scenario, tmp_path_factory.mktemp("run"))
-    assert not result.outcome.fault
-    return log
+def log(tonus_shared_run: Player) -> Log:
+    return tonus_shared_run("hold", duration=0.1).log
 
 
 @pytest.mark.wide

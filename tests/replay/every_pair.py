@@ -10,8 +10,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hil.runs import configured, virtual
-
+from tests.composed import configured, virtual
 from tonus.runtime.control.controllers import CONTROLLERS
 from tonus.tools.log.replay import replay
 

@@ -14,8 +14,7 @@ from mcap.writer import CompressionType, Writer
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "hil"))
 
-from runs import configured, virtual
-
+from tests.composed import configured, virtual
 from tonus.runtime.signals import SCHEMA_VERSION
 from tonus.tools.log import Log
 

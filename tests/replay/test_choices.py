@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hil.runs import configured
 
+from tests.composed import configured
 from tonus.config.loader import load_scenario
 from tonus.runtime.states import State
 from tonus.runtime.timing import clock

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from hil.runs import configured, virtual
+from loop import QUICK
 
 from tonus.runtime.control.controllers import CONTROLLERS
 from tonus.runtime.control.controllers.base import Motion
 from tonus.runtime.control.controllers.impedance import Pd
 from tonus.tools.log.replay import replay
+from tonus.tools.testing.player import Player
 
 
 class Memory:
@@ -36,18 +35,14 @@ class Foreign(Pd):
         return self.resting_stiffness - 0.01 * memory.calls - float(memory.latest[0])
 
 
+@pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK)
 @pytest.mark.wide
 def test_a_foreign_controller_is_replayed_from_a_keyframe(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tonus_run: Player, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
     monkeypatch.setitem(CONTROLLERS, "pd", Foreign)
-    config, scenario = configured(
-        "config/direct.yaml",
-        duration=1.5,
-        overrides={"control.controller": "pd", "recording.keyframe_s": 0.5},
-    )
-    _, log = virtual(config, scenario, tmp_path / "out")
+    often = {"recording.keyframe_s": 0.5}
+    log = tonus_run("hold", controller="pd", overrides=often, duration=1.5).log
     ticks = log["/tonus/timing"]["tick"]
     whole = replay(log)
     assert whole.ticks == len(ticks)

@@ -7,8 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hil.runs import brief, configured, virtual
+from loop import QUICK
 from mcap.reader import make_reader
+
+from tests.scripted import scripted
+from tonus.tools.testing.player import Player
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("config", "drivers", "runtime", "sim", "tools")
@@ -30,11 +33,10 @@ def content(path: Path) -> Iterator[tuple[str, bytes]]:
             yield f"message of {channel.topic}", message.data
 
 
+@pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK | {"recording.keyframe_s": 0.5})
 @pytest.mark.wide
-def test_a_log_names_no_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
-    config, scenario = configured("config/direct.yaml", overrides={"recording.keyframe_s": 0.5})
-    _, log = virtual(config, brief(scenario, at=1.5), tmp_path / "out")
+def test_a_log_names_no_module(tonus_run: Player) -> None:
+    log = tonus_run(scripted(operator=[{"at": 1.5, "command": "stop"}])).log
     modules = [
         file.relative_to(ROOT).with_suffix("").as_posix()
         for room in ROOMS

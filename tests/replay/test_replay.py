@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from hil.runs import configured, virtual
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from loop import QUICK
 from replay.altered import altered
 
 from tonus.runtime.control.controllers import CONTROLLERS
@@ -20,7 +20,15 @@ from tonus.tools.errors import ToolError
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.log.replay import replay
+from tonus.tools.testing.player import Player
 
+pytestmark = [
+    pytest.mark.tonus(
+        config="config/direct.yaml",
+        overrides=QUICK | {"recording.raw_frames": False, "recording.keyframe_s": 0.8},
+    ),
+    pytest.mark.tonus_expect("*"),
+]
 SCENARIOS = sorted(path.stem for path in Path("config/scenarios").glob("*.yaml"))
 EVERY = [
     pytest.param(
@@ -39,19 +47,9 @@ INPUTS = {
 }
 
 
-def recorded(folder: Path, scenario: str, controller: str, bus: str = "direct") -> Log:
-    overrides = {
-        "control.controller": controller,
-        "recording.raw_frames": False,
-        "recording.keyframe_s": 0.8,
-    }
-    config, played = configured(f"config/{bus}.yaml", scenario, duration=0.2, overrides=overrides)
-    return virtual(config, played, folder)[1]
-
-
 @pytest.fixture(scope="module")
-def sine(tmp_path_factory: pytest.TempPathFactory) -> Log:
-    return recorded(tmp_path_factory.mktemp("sine"), "sine_x", "bio", "can")
+def sine(tonus_shared_run: Player) -> Log:
+    return tonus_shared_run("sine_x", config="config/can.yaml", controller="bio", duration=0.2).log
 
 
 @pytest.fixture(scope="module")
@@ -63,11 +61,8 @@ def beginning(sine: Log, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.wide
 @pytest.mark.parametrize(("scenario", "controller"), EVERY)
-def test_every_output_comes_out_again(tmp_path: Path, scenario: str, controller: str) -> None:
-    log = recorded(tmp_path, scenario, controller)
-    found = replay(log)
-    assert found.first is None, found.first
-    assert found.ticks == len(log["/tonus/timing"])
+def test_every_output_comes_out_again(tonus_run: Player, scenario: str, controller: str) -> None:
+    tonus_run(scenario, controller=controller, duration=0.2).replays()
 
 
 def test_a_replay_may_begin_at_any_keyframe(sine: Log) -> None:

@@ -8,23 +8,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hil.runs import brief, configured, virtual
 from loop import QUICK
 
-from tonus.config import Config, ConfigError, Scenario, load
+from tests.scripted import scripted
+from tonus.config import ConfigError, load
 from tonus.runtime.control.controllers import CONTROLLERS, controller_class, make_controller
 from tonus.runtime.control.controllers.base import Controller
 from tonus.runtime.control.controllers.linear import LinearLaw
 from tonus.runtime.errors import ControllerError
-from tonus.runtime.states import Fault
 from tonus.tools.check.controller import check_controller
 from tonus.tools.check.controller_time import ROUNDS, TICKS, WARM_TICKS, controller_time
 from tonus.tools.cli.main import main
 from tonus.tools.log import open as open_log
 from tonus.tools.margins.linearisation import linear_responses
 from tonus.tools.margins.task import Loop, least_margins, margins
+from tonus.tools.testing.player import Player
 
-pytestmark = pytest.mark.wide
+pytestmark = [
+    pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK),
+    pytest.mark.wide,
+]
 
 MODULE = '''
 import numpy as np
@@ -164,12 +167,6 @@ def tonus(line: str, monkeypatch: pytest.MonkeyPatch) -> int:
     code = ended.value.code
     assert isinstance(code, int)
     return code
-
-
-def ours(controller: str) -> tuple[Config, Scenario]:
-    """A short run with a controller, for what is not asked of the command."""
-    overrides = {"control.controller": controller}
-    return configured("config/direct.yaml", duration=0.1, overrides=overrides)
 
 
 def found(name: str) -> dict[str, list[tuple[bool, str]]]:
@@ -328,25 +325,27 @@ def test_it_runs_is_recorded_and_replayed(
     assert "run.mcap: controller of_mine:Soft: cannot be imported" in line
 
 
+@pytest.mark.tonus_expect("stop_mode")
 def test_one_that_is_not_installed_any_more_is_told_by_a_replay(
     registered: str,
     mine: Path,
-    tmp_path: Path,
+    tonus_run: Player,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    config, scenario = ours(registered)
-    _, log = virtual(config, brief(scenario), tmp_path / "out")
+    early = scripted(operator=[{"at": 0.3, "command": "stop"}])
+    log = tonus_run(early, controller=registered).log
     (mine / "of_mine-1.0.dist-info" / "entry_points.txt").write_text("")
     capsys.readouterr()
     assert tonus(f"log replay {log.path}", monkeypatch) == 2
     assert "its controller 'soft_one' is not installed here" in capsys.readouterr().err
 
 
-def test_limits_and_limiter_apply_to_it(mine: Path, tmp_path: Path) -> None:
-    config, scenario = ours("of_mine:Greedy")
-    result, log = virtual(config, scenario, tmp_path)
-    assert result.outcome.fault is Fault.NONE
+@pytest.mark.tonus_expect("*")
+def test_limits_and_limiter_apply_to_it(mine: Path, tonus_run: Player) -> None:
+    run = tonus_run("hold", controller="of_mine:Greedy", duration=0.1)
+    assert run.state == "STANDBY", run.reason
+    log, (config, _) = run.log, load("config/direct.yaml")
     law, tension = config.control.stiffness, config.control.tension
     k_eq = log["/tonus/stiffness"]["k_eq"]
     assert log["/tonus/stiffness"]["law"].max() == 1e9

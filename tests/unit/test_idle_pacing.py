@@ -7,8 +7,8 @@ import signal
 from pathlib import Path
 
 import pytest
-from hil.runs import configured
 
+from tests.composed import configured
 from tonus.config import load
 from tonus.runtime.states import State
 from tonus.runtime.timing import clock

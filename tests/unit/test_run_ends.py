@@ -8,8 +8,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from hil.runs import configured, virtual
 
+from tests.composed import configured, virtual
 from tonus.config.loader import HERE
 from tonus.sim.can import registry
 from tonus.tools.errors import ToolError

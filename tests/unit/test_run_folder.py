@@ -6,8 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
-from hil.runs import brief, configured, virtual
 
+from tests.composed import configured, virtual
+from tests.scripted import scripted
 from tonus.drivers.errors import DriverError
 from tonus.runtime.daemon import Daemon
 from tonus.tools.errors import ToolError
@@ -95,8 +96,8 @@ def test_a_bring_up_that_fails_costs_no_log(
     """The whole of it: a run, then one whose bus does not come up, into the same folder."""
     monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
     out = tmp_path / "out"
-    config, scenario = configured("config/direct.yaml")
-    scenario = brief(scenario)
+    config, _ = configured("config/direct.yaml")
+    scenario = scripted(operator=[{"at": 0.3, "command": "stop"}])
     virtual(config, scenario, out)
     before = (out / "run.mcap").read_bytes()
 

@@ -1,14 +1,13 @@
-"""Whole runs for tests: configured, carried out in virtual time, opened."""
+"""Runs given to the composer itself: for its own tests, for those that choose a run's first tick or
+its pacing, and for scripts without pytest. Others take the plugin's fixtures."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from loop import QUICK
-
+from tests.loop import QUICK
 from tonus.config import Config, Scenario, load
-from tonus.config.schema.scenario import Command
 from tonus.tools.log import Log
 from tonus.tools.log import open as open_log
 from tonus.tools.run.composer import Order, Result, run
@@ -30,11 +29,6 @@ def configured(
     if script is not None:
         data["lab"] = script
     return config, Scenario.model_validate(data)
-
-
-def brief(scenario: Scenario, at: float = 0.3) -> Scenario:
-    """Stopped ``at`` s after arming, before anything has moved: where any run will do."""
-    return scenario.model_copy(update={"operator": (Command(at=at, command="stop"),)})
 
 
 def virtual(
