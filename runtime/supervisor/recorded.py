@@ -30,6 +30,8 @@ _AT_A_LIMIT = 0x0800
 """CiA 402, statusword"""
 _NEVER = 0xFFFF
 """age of what was never measured"""
+_BEFORE = np.int64(-_NEVER)
+"""a tick before every measurement"""
 _DELAY_TICKS = 6
 """records in which a torque may come back as the drive's own figure: sent, acting, sampled, read;
 and as many lost frames as stop nothing"""
@@ -81,9 +83,8 @@ class Replayed:
         self._axes, self._cells = wiring.axes, wiring.cells
         self._radius = np.array([train.drum.radius for train in config.robot.drive_trains])
         self._mille = np.array([axis.per_newton_metre for axis in wiring.axes])
-        self._tick_ns = config.control.rates.period_ns
-        self._sampled_ns = np.zeros(len(wiring.axes), np.int64)
-        self._measured_ns = np.zeros(len(wiring.cells), np.int64)
+        self._sampled = np.full(len(wiring.axes), _BEFORE)
+        self._measured = np.full(len(wiring.cells), _BEFORE)
         self._commanded: deque[Floats] = deque(maxlen=_DELAY_TICKS + _RISE_TICKS)
         self.astray = np.zeros(len(wiring.axes))
         """N at each cable by which the drive's own torque was outside of what it was sent, at most
@@ -110,7 +111,7 @@ class Replayed:
         heard, at_ns = self.heard, claim.at_ns
         wanted = np.rint(_finite(claim.torque) * self._mille).astype(np.int64)
         length = np.rint(_finite(answers.angle) * self._radius / _METRE).astype(np.int64)
-        sampled = self._anew(at_ns, answers.age, self._sampled_ns)
+        sampled = _anew(claim.tick, answers.age, self._sampled)
         for axis, mille, position, word, new in zip(
             self._axes,
             wanted.tolist(),
@@ -124,7 +125,7 @@ class Replayed:
                 heard[_CHANNEL, axis.received].take([position << 16 | word], at_ns)
         with np.errstate(over="ignore"):  # infinite, which is beyond every bound as well
             force = answers.force.astype(np.float32).view(np.uint32)
-        measured = self._anew(at_ns, answers.force_age, self._measured_ns)
+        measured = _anew(claim.tick, answers.force_age, self._measured)
         for cell, word, status, new in zip(
             self._cells,
             force.tolist(),
@@ -136,15 +137,6 @@ class Replayed:
                 heard[_CHANNEL, cell.received].take([word], at_ns)
                 heard[_CHANNEL, cell.emergency].take([status], at_ns)
         self._compare(claim, answers, sampled)
-
-    def _anew(
-        self, at_ns: int, age: NDArray[np.uint16], before_ns: NDArray[np.int64]
-    ) -> NDArray[np.bool_]:
-        """Which measurements are of a later tick than those before, which are then brought up."""
-        taken_ns = at_ns - age.astype(np.int64) * self._tick_ns
-        new: NDArray[np.bool_] = (taken_ns > before_ns) & (age != _NEVER)
-        before_ns[new] = taken_ns[new]
-        return new
 
     def _compare(self, claim: Claim, answers: Answers, sampled: NDArray[np.bool_]) -> None:
         """The drive's own torque with the least and the largest that it was sent lately, where it
@@ -163,6 +155,15 @@ class Replayed:
         known = np.isfinite(answers.torque) & np.isfinite(answers.angle)
         self.astray[~np.isfinite(claim.torque) | (sampled & ~known)] = np.inf
         commanded.append(_finite(claim.torque))
+
+
+def _anew(tick: int, age: NDArray[np.uint16], before: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which measurements are of a later tick than those before, which are then brought up. Times
+    would not tell: ticks that a distributed clock paces are not equally far apart."""
+    taken = tick - age.astype(np.int64)
+    new: NDArray[np.bool_] = (taken > before) & (age != _NEVER)
+    before[new] = taken[new]
+    return new
 
 
 def _finite(values: Floats) -> Floats:

@@ -334,8 +334,8 @@ def test_a_cell_that_reports_a_defect_says_nothing_in_a_stop(held: Held) -> None
 class Player:
     """Records, each a tick after the one before, and what is made of them."""
 
-    def __init__(self, config: Config) -> None:
-        self.cables = config.robot.cables
+    def __init__(self, config: Config, tick_ns: int = MS) -> None:
+        self.cables, self.tick_ns = config.robot.cables, tick_ns
         self.wiring = RecordedWiring(config, config.relay)  # type: ignore[arg-type]
         self.replayed = Replayed(config, self.wiring)
         self.now = 0
@@ -343,8 +343,9 @@ class Player:
     def claim(self, change: Change) -> Claim:
         self.now += 1
         record = _record(self.cables, 0)
+        record["timing"]["tick"] = self.now
         change(record)
-        return claims(([self.now * MS], np.array([record])), answered=True)[0]
+        return claims(([self.now * self.tick_ns], np.array([record])), answered=True)[0]
 
     def take(self, *changes: Change) -> None:
         self.replayed.take([self.claim(change) for change in changes])
@@ -435,8 +436,10 @@ def test_before_enough_was_recorded_nothing_is_compared(config: Config) -> None:
 # --- records as frames ---------------------------------------------------------------------------
 
 
-def test_a_measurement_that_is_repeated_is_no_new_one(config: Config) -> None:
-    player = Player(config)
+@pytest.mark.parametrize("moved_ns", [-40, 0, 1, 40])
+def test_a_measurement_that_is_repeated_is_no_new_one(config: Config, moved_ns: int) -> None:
+    """Also where a distributed clock moves every tick."""
+    player = Player(config, MS + moved_ns)
 
     def aged(age: int) -> Change:
         def change(record: Any) -> None:
@@ -451,7 +454,7 @@ def test_a_measurement_that_is_repeated_is_no_new_one(config: Config) -> None:
     assert heard["", axis.sent].count == 1
     player.take(aged(1), aged(2), aged(3))
     assert heard["", axis.received].count == heard["", cell.received].count == 1
-    assert heard["", axis.received].at_ns == 2 * MS
+    assert heard["", axis.received].at_ns == 2 * player.tick_ns
     player.take(aged(1))
     assert heard["", axis.received].count == heard["", cell.received].count == 2
     assert heard["", axis.sent].count == 5
