@@ -9,6 +9,7 @@ from tonus.config.schema.place import (
     DEFAULTS,
     LARGEST_JITTER_MS,
     LARGEST_PATIENCE_MS,
+    LARGEST_PERIOD_MS,
     LARGEST_RELAY_TIMEOUT_MS,
     LARGEST_STALE_TICKS,
     LARGEST_TIMEOUT_MS,
@@ -54,6 +55,12 @@ def _risks(config: Config) -> Iterator[tuple[Key, str]]:
             ("supervisor", "patience_ms"),
             f"{supervisor.patience_ms:g} ms are how long it lets a wrong daemon go on, on a robot "
             f"more than {LARGEST_PATIENCE_MS} are too many",
+        )
+    if supervisor is not None and supervisor.period_ms > LARGEST_PERIOD_MS:
+        yield (
+            ("supervisor", "period_ms"),
+            f"{supervisor.period_ms} ms are between two of its looks, on a robot more than "
+            f"{LARGEST_PERIOD_MS} are too many",
         )
     if supervisor is not None and supervisor.timeout_ms > LARGEST_TIMEOUT_MS:
         yield (

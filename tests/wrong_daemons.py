@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 from tonus.config.schema.supervisor import Requirement
@@ -37,7 +38,7 @@ def instead(owner: type, name: str, change: Any) -> Change:
 
 def blind(patch: pytest.MonkeyPatch) -> None:
     """The daemon finds no fault any more."""
-    patch.setattr(Faults, "add", lambda *_: False)
+    patch.setattr(Faults, "add", lambda *_, **__: False)
 
 
 def both(*changes: Change) -> Change:
@@ -106,6 +107,33 @@ def slack(torques: Any) -> Any:
     return torques
 
 
+def without(axis: int) -> Callable[[Any], Any]:
+    """No torque at an axis."""
+
+    def changed(torques: Any) -> Any:
+        torques[axis] = 0
+        return torques
+
+    return changed
+
+
+def exchanged(torques: Any) -> Any:
+    torques[[2, 6]] = torques[[6, 2]]
+    return torques
+
+
+class SomeFrozen:
+    """Keeps the first values of half of the axes."""
+
+    def __init__(self) -> None:
+        self.value: Any = None
+
+    def __call__(self, torques: Any) -> Any:
+        self.value = torques.copy() if self.value is None else self.value
+        torques[:4] = self.value[:4]
+        return torques
+
+
 def stiff(_: float, limiter: Limiter, *__: Any) -> float:
     limiter.value = 6000.0
     return limiter.value
@@ -147,14 +175,46 @@ def tensed(_: None, allocation: Allocation, *__: Any) -> None:
     allocation.reference[:] = 240.0
 
 
-LATER: dict[str, tuple[Change, float]] = {
-    "tensions beyond their bound, no fault found": (
-        both(blind, after(Allocation, "distribute", tensed)),
-        25.0,
+class Tightened:
+    """References that rise by 0.2 N in each tick, so slowly that no torque saturates."""
+
+    def __init__(self) -> None:
+        self.reference: Any = None
+
+    def __call__(self, _: None, allocation: Allocation, *__: Any) -> None:
+        first = allocation.reference.copy() if self.reference is None else self.reference
+        self.reference = np.minimum(first + 0.2, 230.0)
+        allocation.reference[:] = self.reference
+
+
+class Later(NamedTuple):
+    """What is wrong has to show first. Longest times and the requirement are of drives whose frames
+    are read."""
+
+    change: Change
+    longest_ms: float
+    """to the last drive"""
+    requirement: Requirement
+    speed: float
+    """m/s of the platform that is not exceeded, and"""
+    tension: float
+    """N of any cable"""
+
+
+LATER: dict[str, Later] = {
+    "tensions far beyond their bound, no fault found": Later(
+        both(blind, after(Allocation, "distribute", tensed)), 25.0, Requirement.FROZEN, 0.8, 600.0
     ),
-    "a sign wrong in control, no fault found": (
-        both(blind, torque_in_control(opposite)),
-        40.0,
+    "a sign wrong in control, no fault found": Later(
+        both(blind, torque_in_control(opposite)), 40.0, Requirement.OPPOSED, 0.8, 100.0
+    ),
+    "no torque for an upper axis in control, no fault found": Later(
+        both(blind, torque_in_control(without(2))), 75.0, Requirement.OPPOSED, 0.35, 100.0
+    ),
+    "no torque for a lower axis in control, no fault found": Later(
+        both(blind, torque_in_control(without(5))), 80.0, Requirement.OPPOSED, 0.5, 100.0
+    ),
+    "two torques exchanged in control, no fault found": Later(
+        both(blind, torque_in_control(exchanged)), 45.0, Requirement.OPPOSED, 0.95, 170.0
     ),
 }
-"""With the longest time to the last drive, ms: what is wrong has to show first."""

@@ -35,6 +35,8 @@ class Requirement(IntEnum):
     STOP_ENDS = 13
     STALE = 14
     LATE = 24
+    ORDERS = 25
+    BRAKED = 26
 
 
 REQUIREMENT_TEXTS: dict[Requirement, str] = {
@@ -53,6 +55,8 @@ REQUIREMENT_TEXTS: dict[Requirement, str] = {
     Requirement.STOP_ENDS: "a controlled stop comes to its end",
     Requirement.STALE: "no torque is sent to a drive whose measurements have stopped",
     Requirement.LATE: "it looks in time itself",
+    Requirement.ORDERS: "a stop follows an order to stop, and a fault, that are recorded",
+    Requirement.BRAKED: "in a passive stop no torque drives its drum",
 }
 
 
@@ -101,12 +105,20 @@ class Supervisor(Section):
     """N between torque and tension, in the direction away from the reference"""
     opposed_error: Annotated[Positive, Field(le=20)]
     """N between tension and reference"""
+    opposed_long_force: Annotated[Positive, Field(le=100)] = 20.0
+    """N as ``opposed_force``, which may last for ``opposed_ms``: in HOLD, ACTIVE, a stop along the
+    path"""
+    opposed_long_error: Annotated[Positive, Field(le=50)] = 8.0
+    """N as ``opposed_error``, the same way"""
+    opposed_ms: Annotated[Positive, Field(le=100)] = 20.0
     margin: Annotated[Number, Field(ge=1, le=1.5)]
     """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
     tension_stopping: Annotated[Positive, Field(le=2000)]
     """N, in every state"""
     contact_stopping: Annotated[Positive, Field(le=100)]
     """N, in every state"""
+    contact_at_once: Annotated[Positive, Field(le=200)] = 70.0
+    """N that no state may exceed for longer than ``patience_ms``"""
     speed_stopping: Annotated[Positive, Field(le=5)]
     """m/s, in every state"""
     rotation: Annotated[Positive, Field(le=5)]
@@ -118,6 +130,9 @@ class Supervisor(Section):
     answered_torque: Annotated[Positive, Field(le=100)] = 10.0
     """N at the cable by which the torque that a drive reports may be outside of those that it was
     sent lately; judged where its frames are not read"""
+    passive_torque: Annotated[Positive, Field(le=100)] = 20.0
+    """N at the cable, in a passive stop, by which a torque may be beyond the passive tension in the
+    direction in which its drum turns"""
     logged_ticks: Annotated[int, Field(ge=1, le=64)]
     """records before the last two looks among which a torque on the bus may be too"""
     priority: Priority

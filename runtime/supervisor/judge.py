@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import Requirement, Supervisor
-from tonus.runtime.states import State
+from tonus.runtime.states import Operator, State, StopMode
 from tonus.runtime.supervisor.observation import Observation
 from tonus.runtime.supervisor.record import Claim, Floats
 
@@ -35,7 +35,8 @@ class Violation:
 
 
 class Judge:
-    """Call it with each observation while a drive is enabled, and `rest` while none is.
+    """Call it with each observation while a drive is enabled, `rest` while none is, and `forget`
+    once none has been for a while.
 
     A condition has a patience: how long it may hold. Where it ends its time is forgotten slowly,
     so that one which comes and goes is found too."""
@@ -50,6 +51,11 @@ class Judge:
         self._least_stiffness = control.stiffness.minimum / settings.margin
         self._most_rise = control.stiffness.rise_rate * settings.margin
         self._tare = control.sequence.tare_limit
+        self._slack, self._passive_tension = control.tension.slack, control.stop.passive_tension
+        # The daemon's own envelope ends the control of a slack cable after so many ticks.
+        slack_ticks = control.envelope.over_tension_ticks
+        self._opposed_ns = round(settings.opposed_ms * 1e6)
+        self._slack_ns = round(settings.patience_ms * 1e6) + slack_ticks * control.rates.period_ns
         self._twists = _twists(config, settings.spread)
         self._tick_ns = control.rates.period_ns
         patience = dict.fromkeys(Requirement, settings.patience_ms)
@@ -64,22 +70,37 @@ class Judge:
         patience[Requirement.DISARMED] = settings.disarmed_ms
         patience[Requirement.STALE] = 0.0
         self._patience_ns = {key: round(value * 1e6) for key, value in patience.items()}
-        self.rest()
-
-    def rest(self) -> None:
-        """No drive is enabled: what held before is over."""
-        self._held: dict[Key, int] = {}
         self._looked_ns: int | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """What held before is over."""
+        self._held: dict[Key, int] = {}
+        self._end_stop()
+
+    def rest(self, now_ns: int) -> None:
+        """No drive is enabled: a stop is over, and what held before is forgotten slowly."""
+        self._end_stop()
+        self._hold(now_ns, set())
+
+    def _end_stop(self) -> None:
         self._stopping_ns: int | None = None
         self._before: Claim | None = None
+        self._ordered: int = Operator.NONE
+        """the last order to stop that was recorded"""
 
     def __call__(self, seen: Observation) -> Violation | None:
         """The first requirement that has been broken for longer than it may be."""
-        elapsed_ns = 0 if self._looked_ns is None else seen.now_ns - self._looked_ns
-        self._looked_ns = seen.now_ns
         broken: dict[Key, Violation] = {}
         for each, patience_ns in self._broken(seen):
             broken.setdefault((each.requirement, patience_ns), each)
+        self._hold(seen.now_ns, broken.keys())
+        return next((each for key, each in broken.items() if self._held[key] >= key[1]), None)
+
+    def _hold(self, now_ns: int, broken: Collection[Key]) -> None:
+        """Count what is broken, and forget what is not."""
+        elapsed_ns = 0 if self._looked_ns is None else now_ns - self._looked_ns
+        self._looked_ns = now_ns
         held = {
             key: held_ns - elapsed_ns // _FORGETTING
             for key, held_ns in self._held.items()
@@ -88,18 +109,27 @@ class Judge:
         for key in broken:
             held[key] = self._held[key] + elapsed_ns if key in self._held else 0
         self._held = held
-        return next((each for key, each in broken.items() if held[key] >= key[1]), None)
 
     def _broken(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
         speeds = self._speeds(seen)
-        for each in (*self._daemon(seen), *self._bus(seen), *self._controlled(seen, speeds)):
+        for each in (
+            *self._daemon(seen),
+            *self._bus(seen),
+            *self._controlled(seen, speeds),
+            *self._stopping(seen),
+        ):
             yield each, self._patience_ns[each.requirement]
+        yield from self._against(seen)
         long_ns = round(self._settings.stopping_ms * 1e6)
         for each in self._always(seen, speeds):
             yield each, long_ns
+        if seen.claim is not None and seen.claim.state in _STIFF:
+            loose = seen.enabled & (seen.tension < self._slack)
+            for each in _at(Requirement.TENSION, seen, seen.tension, None, loose):
+                yield each, self._slack_ns
 
     def _daemon(self, seen: Observation) -> Iterator[Violation]:
-        """Of the record alone: SUP-1, 9, 12, 13."""
+        """Of the record alone: SUP-1, 9, 12, 13, 25."""
         claim, settings = seen.claim, self._settings
         age = np.inf if claim is None else (seen.now_ns - claim.at_ns) * 1e-6
         if not -settings.patience_ms <= age <= settings.patience_ms:  # nor from the future
@@ -113,6 +143,19 @@ class Judge:
         if not most <= self._tare:
             yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, most)
         yield from self._stop_ends(seen)
+        yield from self._follows(seen.claims, claim)
+
+    def _follows(self, claims: list[Claim], newest: Claim) -> Iterator[Violation]:
+        """Power that is off ends an order, whoever gave it."""
+        for claim in claims:
+            if claim.state not in _ARMED:
+                self._ordered = Operator.NONE
+            elif claim.operator in (Operator.STOP, Operator.ESTOP):
+                self._ordered = max(self._ordered, claim.operator)
+        ignored = self._ordered == Operator.ESTOP and newest.state in _ARMED
+        stop = self._ordered == Operator.STOP or newest.fault
+        if ignored or (stop and newest.state in CONTROLLED):
+            yield Violation(Requirement.ORDERS, NOWHERE, newest.state)
 
     def _stop_ends(self, seen: Observation) -> Iterator[Violation]:
         """Only power that is off ends a stop, whatever the daemon records."""
@@ -164,21 +207,18 @@ class Judge:
         yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong)
         sent = (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)
+        newest = float(seen.measured_age.min())
+        if newest > settings.stale_ms:  # nobody could judge, whatever the torques are
+            yield Violation(Requirement.STALE, NOWHERE, newest)
 
     def _controlled(self, seen: Observation, speeds: tuple[float, ...]) -> Iterator[Violation]:
-        """In states whose control is to keep the envelope: SUP-4 to 8 and 11."""
+        """In states whose control is to keep the envelope: SUP-4, 6 to 8 and 11."""
         claim, settings, enabled = seen.claim, self._settings, seen.enabled
         if claim is None or claim.state not in CONTROLLED:
             return
         unexplained = abs(seen.unexplained) - settings.unexplained_share * abs(seen.mean_torque)
         limit = settings.unexplained_force
         yield from _at(Requirement.UNEXPLAINED, seen, unexplained, limit, enabled)
-        pull = seen.torque - seen.tension
-        error = claim.reference[seen.axes] - seen.tension
-        opposed = (abs(pull) > settings.opposed_force) & (abs(error) > settings.opposed_error)
-        opposed &= (pull > 0.0) != (error > 0.0)
-        opposed |= ~np.isfinite(claim.reference[seen.axes])
-        yield from _at(Requirement.OPPOSED, seen, pull, None, enabled & opposed)
         yield from _at(Requirement.TENSION, seen, seen.tension, self._most_tension)
         if abs(seen.contact) > self._most_contact:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
@@ -194,6 +234,41 @@ class Judge:
         yield from _at(Requirement.MEASURED_LOGGED, seen, off, limit, enabled)
         if not math.isnan(seen.contact) and not abs(claim.contact - seen.contact) <= limit:
             yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, claim.contact - seen.contact)
+
+    def _against(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
+        """SUP-5, wherever tensions follow the references, so in a stop along the path too: a torque
+        against them; and a smaller one that lasts, such as one that is missing."""
+        claim, settings = seen.claim, self._settings
+        if claim is None:
+            return
+        on_path = claim.state == State.SAFE_STOP and claim.stop_mode == StopMode.ON_PATH
+        if not (on_path or claim.state in CONTROLLED):
+            return
+        reference = claim.reference[seen.axes]
+        pull, error = seen.torque - seen.tension, reference - seen.tension
+        against = seen.enabled & ((pull > 0.0) != (error > 0.0))
+        opposed = abs(pull) > settings.opposed_force
+        opposed &= against & (abs(error) > settings.opposed_error)
+        opposed |= seen.enabled & ~np.isfinite(reference)
+        for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
+            yield each, self._patience_ns[Requirement.OPPOSED]
+        if on_path or claim.state in _STIFF:
+            opposed = abs(pull) > settings.opposed_long_force
+            opposed &= against & (abs(error) > settings.opposed_long_error)
+            for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
+                yield each, self._opposed_ns
+
+    def _stopping(self, seen: Observation) -> Iterator[Violation]:
+        """In SAFE_STOP, besides what holds in every state: SUP-7 and 26."""
+        settings, claim = self._settings, seen.claim
+        if claim is None or claim.state != State.SAFE_STOP:
+            return
+        if not seen.contact_defective and abs(seen.contact) > settings.contact_at_once:
+            yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
+        if claim.stop_mode == StopMode.PASSIVE:
+            driving = (seen.torque - self._passive_tension) * np.sign(seen.rate)
+            limit = self._passive_tension + settings.passive_torque
+            yield from _at(Requirement.BRAKED, seen, driving, limit, seen.enabled)
 
     def _always(self, seen: Observation, speeds: tuple[float, ...]) -> Iterator[Violation]:
         """Bounds of every state, wide enough for what a torn cable does to a good stop. While the

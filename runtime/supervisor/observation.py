@@ -36,7 +36,7 @@ class Observation:
     measured_age: Floats
     """ms since the drive's last PDO"""
     torque_age: Floats
-    """ms since the last PDO to it"""
+    """ms since the last PDO to it, or since the SYNC on which it acts, whichever is longer ago"""
     same: NDArray[np.int64]
     """PDOs to it in a row that were equal to the one before"""
     mille: NDArray[np.int64]
@@ -131,6 +131,7 @@ class Observer:
         tared = self._claim.tare if self._claim is not None else None
         sent = [heard[axis.channel, axis.sent] for axis in self._axes]
         received = [heard[axis.channel, axis.received] for axis in self._axes]
+        synced = [heard[axis.channel, axis.sync or axis.sent] for axis in self._axes]
         mille = np.array(
             [int(a.torque.number(h.word)) for a, h in zip(self._axes, sent, strict=True)], np.int64
         )
@@ -149,7 +150,7 @@ class Observer:
             enabled,
             rested,
             _ages(now_ns, received),
-            _ages(now_ns, sent),
+            np.maximum(_ages(now_ns, sent), _ages(now_ns, synced)),
             same,
             mille,
             mille * self._newton,

@@ -58,6 +58,12 @@ class Claim:
     answers: Answers | None = None
     """where they are asked for"""
     tick: int = 0
+    fault: int = 0
+    """why the robot stops, 0 for none"""
+    operator: int = 0
+    """order of this tick, 0 for none"""
+    stop_mode: int = 0
+    """how it stops"""
 
 
 New = tuple[Sequence[int], NDArray[np.void]]
@@ -95,6 +101,9 @@ def claims(records: New, *, answered: bool = False) -> list[Claim]:
             state["failed"].astype(bool),
             _answers(rows) if answered else [None] * len(stamps),
             rows["timing"]["tick"].tolist(),
+            state["fault"].tolist(),
+            state["operator"].tolist(),
+            state["stop_mode"].tolist(),
             strict=True,
         )
     ]

@@ -44,7 +44,7 @@ class Supervisor:
     enabled for ``quiet_s`` and everything arrives that it judges by. So its restart, or a mistake
     of its own that has passed, gives an armed robot nothing back, and a drive that it stopped needs
     the operator's reset. A silent drive counts as what it was, while the daemon's record is armed
-    or the drive sends heartbeats.
+    or the drive sends heartbeats and has not booted since.
     A channel on which no device answers gets no heartbeat any more.
 
     With a relay in the circuit of the STO inputs it judges what the daemon records of the drives,
@@ -78,6 +78,8 @@ class Supervisor:
         self._quiet_ns: int | None = None
         self._looked_ns = 0
         self._tick = -1
+        self._booted = np.zeros(len(self._axes), bool)
+        """drives that have booted since their last measurement"""
         self._agreed_ns = 0
         """when record and statuswords agreed last whether the robot is controlled"""
         self._listeners: list[Listener] = []
@@ -101,12 +103,19 @@ class Supervisor:
         }
         if self._replayed is not None:
             self._heard = self._replayed.heard
+        nodes = {(c.channel, c.heartbeat, c.emergency) for c in wiring.cells if c.heartbeat}
+        self._amplifiers = [
+            (self._heard[channel, heartbeat], self._heard[channel, emergency])
+            for channel, heartbeat, emergency in sorted(nodes)
+        ]
+        """heartbeats and emergency frames of each"""
 
     def step(self, now_ns: int) -> None:
         """Never raises for a bus: what cannot be received ages, what cannot be sent is missed."""
         for listener in self._listeners:
             with contextlib.suppress(can.CanError, OSError):
                 listener.read(now_ns)
+        self._forget_errors()
         seen = self._look(now_ns)
         # A drive that is silent is what it was, unless daemon and all others are disarmed and it
         # sends no heartbeat either: then it was pulled, or has no power.
@@ -119,7 +128,7 @@ class Supervisor:
         elif self._quiet_ns is None:
             self._quiet_ns = now_ns
         if seen.rested or not armed:
-            self._judge.rest()
+            self._judge.rest(now_ns)
         if armed or seen.claim is None or seen.claim.state not in CONTROLLED:
             self._agreed_ns = now_ns
         self._fall_silent_where_deaf(now_ns, armed)
@@ -128,6 +137,8 @@ class Supervisor:
         quiet = self._quiet_ns is not None and (
             now_ns - self._quiet_ns >= self.settings.quiet_s * 1e9
         )
+        if quiet:
+            self._judge.forget()
         if quiet and not all(self._beating) and self._hears(seen) and self._sees(seen):
             self._beating = [True] * len(self._listeners)
             self.violation = None
@@ -171,11 +182,19 @@ class Supervisor:
             if not axis.heartbeat:
                 continue
             beats = self._heard[axis.channel, axis.heartbeat]
-            if seen.measured_age[row] == 0.0:
-                beats.numbers.clear()
+            self._booted[row] |= _BOOT_UP in beats.numbers
+            beats.numbers.clear()
             later_ms = seen.measured_age[row] - (seen.now_ns - beats.at_ns) * 1e-6
-            found[row] = later_ms >= self.settings.stale_ms and _BOOT_UP not in beats.numbers
-        return found
+            found[row] = later_ms >= self.settings.stale_ms
+        self._booted &= seen.measured_age > 0.0
+        return found & ~self._booted
+
+    def _forget_errors(self) -> None:
+        """An amplifier that boots takes nothing back, and has the errors that it reports anew."""
+        for beats, errors in self._amplifiers:
+            if _BOOT_UP in beats.numbers:
+                errors.word = 0
+            beats.numbers.clear()
 
     def _hold_relay(self) -> None:
         """Its output is on as long as the heartbeat goes, and is off at once with its end."""
@@ -224,7 +243,7 @@ class Supervisor:
 
     def _fall_silent_where_deaf(self, now_ns: int, armed: bool) -> None:
         """While nothing is enabled the daemon may begin anew, which takes no answers; while a drive
-        is, the daemon may be late, and no channel answers: that is SUP-1 to judge."""
+        is, that no channel answers is SUP-14 to judge."""
         newest_ns = [
             max((listener.heard[each].at_ns for each in answers), default=now_ns)
             for answers, listener in zip(self._answers, self._listeners, strict=True)
@@ -281,10 +300,14 @@ def _watched(wiring: Wiring, channel: str) -> list[Watched]:
             found.append(Watched(axis.sent, axis.sent_bytes, (axis.torque,)))
             found.append(Watched(axis.received, axis.received_bytes, (), axis.statusword))
             found.append(Watched(axis.heartbeat, 1, (_STATE,)))
+    found += [Watched(each, 0, ()) for each in {axis.sync for axis in wiring.axes}]
     cells: dict[int, tuple[int, list[Value]]] = {}
     for cell in wiring.cells:
         if cell.channel == channel:
             cells.setdefault(cell.received, (cell.received_bytes, []))[1].append(cell.force)
     found += [Watched(key, size, tuple(values)) for key, (size, values) in cells.items()]
-    errors = {cell.emergency for cell in wiring.cells if cell.channel == channel}
-    return found + [Watched(each, _EMERGENCY_BYTES, ()) for each in sorted(errors)]
+    nodes = {(each.emergency, each.heartbeat) for each in wiring.cells if each.channel == channel}
+    for emergency, heartbeat in sorted(nodes):
+        found.append(Watched(emergency, _EMERGENCY_BYTES, ()))
+        found.append(Watched(heartbeat, 1, (_STATE,)))
+    return found

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.root import Config
 
+_SYNC = 0x080
 _EMERGENCY, _TPDO, _RPDO, _HEARTBEAT = 0x080, 0x180, 0x200, 0x700
 _STATUSWORD, _POSITION, _TARGET_TORQUE = 0x6041, 0x6064, 0x6071
 _REAL_VALUE = 0x6130
@@ -67,6 +68,8 @@ class Axis:
     """N s/m of its bearings"""
     heartbeat: int = 0
     """identifier of the drive's own; 0 where its frames are not read"""
+    sync: int = 0
+    """identifier of what makes it act by the torque it was sent, the same way"""
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,8 @@ class Cell:
     """for one unit"""
     emergency: int
     """identifier under which its amplifier reports an error"""
+    heartbeat: int = 0
+    """identifier of the amplifier's; 0 where its frames are not read"""
 
 
 class Wiring:
@@ -122,6 +127,7 @@ class Wiring:
                         train.drum.inertia / radius**2,
                         train.drum.viscous_friction / radius**2,
                         _HEARTBEAT + drive.node_id,
+                        _SYNC,
                     )
                 )
             for node in channel.force_cells:
@@ -137,6 +143,7 @@ class Wiring:
                             _value(mapping, entry >> 16, entry >> 8 & 0xFF),
                             1.0 if real else 10.0**-bus.force_cell.decimal_digits,
                             _EMERGENCY + node.node_id,
+                            _HEARTBEAT + node.node_id,
                         )
                     )
 

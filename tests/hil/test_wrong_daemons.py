@@ -1,4 +1,5 @@
-"""The supervisor stops a robot whose daemon has died or is wrong, and no other: SUP-1 to SUP-14.
+"""The supervisor stops a robot whose daemon has died or is wrong, and no other: SUP-1 to SUP-14,
+SUP-25 and SUP-26.
 
 Each daemon is changed in mid-run, in virtual time and on CAN. What counts is the last drive that
 reports the end of the supervisor's heartbeat, as a bus of the test's own receives it.
@@ -16,16 +17,23 @@ from tests.wrong_daemons import (
     AT_ONCE,
     LATER,
     Change,
+    Tightened,
+    after,
+    anew,
     blind,
     both,
     instead,
     opposite,
     raises,
+    torque_in_control,
     torque_on_the_bus,
+    without,
 )
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import CellBreak, Loss
 from tonus.config.schema.supervisor import Requirement
+from tonus.drivers.canopen.channel import Channel
+from tonus.runtime.control.allocation import Allocation
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.safety.fallback import Fallback
 from tonus.runtime.states import State
@@ -63,15 +71,78 @@ def test_a_wrong_daemon_is_stopped_within_25_ms(name: str, monkeypatch: pytest.M
     assert {number for number, _ in run.said} == requirements
 
 
+def _fastest(run: Run, seen: Observed) -> float:
+    """m/s of the platform, after the change."""
+    changed = seen.truth_ns > run.changed_ns
+    return float(np.linalg.norm(seen.truth["velocity"][changed], axis=1).max())
+
+
 @pytest.mark.parametrize("name", LATER)
 def test_a_daemon_whose_mistake_has_to_show(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    change, longest_ms = LATER[name]
-    run, seen = _run(monkeypatch, change)
+    later = LATER[name]
+    run, seen = _run(monkeypatch, later.change, overrides=BRIEF)
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert run.slowest_ms <= later.longest_ms
+    assert {number for number, _ in run.said} == {later.requirement}
+    assert State.SAFE_STOP not in seen.state, "the daemon stops nothing"
+    assert _fastest(run, seen) <= later.speed
+    assert seen.truth["tension"][seen.truth_ns > run.changed_ns].max() <= later.tension
+
+
+def test_tensions_that_rise_beyond_their_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the instant at which one is truly beyond the supervisor's bound."""
+    rising = both(blind, anew(lambda: after(Allocation, "distribute", Tightened())))
+    run, seen = _run(monkeypatch, rising, overrides=BRIEF, seconds=1.2)
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert {number for number, _ in run.said} == {Requirement.TENSION}
+    tension = seen.truth["tension"]
+    beyond = seen.truth_ns[(tension > 220.0).any(axis=1)][0]
+    assert (max(run.stopped_ns.values()) - beyond) * 1e-6 <= WITHIN_MS
+    assert tension.max() <= 240.0
+
+
+def test_torques_on_which_no_drive_acts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No SYNC, also none on which the zeros of the daemon's own stop would act."""
+    mute = instead(Channel, "sync", lambda *_: None)
+    robot = BRIEF | {"control.freshness.stale_stop_ticks": 5}
+    run, seen = _run(monkeypatch, mute, overrides=robot)
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert run.slowest_ms <= WITHIN_MS
+    assert {number for number, _ in run.said} == {Requirement.TORQUE}
+
+
+@pytest.mark.parametrize(
+    ("torques", "longest_ms"), [(opposite, 40.0), (without(2), 75.0)], ids=["sign", "missing"]
+)
+def test_a_stop_whose_torques_are_wrong(
+    torques: Any, longest_ms: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Along the path, in a daemon that finds no fault."""
+    change = both(blind, torque_in_control(torques))
+    stop = {"state": State.SAFE_STOP, "at": 0.1, "scenario": "hold"}
+    run, seen = _run(monkeypatch, change, overrides=BRIEF, **stop)
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert run.slowest_ms <= longest_ms
-    after = seen.truth_ns > run.changed_ns
-    speed = np.linalg.norm(seen.truth["velocity"][after], axis=1)
-    assert speed.max() <= 0.8
+    assert {number for number, _ in run.said} == {Requirement.OPPOSED}
+    assert _fastest(run, seen) <= 0.8
+
+
+def test_a_passive_stop_that_drives_its_drums(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its damping has the wrong sign."""
+
+    config, _ = configured()
+    twice = 2.0 * config.control.stop.passive_tension * config.robot.drum_radius
+
+    def inverted(_: None, cycle: ControlCycle, image: Any, *rest: Any) -> None:
+        del cycle, rest
+        image.commands["torque"] = twice - image.commands["torque"]
+
+    change = both(instead(ControlCycle, "act", raises), after(ControlCycle, "fall_back", inverted))
+    run, seen = _run(monkeypatch, change, overrides=BRIEF, seconds=0.4)
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert run.slowest_ms <= 125.0
+    assert {number for number, _ in run.said} == {Requirement.BRAKED}
+    assert _fastest(run, seen) <= 0.9
 
 
 def test_torques_that_are_kept_where_control_raises_and_has_no_fallback(
@@ -84,14 +155,14 @@ def test_torques_that_are_kept_where_control_raises_and_has_no_fallback(
     run, seen = _run(monkeypatch, change, seconds=2.0)
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert {number for number, _ in run.said} == {Requirement.FROZEN}
-    after = seen.truth_ns > run.changed_ns
-    rate = seen.truth["drum_rate"][after] * seen.config.robot.drum_radius
+    later = seen.truth_ns > run.changed_ns
+    rate = seen.truth["drum_rate"][later] * seen.config.robot.drum_radius
     settings = seen.config.supervisor
     assert settings is not None
     moved = (abs(rate - rate[0]) > settings.frozen_rate).any(axis=1)
-    beyond = seen.truth_ns[after][moved][0]
+    beyond = seen.truth_ns[later][moved][0]
     assert (max(run.stopped_ns.values()) - beyond) * 1e-6 <= WITHIN_MS
-    assert np.linalg.norm(seen.truth["velocity"][after], axis=1).max() <= 0.8
+    assert _fastest(run, seen) <= 0.8
 
 
 def test_a_channel_whose_devices_are_not_received() -> None:
@@ -116,8 +187,7 @@ def test_a_channel_whose_devices_are_not_received() -> None:
     assert sorted(run.stopped_ns) == [3, 4], seen.error
     assert max(run.stopped_ns[node] - run.changed_ns for node in (3, 4)) * 1e-6 <= 42.0
     assert not run.said
-    after = seen.truth_ns > run.changed_ns
-    assert np.linalg.norm(seen.truth["velocity"][after], axis=1).max() <= 0.8
+    assert _fastest(run, seen) <= 0.8
 
 
 def test_a_contact_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,10 @@ OUTPUT_MS = 10.0
 """from the change to the output's end, the longest of what is found at once"""
 SLOWER = {"torques frozen on the bus": 26.0}
 """a torque that stays is wrong once the one that is recorded has gone away from it"""
-FOUND = {"torques frozen on the bus": {Requirement.COMMAND_LOGGED}}
+FOUND = {
+    "torques frozen on the bus": {Requirement.COMMAND_LOGGED},
+    "tensions far beyond their bound, no fault found": {Requirement.UNEXPLAINED},
+}
 """where the frames are not read, found by what the drives report"""
 ROBOT: dict[str, Any] = {"sto_relay.timeout_ms": 7}
 """as without a lab"""
@@ -67,14 +70,17 @@ def test_a_wrong_daemon_on_ethercat_loses_the_torque_of_every_drive(
 
 @pytest.mark.parametrize(
     ("name", "output_ms"),
-    list(zip(LATER, (OUTPUT_MS, 24.0), strict=True)),
+    list(zip(LATER, (OUTPUT_MS, 24.0, 60.0, 66.0, 30.0), strict=True)),
     ids=list(LATER),
 )
 def test_a_mistake_on_ethercat_that_has_to_show(
     name: str, output_ms: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run, seen = _run(monkeypatch, LATER[name][0])
+    run, seen = _run(monkeypatch, LATER[name].change, overrides=BRIEF)
     _all_stopped(run, seen, output_ms)
+    found = FOUND.get(name, {LATER[name].requirement})
+    assert {number for number, _ in run.said} == found
+    assert State.SAFE_STOP not in seen.state, "the daemon stops nothing"
 
 
 def test_a_contact_on_ethercat_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -128,6 +128,7 @@ class Stage:
         for axis in self.wiring.axes:
             self.heard[axis.channel, axis.sent] = Heard((axis.torque,))
             self.heard[axis.channel, axis.received] = Heard((axis.position,), axis.statusword)
+            self.heard[axis.channel, axis.sync] = Heard(())
         for cell in self.wiring.cells:
             self.heard[cell.channel, cell.received] = Heard((cell.force,))
             self.heard[cell.channel, cell.emergency] = Heard(())
@@ -141,6 +142,7 @@ class Stage:
             place = round(metre / axis.metre) & 0xFFFFFFFF
             word = place << axis.position.shift | 0x0237
             self.heard[axis.channel, axis.received].take([word], now_ns)
+            self.heard[axis.channel, axis.sync].take([0], now_ns)
         for cell in self.wiring.cells:
             self.heard[cell.channel, cell.received].take([round(force / cell.newton)], now_ns)
 
@@ -185,6 +187,7 @@ class Watchdog:
             data = word.to_bytes(2, "little") + bytes(axis.received_bytes - 2)
             frames[axis.channel, axis.received] = data
             frames[axis.channel, axis.sent] = bytes(axis.sent_bytes)
+            frames[axis.channel, axis.sync] = b""
         off = {
             (axis.channel, axis.received): (0x0240).to_bytes(axis.received_bytes, "little")
             for axis in self.wiring.axes

@@ -120,6 +120,10 @@ def test_a_run_that_requires_one_that_has_no_drive_to_act_on() -> None:
     [
         ("tension_stopping", 600.0),
         ("contact_stopping", 50.0),
+        ("contact_at_once", 100.0),
+        ("opposed_long_force", 50.0),
+        ("opposed_long_error", 20.0),
+        ("passive_torque", 50.0),
         ("speed_stopping", 2.5),
         ("unexplained_force", 100.0),
         ("opposed_force", 100.0),
@@ -170,6 +174,11 @@ def test_drives_that_wait_for_less_than_its_period_allows() -> None:
         ("tension_stopping", 2001),
         ("contact_stopping", 101),
         ("speed_stopping", 5.1),
+        ("contact_at_once", 201),
+        ("opposed_long_force", 101),
+        ("opposed_long_error", 51),
+        ("opposed_ms", 101),
+        ("passive_torque", 101),
     ],
 )
 def test_a_bound_of_any_size_is_none(key: str, value: float) -> None:
@@ -180,7 +189,7 @@ def test_a_bound_of_any_size_is_none(key: str, value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("policy", "use"), ("patience_ms", 11), ("timeout_ms", 51)]
+    ("key", "value"), [("policy", "use"), ("period_ms", 6), ("patience_ms", 11), ("timeout_ms", 51)]
 )
 def test_what_only_a_lab_may_state(key: str, value: Any) -> None:
     stated = {f"supervisor.{key}": value}
@@ -188,3 +197,98 @@ def test_what_only_a_lab_may_state(key: str, value: Any) -> None:
     with pytest.raises(ConfigError, match=f"or write supervisor.{key} under relaxed"):
         load("config/can.yaml", overrides=ROBOT | stated)
     load("config/can.yaml", overrides=ROBOT | stated | {"relaxed": [f"supervisor.{key}"]})
+
+
+@pytest.mark.parametrize(
+    ("key", "most"),
+    [
+        ("axis_torque_ms", 200),
+        ("stale_ms", 40),
+        ("disarmed_ms", 100),
+        ("stopping_ms", 200),
+        ("window_ms", 50),
+        ("opposed_ms", 50),
+        ("frozen_frames", 20),
+        ("logged_ticks", 16),
+        ("rotation", 3),
+    ],
+)
+def test_times_that_let_a_mistake_grow(key: str, most: int) -> None:
+    beyond = {f"supervisor__{key}": most + 1}
+    assert refused("config/can.yaml", **beyond) == []
+    found = refused("config/can.yaml", lab=None, **beyond)
+    assert [(each.where, each.remedy) for each in found] == [
+        (f"supervisor.{key}", f"set it to at most {most}")
+    ]
+    assert refused("config/can.yaml", lab=None, **{f"supervisor__{key}": most}) == []
+
+
+def told(path: str, **overrides: Any) -> dict[str, str]:
+    """What the rule says of what is in order, by key."""
+    found = check(*load(path, overrides=overrides))
+    return {each.where: each.text for each in found if each.rule == "supervisor" and each.ok}
+
+
+def test_how_fast_drives_on_can_stop_is_told() -> None:
+    patient = {"supervisor.patience_ms": 6.5, "supervisor.timeout_ms": 24}
+    found = check(*load("config/can.yaml", overrides=ROBOT | patient))
+    texts = [each.text for each in found if each.rule == "supervisor"]
+    times = "drives begin to stop 32.5 ms after a mistake shows that may last patience_ms, 136 ms"
+    assert any(text.startswith(times) for text in texts)
+
+
+_DRIVE = "fieldbus.drive"
+
+
+def test_drives_that_do_nothing_when_the_heartbeat_ends() -> None:
+    """An EPOS4 and a plain drive; in a lab nobody is hurt."""
+    ignores = {
+        f"{_DRIVE}.supported_options.abort_connection": [0, 2, 3],
+        f"{_DRIVE}.on_communication_error": 1,
+    }
+    for code, more, said in ((None, {}, "is not stated"), (0, ignores, "is 0: it does nothing")):
+        stated = {f"{_DRIVE}.options.abort_connection": code} | more
+        assert findings(*load("config/can.yaml", overrides=stated)) == []
+        found = findings(*load("config/can.yaml", overrides=ROBOT | stated))
+        assert [each.where for each in found] == [f"{_DRIVE}.options.abort_connection"]
+        assert said in found[0].text
+        assert found[0].remedy == "state a code with which it stops: 2, 3"
+    none = {
+        f"{_DRIVE}.options.abort_connection": None,
+        f"{_DRIVE}.supported_options.abort_connection": [],
+    }
+    found = findings(*load("config/can.yaml", overrides=ROBOT | none))
+    assert "use another drive" in found[0].remedy
+
+
+@pytest.mark.parametrize(
+    ("errors", "refuses", "tells"),
+    [
+        ([{"code": 0x8130, "text": "lost", "reaction": "warning"}], True, True),
+        ([{"code": 0x8100, "last": 0x81FF, "text": "bus", "reaction": "warning"}], True, True),
+        ([{"code": 0x8131, "text": "other", "reaction": "warning"}], False, True),
+        ([{"code": 0x8129, "text": "other", "reaction": "warning"}], False, True),
+        ([{"code": 0x8130, "text": "lost", "reset": "communication_reset"}], False, False),
+        ([{"code": 0x8130, "text": "lost", "reaction": "power_off"}], False, True),
+    ],
+)
+def test_what_drives_make_of_a_heartbeat_that_ended(
+    errors: list[dict[str, Any]], refuses: bool, tells: bool
+) -> None:
+    """That they only warn is refused, and that a fault reset brings them back is told."""
+    stated = {f"{_DRIVE}.errors": errors}
+    found = findings(*load("config/can.yaml", overrides=ROBOT | stated))
+    assert [each.where for each in found] == [f"{_DRIVE}.errors"] * refuses
+    texts = told("config/can.yaml", **(ROBOT | stated))
+    assert ("a fault reset alone enables" in texts.get(f"{_DRIVE}.errors", "")) is tells
+    assert f"{_DRIVE}.errors" not in told("config/can.yaml", **stated), "a lab"
+
+
+def test_drives_that_act_by_more_than_the_supervisor_reads() -> None:
+    """A torque offset, or a mode of operation, in each PDO."""
+    for entry, name in ((0x60B20010, "0x60B2"), (0x60600008, "0x6060")):
+        stated = {f"{_DRIVE}.rpdo": [0x60400010, 0x60710010, entry]}
+        assert findings(*load("config/can.yaml", overrides=stated)) == []
+        found = findings(*load("config/can.yaml", overrides=ROBOT | stated))
+        assert [each.where for each in found] == [f"{_DRIVE}.rpdo"]
+        assert name in found[0].text

@@ -21,7 +21,6 @@ from tests.unit.supervisor_setup import (
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
-from tonus.runtime.supervisor.judge import Judge
 
 
 @pytest.fixture(scope="module")
@@ -188,17 +187,6 @@ def broken_looks(config: Config, pattern: str) -> int | None:
 def test_a_condition_that_comes_and_goes(config: Config, pattern: str, found: int | None) -> None:
     """What lasts for more than a fifth of the time is found; a look now and then is forgotten."""
     assert broken_looks(config, pattern) == found
-
-
-def test_what_held_before_the_robot_was_disarmed_is_over(config: Config) -> None:
-    assert config.supervisor is not None
-    judge = Judge(config, config.supervisor)
-    contact = {"contact": 30.0}
-    looks = [seen(100.0 + k, claim(at_ms=100.0 + k, contact=30.0), **contact) for k in range(5)]
-    assert [judge(look) for look in looks] == [None] * 5
-    judge.rest()
-    later = [seen(109.0 + k, claim(at_ms=109.0 + k, contact=30.0), **contact) for k in range(5)]
-    assert [judge(look) for look in later] == [None] * 5
 
 
 @pytest.mark.parametrize(

@@ -274,3 +274,15 @@ def test_cells_on_another_bus(config: Config) -> None:
     assert np.isnan(found.contact)
     assert not found.cell_age.any()
     assert found.contact_age == 0.0
+
+
+def test_a_torque_is_as_old_as_the_sync_before_it(config: Config) -> None:
+    """Of the two the older; the SYNC of the drive's own channel."""
+    stage = Stage(config)
+    stage.tick(0, newton=45.0, metre=0.0, force=45.0)
+    axes = stage.wiring.axes
+    stage.heard[axes[0].channel, axes[0].sync].take([0], 3 * MS)
+    stage.heard[axes[0].channel, axes[0].sent].take([0], 2 * MS)
+    stage.heard[axes[7].channel, axes[7].sent].take([0], 4 * MS)
+    found = stage.observe(5 * MS, stage.heard, [claim()]).torque_age
+    assert found.tolist() == [3.0, *[5.0] * 7]

@@ -114,7 +114,7 @@ def test_a_stop_that_is_followed_by_control(config: Config) -> None:
     assert config.supervisor is not None
     judge = Judge(config, config.supervisor)
     assert judge(looks[0]) is None
-    judge.rest()
+    judge.rest(1 * MS)
     assert judge(looks[1]) is None
 
 

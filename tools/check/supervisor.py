@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from tonus.config import Config
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.bus.base import numbers
+from tonus.config.schema.drive import DriveError, DriveProfile
 from tonus.config.schema.supervisor import Supervisor
 from tonus.tools.check.finding import Finding
 
@@ -16,10 +17,30 @@ _SHARES = (
     ("opposed_force", 0.5),
     ("opposed_error", 0.1),
     ("logged_tension", 0.25),
+    ("opposed_long_force", 0.25),
+    ("opposed_long_error", 0.1),
     ("answered_torque", 0.25),
+    ("passive_torque", 0.25),
     ("tension_stopping", 3.0),
 )
 """of the largest tension, at most"""
+_LONGEST = {
+    "axis_torque_ms": 200.0,
+    "stale_ms": 40.0,
+    "disarmed_ms": 100.0,
+    "stopping_ms": 200.0,
+    "window_ms": 50.0,
+    "opposed_ms": 50.0,
+    "frozen_frames": 20.0,
+    "logged_ticks": 16.0,
+    "rotation": 3.0,
+}
+"""What a robot may state; `tonus.config.relaxed` has period, patience and timeout"""
+_NOTHING = 0
+"""of 0x6007"""
+_HEARTBEAT_LOST = 0x8130
+_COMPARED = (0x6040, 0x6071)
+"""controlword and target torque: the statusword tells of the one, the record of the other"""
 
 
 def check_supervisor(config: Config) -> Iterator[Finding]:
@@ -72,6 +93,7 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
     for key, value, bound, times in (
         *((f"{_KEY}.{name}", getattr(settings, name), tension, times) for name, times in _SHARES),
         (f"{_KEY}.contact_stopping", settings.contact_stopping, envelope.contact_limit, 2.0),
+        (f"{_KEY}.contact_at_once", settings.contact_at_once, envelope.contact_limit, 4.0),
         (f"{_KEY}.speed_stopping", settings.speed_stopping, envelope.speed_limit, 10.0),
         ("control.sequence.tare_limit", tare, envelope.contact_limit, 0.5),
         ("control.stiffness.rise_rate", rise, stiffness.maximum - stiffness.minimum, 10.0),
@@ -80,6 +102,13 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
             text = f"{value:g} is more than {times:g} times the bound of {bound:g} that it guards"
             remedy = f"set it to at most {times * bound:g}"
             yield Finding("supervisor", False, key, text, remedy)
+    for name, most in _LONGEST.items():
+        value = getattr(settings, name)
+        if value > most:
+            text = f"{value:g} would find a mistake too late, a robot may state {most:g}"
+            yield Finding(
+                "supervisor", False, f"{_KEY}.{name}", text, f"set it to at most {most:g}"
+            )
 
 
 def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
@@ -87,6 +116,7 @@ def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
     settings = config.supervisor
     if settings is None or settings.policy == "off" or not bus.axis_places:
         return
+    yield _times(settings)
     for key, profile in bus.every_profile.items():
         if not profile.watches_supervisor:
             yield Finding(
@@ -98,6 +128,84 @@ def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
             )
             continue
         yield _patience(settings, profile.heartbeat_margin_ms, profile.name)
+        if config.lab is None:
+            yield from _reacts(key, profile)
+            yield from _stays_in_fault(key, profile)
+            yield from _mapped(key, profile)
+
+
+def _times(settings: Supervisor) -> Finding:
+    still_ms = settings.period_ms + settings.patience_ms + settings.timeout_ms
+    longest_ms = settings.period_ms + settings.stopping_ms + settings.timeout_ms
+    return Finding(
+        "supervisor",
+        True,
+        f"{_KEY}.timeout_ms",
+        f"drives begin to stop {still_ms:g} ms after a mistake shows that may last patience_ms, "
+        f"{longest_ms:g} ms after one that may last stopping_ms",
+        "",
+    )
+
+
+def _reacts(key: str, profile: DriveProfile) -> Iterator[Finding]:
+    """Whether a drive does anything when the heartbeat that it waits for ends."""
+    code, error = profile.options.abort_connection, _heartbeat_error(profile)
+    if code is None or code == _NOTHING:
+        said = "is not stated" if code is None else "is 0: it does nothing"
+        yield Finding(
+            "supervisor",
+            False,
+            f"{key}.options.abort_connection",
+            f"what {profile.name} does when it loses the supervisor (0x6007) {said}",
+            "state a code with which it stops: " + _codes(profile),
+        )
+    if error is not None and error.reaction == "warning":
+        yield Finding(
+            "supervisor",
+            False,
+            f"{key}.errors",
+            f"{profile.name} only warns when a heartbeat that it waits for ends (0x8130)",
+            "use a drive that stops",
+        )
+
+
+def _stays_in_fault(key: str, profile: DriveProfile) -> Iterator[Finding]:
+    """Whether a daemon that is wrong can enable the drive while the silence lasts: a consumer waits
+    anew only from the next heartbeat on (CiA 301)."""
+    error = _heartbeat_error(profile)
+    if error is None or error.reset == "fault_reset":
+        yield Finding(
+            "supervisor",
+            True,
+            f"{key}.errors",
+            f"a fault reset alone enables {profile.name} again after the supervisor has stopped "
+            "it, also while the supervisor is silent (docs/supervisor.md)",
+            "",
+        )
+
+
+def _mapped(key: str, profile: DriveProfile) -> Iterator[Finding]:
+    """What a drive acts by and the supervisor does not compare with anything."""
+    unread = [entry for entry in profile.rpdo if entry >> 16 not in _COMPARED]
+    if unread:
+        names = ", ".join(f"0x{entry >> 16:04X}" for entry in unread)
+        yield Finding(
+            "supervisor",
+            False,
+            f"{key}.rpdo",
+            f"{profile.name} is sent {names} in every PDO, which the supervisor does not judge",
+            "map controlword and target torque alone; write the others at bring-up, under settings",
+        )
+
+
+def _heartbeat_error(profile: DriveProfile) -> DriveError | None:
+    found = (e for e in profile.errors if e.code <= _HEARTBEAT_LOST <= (e.last or e.code))
+    return next(found, None)
+
+
+def _codes(profile: DriveProfile) -> str:
+    known = [each for each in profile.supported_options.abort_connection if each != _NOTHING]
+    return ", ".join(map(str, known)) or f"{profile.name} has none, use another drive"
 
 
 def _patience(settings: Supervisor, margin_ms: float, name: str) -> Finding:

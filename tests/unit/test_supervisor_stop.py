@@ -1,0 +1,247 @@
+"""What is demanded of a stop, of the orders that lead to it, and of cables that hang loose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.unit.supervisor_setup import MS, STRICT, N, at, claim, judged, lasting, seen
+from tonus.config import Config, load
+from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.signals import cycle_dtype
+from tonus.runtime.states import Fault, Operator, State, StopMode
+from tonus.runtime.supervisor.judge import NOWHERE, Judge
+from tonus.runtime.supervisor.observation import Observation
+from tonus.runtime.supervisor.record import claims
+
+CONTROLLED = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+# --- a contact in a stop -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("force", [70.1, -70.1, 69.9, -69.9])
+def test_a_contact_in_a_stop_that_nobody_bears(config: Config, force: float) -> None:
+    """Not for 110 ms, but for as long as any other condition."""
+    beyond = abs(force) > 70.0
+    assert lasting(config, 4.9, State.SAFE_STOP, contact=force) is None
+    found = lasting(config, 5.0, State.SAFE_STOP, contact=force)
+    assert (found is not None and found.requirement is Requirement.CONTACT) is beyond
+    defective = {"contact": force, "contact_defective": True}
+    assert lasting(config, 50.0, State.SAFE_STOP, **defective) is None
+    other = lasting(config, 5.0, State.SAFE_STOP, contact=force, defective=np.ones(N, bool))
+    assert (other is not None) is beyond
+    assert lasting(config, 49.0, State.FAULT, contact=force) is None, "another bound's"
+
+
+# --- orders --------------------------------------------------------------------------------------
+
+
+def told(state: State, at_ms: float = 100.0, **given: Any) -> Observation:
+    return seen(at_ms, claim(state, at_ms, **given))
+
+
+def ordered(
+    config: Config, first: State, order: Operator, *then: State
+) -> list[Requirement | None]:
+    """What is found 5 ms and more after the order's record."""
+    looks = [told(first, 100.0, operator=order)]
+    looks += [told(state, 101.0 + 5.0 * k) for k, state in enumerate((then[0], *then))]
+    return [found and found.requirement for found in judged(config, *looks)][2:]
+
+
+@pytest.mark.parametrize("state", CONTROLLED)
+def test_an_order_to_stop_that_is_not_followed(config: Config, state: State) -> None:
+    for order in (Operator.STOP, Operator.ESTOP):
+        assert ordered(config, state, order, state) == [Requirement.ORDERS]
+    for order in (Operator.NONE, Operator.ARM, Operator.START, Operator.HOLD, Operator.RESET):
+        assert ordered(config, state, order, state) == [None]
+
+
+def test_what_follows_an_order(config: Config) -> None:
+    """A stop ends an order to stop, power that is off an emergency stop; a controlled stop is none
+    of them that may be made of it."""
+    stop = State.SAFE_STOP
+    assert ordered(config, State.ACTIVE, Operator.STOP, stop, stop) == [None, None]
+    assert ordered(config, State.ACTIVE, Operator.ESTOP, stop) == [Requirement.ORDERS]
+    assert ordered(config, stop, Operator.ESTOP, stop) == [Requirement.ORDERS]
+    assert ordered(config, stop, Operator.STOP, stop) == [None]
+    assert ordered(config, State.ACTIVE, Operator.ESTOP, State.FAULT) == [None]
+
+
+def test_an_emergency_stop_is_not_taken_back_by_a_stop(config: Config) -> None:
+    for first, then in ((Operator.ESTOP, Operator.STOP), (Operator.STOP, Operator.ESTOP)):
+        looks = [told(State.SAFE_STOP, 100.0, operator=first)]
+        looks += [told(State.SAFE_STOP, 101.0, operator=then), told(State.SAFE_STOP, 106.0)]
+        found = judged(config, *looks)[-1]
+        assert found is not None
+        assert (found.requirement, found.where) == (Requirement.ORDERS, NOWHERE)
+        assert found.value == State.SAFE_STOP
+
+
+def test_an_order_between_two_looks(config: Config) -> None:
+    first = claim(State.HOLD, 99.0, operator=Operator.STOP)
+    newest = claim(State.HOLD, 100.0)
+    looks = [seen(100.0, newest, claims=[first, newest]), told(State.HOLD, 105.0)]
+    found = judged(config, *looks)[-1]
+    assert found is not None
+    assert found.requirement is Requirement.ORDERS
+    off = claim(State.FAULT, 99.5)
+    looks[0] = seen(100.0, newest, claims=[first, off, newest])
+    assert judged(config, *looks)[-1] is None, "power that was off ends it"
+
+
+def test_an_order_is_over_once_no_drive_is_enabled(config: Config) -> None:
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    assert judge(told(State.HOLD, 100.0, operator=Operator.STOP)) is None
+    judge.rest(101 * MS)
+    assert judge(told(State.HOLD, 102.0)) is None
+    assert judge(told(State.HOLD, 108.0)) is None
+
+
+@pytest.mark.parametrize("state", [*CONTROLLED, State.SAFE_STOP])
+def test_a_fault_that_stops_nothing(config: Config, state: State) -> None:
+    looks = [told(state, at_ms, fault=Fault.DRIVE_LOST) for at_ms in (100.0, 104.9, 105.0)]
+    found = [each and each.requirement for each in judged(config, *looks)]
+    ignored = Requirement.ORDERS if state in CONTROLLED else None
+    assert found == [None, None, ignored]
+
+
+def test_orders_and_faults_of_a_record() -> None:
+    record = np.zeros(1, cycle_dtype(N))
+    for name, value in (("fault", 12), ("operator", 5), ("stop_mode", 3)):
+        record["state"][name] = value
+    found = claims(([1], record))[0]
+    assert (found.fault, found.operator, found.stop_mode) == (12, 5, 3)
+
+
+# --- a passive stop ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("torque", "rate", "found"),
+    [
+        (44.1, 0.01, True),
+        (43.9, 0.01, False),
+        (44.1, -0.01, False),
+        (300.0, -2.0, False),
+        (-20.1, -0.01, True),
+        (-19.9, -0.01, False),
+        (-300.0, 0.5, False),
+        (300.0, 0.0, False),
+    ],
+)
+def test_a_torque_that_drives_its_drum_in_a_passive_stop(
+    config: Config, torque: float, rate: float, found: bool
+) -> None:
+    """By 20 N and the passive tension of 12 N, which is let down in the end."""
+
+    def look(at_ms: float, state: State = State.SAFE_STOP, mode: int = StopMode.PASSIVE) -> Any:
+        said = claim(state, at_ms, stop_mode=mode)
+        turning = {"torque": at(3, torque, 12.0), "rate": at(3, rate)}
+        return seen(at_ms, said, unexplained=np.full(N, np.nan), **turning)
+
+    verdict = judged(config, look(100.0), look(104.9), look(105.0))
+    assert verdict[:2] == [None, None]
+    assert (verdict[2] is not None) is found
+    if verdict[2] is not None:
+        assert (verdict[2].requirement, verdict[2].where) == (Requirement.BRAKED, 3)
+    for mode in (StopMode.ON_PATH, StopMode.DESCENT):
+        assert judged(config, look(100.0, mode=mode), look(105.0, mode=mode)) == [None, None]
+    disabled = [replace(look(at_ms), enabled=np.arange(N) != 3) for at_ms in (100.0, 105.0)]
+    assert judged(config, *disabled) == [None, None]
+
+
+# --- a cable that hangs loose --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("state", [*CONTROLLED, State.SAFE_STOP])
+def test_a_cable_that_hangs_loose(config: Config, state: State) -> None:
+    """5 N are the daemon's own bound, for 5 ticks; 5 ms of patience more."""
+    judges = state in (State.HOLD, State.ACTIVE)
+    for tension, for_ms, found in ((4.9, 10.0, judges), (4.9, 9.9, False), (5.0, 50.0, False)):
+        said = np.full(N, tension)
+        given = {"tension": at(6, tension, 45.0), "torque": at(6, tension, 45.0)}
+        looks = [
+            seen(at_ms, claim(state, at_ms, tension=given["tension"], reference=said), **given)
+            for at_ms in (100.0, 100.0 + for_ms)
+        ]
+        verdict = judged(config, *looks)[-1]
+        assert (verdict is not None) is found
+        assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.TENSION, 6)
+        off = [replace(look, enabled=np.arange(N) != 6) for look in looks]
+        assert judged(config, *off)[-1] is None
+
+
+# --- a torque that is missing --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("torque", "tension", "found"),
+    [
+        (24.9, 45.0, True),
+        (25.1, 45.0, False),
+        (26.0, 46.1, False),
+        (24.0, 44.9, True),
+        (79.0, 58.9, False),
+        (82.1, 62.0, True),
+        (81.9, 62.0, False),
+        (81.0, 60.9, False),
+    ],
+)
+def test_a_small_torque_against_the_reference_that_lasts(
+    config: Config, torque: float, tension: float, found: bool
+) -> None:
+    """The reference is 53.5 N; 20 N, and 8 N of error, may last for 20 ms. The daemon's loop would
+    correct it within a few."""
+
+    def look(at_ms: float, state: State = State.ACTIVE, mode: int = StopMode.NONE) -> Observation:
+        measured, sent = at(5, tension, 53.5), at(5, torque, 53.5)
+        said = claim(state, at_ms, tension=measured, reference=np.full(N, 53.5), stop_mode=mode)
+        return seen(at_ms, said, tension=measured, torque=sent, rate=np.zeros(N))
+
+    stop = State.SAFE_STOP
+    for state, mode in (
+        (State.HOLD, StopMode.NONE),
+        (State.ACTIVE, StopMode.NONE),
+        (stop, StopMode.ON_PATH),
+    ):
+        first, last, beyond = (look(at_ms, state, mode) for at_ms in (100.0, 119.9, 120.0))
+        assert judged(config, first, last) == [None, None]
+        verdict = judged(config, first, beyond)[1]
+        assert (verdict is not None) is found
+        assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 5)
+    others = [replace(look(at_ms), enabled=np.arange(N) != 5) for at_ms in (100.0, 120.0)]
+    assert judged(config, *others)[1] is None
+    for state, mode in (
+        (State.PRETENSION, StopMode.NONE),
+        (State.ACTIVE, StopMode.PASSIVE),
+        (stop, StopMode.DESCENT),
+        (stop, StopMode.PASSIVE),
+    ):
+        looks = [look(at_ms, state, mode) for at_ms in (100.0, 120.0)]
+        expected = found if state is State.ACTIVE else False
+        assert (judged(config, *looks)[1] is not None) is expected
+
+
+@pytest.mark.parametrize("mode", StopMode)
+def test_a_torque_against_the_reference_in_a_stop_along_the_path(
+    config: Config, mode: StopMode
+) -> None:
+    given = {"torque": at(1, -20.0, 45.0), "tension": at(1, 42.0, 45.0)}
+    looks = [
+        seen(at_ms, claim(State.SAFE_STOP, at_ms, stop_mode=mode), **given)
+        for at_ms in (100.0, 104.9, 105.0)
+    ]
+    found = [each and each.requirement for each in judged(config, *looks)]
+    verdict = Requirement.OPPOSED if mode is StopMode.ON_PATH else None
+    assert found == [None, None, verdict]
