@@ -84,13 +84,18 @@ def test_one_look_without_power_is_no_excuse(watchdog: Watchdog) -> None:
     assert broken(watchdog) is Requirement.DISARMED
 
 
-def test_what_held_is_over_when_nothing_was_enabled_for_a_while(watchdog: Watchdog) -> None:
-    """A quarter of 0.2 s would be enough for 48 of 50 ms; 0.3 s are for everything."""
+@pytest.mark.parametrize(("off_ms", "over"), [(300, False), (302, True)])
+def test_what_held_is_over_when_nothing_was_enabled_for_a_while(off_ms: int, over: bool) -> None:
+    """198 of 200 ms; a quarter of 0.3 s would leave 123 of them."""
+    patient = STRICT | {"supervisor.disarmed_ms": 200}
+    watchdog = Watchdog(load("config/can.yaml", overrides=patient)[0])
     list(watchdog.steps(0, 310, enabled=False))
     watchdog.state = State.FAULT
-    assert all(sent == BEAT for sent in watchdog.steps(310, 358, enabled=True))
-    assert all(sent == BEAT for sent in watchdog.steps(358, 658, enabled=False))
-    assert all(sent == BEAT for sent in watchdog.steps(658, 708, enabled=True))
+    assert all(sent == BEAT for sent in watchdog.steps(310, 508, enabled=True))
+    assert all(sent == BEAT for sent in watchdog.steps(508, 508 + off_ms, enabled=False))
+    again = watchdog.steps(508 + off_ms, 706 + off_ms, enabled=True)
+    assert all(sent == BEAT for sent in again) is over
+    watchdog.supervisor.close()
 
 
 def test_how_what_held_is_forgotten_while_nothing_is_enabled(config: Config) -> None:
@@ -157,9 +162,9 @@ def test_a_boot_up_is_remembered_until_the_drive_answers(watchdog: Watchdog, fir
     assert watchdog.step(310, enabled=True) == BEAT
     watchdog.state = State.FAULT
     given = {"enabled": False, "deaf": deaf}
-    assert watchdog.step(312, beats=[(0, first)], **given) == BEAT
+    assert watchdog.step(311, beats=[(0, first)], **given) == BEAT
     many = [(0, OPERATIONAL)] * 500
-    sent = [watchdog.step(now, beats=many, **given) for now in range(314, 400, 2)]
+    sent = [watchdog.step(now, beats=many, **given) for now in range(312, 400, 2)]
     assert (BEAT in sent[-5:]) is (first == BOOT_UP)
     if first == BOOT_UP:
         assert watchdog.step(400, enabled=True) == BEAT
@@ -187,3 +192,16 @@ def test_a_silent_drive_whose_heartbeats_are_far_apart(
             break
     assert found + 22 == found_ms
     assert broken(watchdog) is Requirement.DISARMED
+
+
+def test_which_records_are_new(watchdog: Watchdog) -> None:
+    """The first of all, and each of a later tick that is not of the future: one of the future
+    counts for nothing, also for those that follow."""
+    risen = watchdog.supervisor._risen
+    first, again = claim(at_ms=0.0, tick=0), claim(at_ms=0.0, tick=0)
+    assert risen(0, [first]) == [first]
+    assert risen(0, [again]) == []
+    beyond = [claim(at_ms=5.000001, tick=7), claim(at_ms=5.0, tick=1)]
+    assert [each.tick for each in risen(0, beyond)] == [1]
+    later = [claim(at_ms=5.0, tick=tick) for tick in (3, 2, 4)]
+    assert [each.tick for each in risen(0, later)] == [3, 4]
