@@ -47,8 +47,8 @@ class Stop(Section):
     """of the tension loop in a descent: faster than where a person is to be met softly"""
     calm: NonNegative = 20.0
     """the same once nothing throws the platform any more"""
-    throw_s: Positive = 0.1
-    """s, time constant of the way there after each loss of a cable"""
+    throw_s: Positive = 0.3
+    """s after each loss of a cable in which it may; the gain then changes within `ease_s`"""
     ease_s: Positive
     """s in which the tensions ease off from what they were when it began"""
     tension_rate: Positive

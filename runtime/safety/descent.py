@@ -71,7 +71,8 @@ class Descent:
         """N (n,), the last tension references"""
         self._most = np.zeros(robot.cables)
         self._calm = _share(control.stop.calm, control.stop.proportional)
-        self._eager, self._calming = 1.0, math.exp(-period / control.stop.throw_s)
+        self._eager, self._thrown = 1.0, 0.0
+        self._calming = math.exp(-period / control.stop.ease_s)
         self._gone = np.zeros(robot.cables, dtype=bool)
         self._felt = np.zeros(robot.cables)
         self._release = math.exp(-period / control.stop.release_s)
@@ -81,7 +82,7 @@ class Descent:
     def begin(self, tension: Array) -> None:
         """From tensions (n,) of this tick."""
         self.guard.reset()
-        self._eager = 1.0
+        self._eager, self._thrown = 1.0, 0.0
         self.centre[:] = tension
         self.taut[:] = True
 
@@ -121,12 +122,15 @@ class Descent:
 
     def felt(self, reference: Array, tension: Array, failed: Mask) -> Array:
         """Tensions (n,) for the loop, which answers a deviation from its ``reference`` (n,) with
-        all its gain while a loss throws the platform. After each of the cables that ``failed``
-        (n,) this fades: drums that yield to every newton yield to a push as well, and sway."""
-        self._eager *= self._calming
+        all its gain while a loss throws the platform. Some time after the last of the cables that
+        ``failed`` (n,) this fades: drums that yield to every newton yield to a push as well, and
+        sway."""
+        self._thrown += self._period
+        if self._thrown > self._stop.throw_s:
+            self._eager *= self._calming
         if (failed != self._gone).any():
             self._gone[:] = failed
-            self._eager = 1.0
+            self._eager, self._thrown = 1.0, 0.0
         share = self._calm + (1.0 - self._calm) * self._eager
         self._felt[:] = reference + share * (tension - reference)
         return self._felt
