@@ -121,7 +121,8 @@ class ControlCycle:
         self._last_tick, self._skipped = -1, 0
         self.drums = self._isolation.drums
         self._drum_rate, self._none = np.zeros(robot.cables), np.zeros(robot.cables)
-        self._drum_motion = (self._drum_rate, np.zeros(robot.cables), np.zeros(robot.cables))
+        self._desired_drums = (np.zeros(robot.cables), np.zeros(robot.cables))
+        self._drum_motion = (self._drum_rate, *self._desired_drums)
         """rad/s (n,) that would follow the platform, rad/s and rad/s2 (n,) of the desired motion"""
         self._law = 0.0
         self._accepted = False
