@@ -58,6 +58,7 @@ class Judge:
         self._slack_ns = round(settings.patience_ms * 1e6) + slack_ticks * control.rates.period_ns
         self._twists = _twists(config, settings.spread)
         self._tick_ns = control.rates.period_ns
+        self._brakes = config.relay is None
         patience = dict.fromkeys(Requirement, settings.patience_ms)
         patience[Requirement.TICK] = patience[Requirement.TORQUE] = 0.0  # ages by themselves
         patience[Requirement.FROZEN] = 0.0
@@ -207,8 +208,10 @@ class Judge:
         yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong)
         sent = (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)
+        # Nobody could judge, whatever the torques are. Drives that lose the heartbeat brake; those
+        # that lose the relay have no torque, which is what they are sent.
         newest = float(seen.measured_age.min())
-        if newest > settings.stale_ms:  # nobody could judge, whatever the torques are
+        if self._brakes and newest > settings.stale_ms:
             yield Violation(Requirement.STALE, NOWHERE, newest)
 
     def _controlled(self, seen: Observation, speeds: tuple[float, ...]) -> Iterator[Violation]:

@@ -559,6 +559,21 @@ def test_drives_that_all_stop_answering_while_nothing_is_enabled_release_the_rel
     assert list(held.steps(1, disarmed)) == [[BEAT, HELD]]
 
 
+def test_a_stop_in_which_no_drive_answers_is_let_be(held: Held) -> None:
+    """They are sent no torque, and would have none without the relay either."""
+    count = 0
+
+    def silent(record: Any) -> None:
+        nonlocal count
+        count += 1
+        record["state"]["state"] = State.SAFE_STOP
+        record["drives"]["age"] = count
+        record["drives"]["torque_command"] = 0.0
+
+    held.armed()
+    assert all(sent == [BEAT, HELD] for sent in held.steps(100, silent))
+
+
 def test_the_same_record_again_is_none(held: Held) -> None:
     def again(record: Any) -> None:
         record["timing"]["tick"] = 362
