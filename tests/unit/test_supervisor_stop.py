@@ -28,7 +28,7 @@ def config() -> Config:
 # --- a contact in a stop -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("force", [70.1, -70.1, 69.9, -69.9])
+@pytest.mark.parametrize("force", [70.1, -70.1, 70.0, -70.0, 69.9])
 def test_a_contact_in_a_stop_that_nobody_bears(config: Config, force: float) -> None:
     """Not for 110 ms, but for as long as any other condition."""
     beyond = abs(force) > 70.0
@@ -75,6 +75,16 @@ def test_what_follows_an_order(config: Config) -> None:
     assert ordered(config, stop, Operator.ESTOP, stop) == [Requirement.ORDERS]
     assert ordered(config, stop, Operator.STOP, stop) == [None]
     assert ordered(config, State.ACTIVE, Operator.ESTOP, State.FAULT) == [None]
+
+
+@pytest.mark.parametrize("later", [Operator.START, Operator.HOLD, Operator.RESET, Operator.ARM])
+def test_an_order_to_stop_is_not_taken_back_by_another(config: Config, later: Operator) -> None:
+    for first in (Operator.STOP, Operator.ESTOP):
+        looks = [told(State.HOLD, 100.0, operator=first)]
+        looks += [told(State.HOLD, 101.0, operator=later), told(State.HOLD, 106.0)]
+        found = judged(config, *looks)[-1]
+        assert found is not None
+        assert found.requirement is Requirement.ORDERS
 
 
 def test_an_emergency_stop_is_not_taken_back_by_a_stop(config: Config) -> None:
@@ -189,7 +199,8 @@ def test_a_cable_that_hangs_loose(config: Config, state: State) -> None:
     ("torque", "tension", "found"),
     [
         (24.9, 45.0, True),
-        (25.1, 45.0, False),
+        (25.0, 45.0, False),
+        (24.0, 45.5, False),
         (26.0, 46.1, False),
         (24.0, 44.9, True),
         (79.0, 58.9, False),
