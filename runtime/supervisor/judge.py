@@ -204,7 +204,9 @@ class Judge:
             felt = controlled and (seen.swing > settings.frozen_tension)[frozen].any()
             if felt or (seen.jolt > settings.frozen_rate)[frozen].any():
                 yield Violation(Requirement.FROZEN, NOWHERE, int(seen.same[frozen].min()))
-        wrong = enabled & seen.unlogged
+        # Where nothing is sent and nothing answers the channel is gone: its heartbeat ends alone.
+        gone = np.minimum(seen.torque_age, seen.measured_age) > settings.patience_ms
+        wrong = enabled & seen.unlogged & ~gone
         yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong)
         sent = (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)

@@ -30,7 +30,7 @@ from tests.wrong_daemons import (
     without,
 )
 from tonus.config.loader import load_scenario
-from tonus.config.schema.faults import CellBreak, Loss
+from tonus.config.schema.faults import CellBreak, Disconnect, Loss
 from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.canopen.channel import Channel
 from tonus.runtime.control.allocation import Allocation
@@ -222,6 +222,20 @@ def test_a_daemon_that_stops_for_a_broken_cell_is_let_be(monkeypatch: pytest.Mon
     assert State.SAFE_STOP in seen.state
     assert not run.said
     assert not run.stopped_ns
+
+
+def test_a_channel_whose_adapter_is_gone() -> None:
+    """The daemon stops with the drives of the other channels."""
+
+    def gone() -> None:
+        assert run._playing.lab is not None
+        run._playing.lab.inject(Disconnect(channel="can1"))
+
+    run = Run(configured(**BRIEF)[0], load_scenario("sine_z"), gone)
+    seen = run.play(1.0)
+    assert State.SAFE_STOP in seen.state
+    assert not run.said
+    assert not set(run.stopped_ns) - {3, 4}
 
 
 def test_its_requirement_is_in_the_log(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -574,6 +574,22 @@ def test_a_stop_in_which_no_drive_answers_is_let_be(held: Held) -> None:
     assert all(sent == [BEAT, HELD] for sent in held.steps(100, silent))
 
 
+def test_a_silent_drive_of_which_no_heartbeat_is_read_is_off(held: Held) -> None:
+    """Once the daemon and all others are disarmed: it was pulled, or has no power."""
+    count = 0
+
+    def pulled(record: Any) -> None:
+        nonlocal count
+        count += 1
+        disarmed(record)
+        record["state"]["state"] = State.FAULT
+        record["drives"]["age"][1] = count
+        record["drives"]["statusword"][1] = ENABLED
+
+    held.armed()
+    assert all(sent == [BEAT, HELD] for sent in held.steps(100, pulled))
+
+
 def test_the_same_record_again_is_none(held: Held) -> None:
     def again(record: Any) -> None:
         record["timing"]["tick"] = 362

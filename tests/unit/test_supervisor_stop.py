@@ -256,3 +256,24 @@ def test_a_torque_against_the_reference_in_a_stop_along_the_path(
     found = [each and each.requirement for each in judged(config, *looks)]
     verdict = Requirement.OPPOSED if mode is StopMode.ON_PATH else None
     assert found == [None, None, verdict]
+
+
+# --- a channel that is gone ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sent_ms", "answered_ms", "found"),
+    [(5.1, 5.1, False), (5.1, 5.0, True), (5.0, 5.1, True), (0.0, 15.0, True), (15.0, 0.0, True)],
+)
+def test_a_torque_of_before_on_a_channel_that_is_gone(
+    config: Config, sent_ms: float, answered_ms: float, found: bool
+) -> None:
+    """It is in no newer record, and no drive of the channel can be reached; the stop of the others
+    goes on. Where one of the two arrives it is wrong."""
+    given = {
+        "unlogged": np.arange(N) == 2,
+        "torque_age": at(2, sent_ms),
+        "measured_age": at(2, answered_ms),
+    }
+    verdict = lasting(config, 5.0, State.SAFE_STOP, **given)
+    assert (verdict is not None and verdict.requirement is Requirement.COMMAND_LOGGED) is found
