@@ -133,15 +133,15 @@ def platform_wrench(
     quaternion: Array,
     turning: Array,
     wanted_turning: Array,
-    level: Array,
+    wanted_quaternion: Array,
     rotational_stiffness: float,
     rotational_damping: float,
     wrench: Array,
 ) -> None:
     """``wrench`` (6,): the sum of three forces and of inertia; and a rotational spring and damper
-    towards the orientation ``level``. ``quaternion``: the platform's, ``turning`` and
+    towards the orientation ``wanted_quaternion``. ``quaternion``: the platform's, ``turning`` and
     ``wanted_turning`` (rad/s) its angular velocity and the desired one."""
-    turn = rotation_between(quaternion, level)
+    turn = rotation_between(quaternion, wanted_quaternion)
     for k in range(3):
         inertia = mass * acceleration[k]
         wrench[k] = force[k] + inertia + (weight[k] + push[k])
@@ -162,7 +162,7 @@ def impedance_wrench(
     quaternion: Array,
     turning: Array,
     wanted_turning: Array,
-    level: Array,
+    wanted_quaternion: Array,
     rotational_stiffness: float,
     rotational_damping: float,
     wrench: Array,
@@ -179,7 +179,7 @@ def impedance_wrench(
         quaternion,
         turning,
         wanted_turning,
-        level,
+        wanted_quaternion,
         rotational_stiffness,
         rotational_damping,
         wrench,

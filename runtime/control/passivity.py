@@ -103,7 +103,7 @@ def _limit(
     wanted: float,
     cap: float,
     before: float,
-    level: float,
+    stored: float,
     followed: bool,
     error: Array,
     rate: Array,
@@ -117,10 +117,10 @@ def _limit(
     rising: tuple[float, float, float, float],
     tank: tuple[float, float, float],
 ) -> tuple[float, float, bool, float, float, float, float, float]:
-    """The stiffness (N/m) after ``before``, the tank's ``level`` (J), whether the next tick is
-    ``followed`` by this one's error, and the account: storage (J), stiffening, dissipated and
-    external power (W), and the stiffness's rate (N/m/s). ``rising``: as `_rise_bound` has them;
-    ``tank``: efficiency, capacity, minimum."""
+    """The stiffness (N/m) after ``before``, the energy ``stored`` in the tank (J), whether the next
+    tick is ``followed`` by this one's error, and the account: storage (J), stiffening, dissipated
+    and external power (W), and the stiffness's rate (N/m/s). ``rising``: as `_rise_bound` has
+    them; ``tank``: efficiency, capacity, minimum."""
     efficiency, capacity, empty = tank
     target = min(wanted, cap, maximum)
     if not target >= minimum:  # also when it is not a number
@@ -128,23 +128,23 @@ def _limit(
     step, stretch, speed, power = _squares(error, last, rate, force)
     if followed:
         # By Cauchy and Schwarz the damper took at least D |step|^2 / period since last tick.
-        level = _fill(level, resistance * step / period, efficiency, capacity)
+        stored = _fill(stored, resistance * step / period, efficiency, capacity)
     follows = math.isfinite(stretch)
     if not follows:
         target = min(target, before)
     if target > before:
         alpha, ratio, felt, fastest = rising
         highest = before + period * _rise_bound(before, alpha, ratio, felt, fastest)
-        paid, level = _admit(level, empty, before, min(target, highest), stretch)
+        paid, stored = _admit(stored, empty, before, min(target, highest), stretch)
         value = min(max(paid, before), maximum)
     else:
-        level = _fill(level, 0.5 * (before - target) * stretch, efficiency, capacity)
+        stored = _fill(stored, 0.5 * (before - target) * stretch, efficiency, capacity)
         value = target
     changed = (value - before) / period
     storage = 0.5 * (mass * speed + value * stretch)
     return (
         value,
-        level,
+        stored,
         follows,
         storage,
         0.5 * changed * stretch,

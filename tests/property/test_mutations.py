@@ -264,7 +264,7 @@ MUTATIONS = (
     Mutation(LIMITER, "/ felt_inertia(robot)", "/ robot.platform.mass",
              limiter_keeps_the_rate_bound),
     Mutation(LIMITER, "if target > before:", "if target != before:", limiter_falls_at_once),
-    Mutation(LIMITER, "paid, level = _admit(level, empty, before, min(target, highest), stretch)",
+    Mutation(LIMITER, "paid, stored = _admit(stored, empty, before, min(target, highest), stretch)",
              "paid = min(target, highest)", storage_and_tank_never_grow),
     Mutation(LIMITER, "0.5 * (wanted - stiffness) *", "0.1 * (wanted - stiffness) *",
              storage_and_tank_never_grow),

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 
 from tonus.config import load
 from tonus.config.schema.control import Passivity
-from tonus.runtime.control.passivity import Limiter, damping
+from tonus.runtime.control.passivity import Limiter, Tank, damping
 
 CONFIG, _ = load("config/can.yaml")
 ROBOT, LAW, TANK = CONFIG.robot, CONFIG.control.stiffness, CONFIG.control.passivity
@@ -101,17 +101,23 @@ def test_storage_and_tank_together_never_grow_by_themselves(
             total = now
 
 
-def pumped(tank: Passivity, seconds: float = 7.0) -> float:
+def pumped(settings: Passivity, seconds: float = 7.0) -> float:
     """Largest |e| (m) under a law that stiffens on the way in and softens on the way out, with a
-    damper of 8 N s/m at K0 and no rate bound."""
-    model = Reduced(8.0 / damping(1.0, LAW.base, MASS), tank, minimum=LAW.base)
-    model.limiter.rise_bound = lambda stiffness: math.inf  # type: ignore[method-assign]
-    largest = 0.0
+    damper of 8 N s/m at K0 and no rate bound: what a tank does by itself."""
+    ratio = 8.0 / damping(1.0, LAW.base, MASS)
+    tank, stiffness, state = Tank(settings), LAW.base, np.array([0.01, 0.0])
+    largest = last = float(state[0])
     for _ in range(round(seconds / PERIOD)):
-        inward = model.state[0] * model.state[1] < 0.0
-        model.tick(LAW.maximum if inward else LAW.base)
-        model.move()
-        largest = max(largest, abs(float(model.state[0])))
+        inward, stretch = state[0] * state[1] < 0.0, float(state[0]) ** 2
+        tank.fill(damping(ratio, stiffness, MASS) * (float(state[0]) - last) ** 2 / PERIOD)
+        last = float(state[0])
+        if inward:
+            stiffness = tank.admit(stiffness, LAW.maximum, stretch)
+        else:
+            tank.fill(0.5 * (stiffness - LAW.base) * stretch)
+            stiffness = LAW.base
+        state = transition(stiffness, damping(ratio, stiffness, MASS)) @ state
+        largest = max(largest, abs(float(state[0])))
     return largest
 
 
