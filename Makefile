@@ -3,6 +3,8 @@ PYTHON ?= $(shell command -v python3.11 || echo python3)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
+COMPILED := $(VENV)/.compiled
+KERNELS := $(shell grep -rlE '@(njit|intrinsic)' drivers runtime sim tools --include='*.py')
 
 MINUTES ?= 20
 FUZZ_FRAMES ?= 200000
@@ -13,21 +15,25 @@ FUZZ_SEED ?= $(shell date +%s)
 .PHONY: fuzz robust replay kill soak mutation
 .PHONY: lint check-types docs lock clean
 
-setup: $(STAMP)
+setup: $(COMPILED)
 
 $(STAMP): requirements.lock pyproject.toml
 	@command -v $(PYTHON) >/dev/null || { echo "Tonus needs Python 3.11 or newer: make PYTHON=..."; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	@# Compiled code of another layout or numba would be found, and not load.
+	@touch $(STAMP)
+
+# numba looks for a change in a kernel's own file only, and would go on with compiled code that has
+# another file's kernel of before in it. Compiled code of another layout would be found, and not load.
+$(COMPILED): $(STAMP) $(KERNELS)
 	@find config drivers runtime sim tests tools -name '*.nb[ic]' -delete
 	@# Bytecode, which the first `tonus view` beside a robot would have to wait for.
 	@$(BIN)/python -m compileall -q config drivers runtime sim tools tonus
 	@# What is compiled at the first run, and told on standard error, no later command waits for.
 	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
 		$(BIN)/tonus run config/can.yaml --virtual --duration 0.1 --out "$$folder" >/dev/null
-	@touch $(STAMP)
+	@touch $(COMPILED)
 
 run: setup
 	$(BIN)/tonus run config/can.yaml --or-virtual

@@ -130,3 +130,14 @@ def test_commissioning_shows_what_the_check_prints() -> None:
     printed = CliRunner().invoke(check, ["config/can.yaml"]).output.splitlines()
     assert len(told) == 5
     assert set(told) <= set(printed)
+
+
+def test_after_a_change_of_a_kernel_those_that_call_it_are_compiled_anew() -> None:
+    """numba asks for a change of a kernel's own file only."""
+
+    def planned(changed: str) -> str:
+        command = [MAKE, "--dry-run", f"--what-if={changed}", "setup"]
+        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+    assert "-delete" in planned("runtime/control/kinematics.py")
+    assert planned("runtime/daemon.py") == planned("README.md")
