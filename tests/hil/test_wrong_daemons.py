@@ -32,7 +32,7 @@ from tests.wrong_daemons import (
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import CellBreak, Disconnect, Loss
 from tonus.config.schema.supervisor import Requirement
-from tonus.drivers.canopen.channel import Channel
+from tonus.drivers.canopen.channels import Channels
 from tonus.runtime.control.allocation import Allocation
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.safety.fallback import Fallback
@@ -103,7 +103,7 @@ def test_tensions_that_rise_beyond_their_bound(monkeypatch: pytest.MonkeyPatch) 
 
 def test_torques_on_which_no_drive_acts(monkeypatch: pytest.MonkeyPatch) -> None:
     """No SYNC, also none on which the zeros of the daemon's own stop would act."""
-    mute = instead(Channel, "sync", lambda *_: None)
+    mute = instead(Channels, "sync", lambda *_: None)
     robot = BRIEF | {"control.freshness.stale_stop_ticks": 5}
     run, seen = _run(monkeypatch, mute, overrides=robot)
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
@@ -140,9 +140,9 @@ def test_a_passive_stop_that_drives_its_drums(monkeypatch: pytest.MonkeyPatch) -
     change = both(instead(ControlCycle, "act", raises), after(ControlCycle, "fall_back", inverted))
     run, seen = _run(monkeypatch, change, overrides=BRIEF, seconds=0.4)
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
-    assert run.slowest_ms <= 125.0
+    assert run.slowest_ms <= 80.0
     assert {number for number, _ in run.said} == {Requirement.BRAKED}
-    assert _fastest(run, seen) <= 0.9
+    assert _fastest(run, seen) <= 1.15, "the brake beyond `passive_speed` is inverted too"
 
 
 def test_torques_that_are_kept_where_control_raises_and_has_no_fallback(
@@ -154,7 +154,7 @@ def test_torques_that_are_kept_where_control_raises_and_has_no_fallback(
     change = both(instead(ControlCycle, "act", raises), nothing)
     run, seen = _run(monkeypatch, change, seconds=2.0)
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
-    assert {number for number, _ in run.said} == {Requirement.FROZEN}
+    assert {number for number, _ in run.said} == {Requirement.BRAKED}
     later = seen.truth_ns > run.changed_ns
     rate = seen.truth["drum_rate"][later] * seen.config.robot.drum_radius
     settings = seen.config.supervisor
