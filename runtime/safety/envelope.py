@@ -126,13 +126,11 @@ def _foresee(
     margin: float,
     band: float,
     release: float,
-    ticks: int,
-) -> tuple[float, float, float, float, float, float, float, float, int, int, int, float, bool]:
+) -> tuple[float, float, float, float, float, float, float, float, int, int, int, float]:
     """All that is computed of a tick: the ``swell`` (N/s) of the contact force; the shares that are
     left of the tensions' spans, of contact and of speed, and the distance (m) to the box; then what
     is met now: speed (m/s), place (m) and ticks beyond a tension; last, if ``enabled``, which bound
-    has least left and how much of it, as `_shares` has them, and whether nothing is met and all of
-    it is left. Numbers as `Envelope` keeps them."""
+    has least left and how much of it, as `_shares` has them. Numbers as `Envelope` keeps them."""
     bounds = (least, most, slack)
     to_high, to_low, longest_over, longest_under = _tension_margins(
         tension, last, horizon / period, bearing, bounds, over, under
@@ -141,7 +139,7 @@ def _foresee(
     force = max(contact, contact + horizon * swell)
     inside, workspace, speed = _place_and_speed(position, velocity, horizon, low, high)
     tension_high = to_high / span_high
-    place, share, calm = 0, 1.0, False
+    place, share = 0, 1.0
     if enabled:
         left = (
             (soft_force - force) / (soft_force - warn_force),
@@ -150,9 +148,6 @@ def _foresee(
             tension_high / edge,
         )
         place, share = _shares(left, held, band, release)
-        met = contact >= contact_limit or speed >= speed_limit or inside < 0.0
-        met = met or longest_over >= ticks or longest_under >= ticks
-        calm = not met and share >= 1.0 and not to_low / span_low < -edge
     return (
         swell,
         tension_high,
@@ -166,7 +161,6 @@ def _foresee(
         longest_under,
         place,
         share,
-        calm,
     )
 
 
@@ -217,7 +211,6 @@ class Envelope:
             s.workspace_margin,
             s.release_band,
             s.release_rate * period,
-            s.over_tension_ticks,
         )
         self.reset()
 
@@ -235,8 +228,6 @@ class Envelope:
         self._under[:] = 0
         self._held[:] = 1.0
         self._first = True
-        self._calm = -1
-        """the bound with least left of a tick in which no bound was met, and all were left whole"""
 
     def __call__(
         self,
@@ -265,7 +256,6 @@ class Envelope:
             under,
             place,
             share,
-            calm,
         ) = _foresee(
             tension,
             contact,
@@ -277,12 +267,9 @@ class Envelope:
             *self._kept,
         )
         self._last_contact = contact
-        if calm and self._calm == place:
-            return  # what a tick without anything to say says again
         if self._settings.enabled:
             self._judge(contact, speed, inside, over, under)
             self._soften(_GRADED[place], share)
-            self._calm = place if calm else -1
 
     def _judge(self, contact: float, speed: float, inside: float, over: int, under: int) -> None:
         """Red: what is met now, not what is predicted."""
