@@ -61,6 +61,13 @@ def test_a_drum_that_turns_faster_brakes() -> None:
     assert torque[:4] / RADIUS[:4] == pytest.approx([-10.0, -60.0, 70.0, 120.0])
 
 
+def test_a_brake_that_is_weaker_than_the_damping_adds_nothing() -> None:
+    strong = {"passive_force": 300.0, "reel_damping": 90.0}
+    damped = Guard(ROBOT, SETTINGS.model_copy(update=strong), PERIOD)
+    torque = damped.passive(each(1.0, -1.0) / RADIUS, EVERY)
+    assert torque[:2] / RADIUS[:2] == pytest.approx([-70.0, 130.0])
+
+
 def test_a_share_of_the_passive_tension(guard: Guard) -> None:
     """Of all drums, or of each; the damping stays."""
     rate = np.full(N, 0.1) / RADIUS
