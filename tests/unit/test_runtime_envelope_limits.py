@@ -231,8 +231,12 @@ def test_tensions_that_fall_too_low_are_amber_but_slow_nothing() -> None:
 def test_without_a_margin_the_workspace_slows_nothing() -> None:
     position = MIDDLE.copy()
     position[2] = BOX.z[1]
-    envelope = Robot(workspace_margin=0.0).tick(position=position)
+    robot = Robot(workspace_margin=0.0)
+    envelope = robot.tick(position=position)
     assert (envelope.grade, envelope.progress) == (Grade.GREEN, 1.0)
+    position[2] += 0.001
+    envelope = robot.tick(position=position)
+    assert (envelope.grade, envelope.progress) == (Grade.RED, 1.0), "it stops, and slows nothing"
 
 
 def test_the_growth_of_a_contact_is_filtered_and_counts_ahead() -> None:
