@@ -118,7 +118,7 @@ class Supervisor(Section):
     contact_stopping: Annotated[Positive, Field(le=100)]
     """N, in every state"""
     contact_at_once: Annotated[Positive, Field(le=200)] = 70.0
-    """N that no state may exceed for longer than ``patience_ms``"""
+    """N that a stop may not exceed for longer than ``patience_ms``"""
     speed_stopping: Annotated[Positive, Field(le=5)]
     """m/s, in every state"""
     rotation: Annotated[Positive, Field(le=5)]
