@@ -69,6 +69,11 @@ def pytest_runtest_makereport(
             f"{item.nodeid} skipped itself once it ran: let it fail, and be tried again"
         )
     if report.failed and isinstance(report.longrepr, ExceptionRepr):
+        if call.excinfo is not None:
+            # The fixture of a module fails once, and its error is each of its tests': the first
+            # of them says when.
+            began = call.excinfo.value.__dict__.setdefault("began_ns", item.stash[BEGIN_NS])
+            item.stash[BEGIN_NS] = began
         crash = report.longrepr.reprcrash
         item.stash[REFUSED] = crash is not None and REFUSAL.search(crash.message) is not None
         found = stalls.watching().since(item.stash[BEGIN_NS])

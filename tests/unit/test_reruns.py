@@ -45,6 +45,27 @@ def test_it():
     text = "compiling ...\\ntonus: config/control.yaml:114: control.bogus: is not a key"
     assert not text, text
 """
+SHARES = """
+from itertools import count
+from pathlib import Path
+import pytest
+from tests.stalls import now_ns
+
+numbers = count()
+
+@pytest.fixture(scope="module")
+def shared():
+    if {during}:
+        with Path({path!r}).open("a") as file:
+            file.write(f"{{now_ns() - {during}}} {{now_ns()}} 0\\n")
+    assert next(numbers) in {good}
+
+@pytest.mark.realtime
+def test_it(shared): pass
+
+@pytest.mark.realtime
+def test_other(shared): pass
+"""
 SKIPS = """
 import pytest
 
@@ -116,6 +137,21 @@ def test_only_what_fails_while_the_host_stalls_is_tried_again(
 def test_no_stall_excuses_a_refused_configuration(pytester: pytest.Pytester, watch: Watch) -> None:
     module = REFUSES.format(path=str(watch.path), during=LONG_NS)
     assert played(pytester, module).parseoutcomes() == {"failed": 1}
+
+
+@pytest.mark.parametrize(
+    ("good", "during", "outcome"),
+    [
+        ({3}, LONG_NS, {"passed": 1, "skipped": 1, "rerun": 3}),
+        ({9}, LONG_NS, {"skipped": 2, "rerun": 4}),
+        ({3}, 0, {"errors": 2}),
+    ],
+)
+def test_what_stalled_a_fixture_excuses_each_test_of_it(
+    pytester: pytest.Pytester, watch: Watch, good: set[int], during: int, outcome: dict[str, int]
+) -> None:
+    module = SHARES.format(path=str(watch.path), good=good, during=during)
+    assert played(pytester, module).parseoutcomes() == outcome
 
 
 @pytest.mark.usefixtures("watch")
