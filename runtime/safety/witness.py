@@ -126,20 +126,11 @@ def _contradicting(
     prominence: float,
 ) -> int:
     """The cable whose ``change`` is beyond its limit and stands out, or -1."""
-    cable, largest, second, told = 0, -1.0, -1.0, 0
-    for i in range(change.shape[0]):
-        counts = (taut[i] or change[i] < 0.0) and not excluded[i]
-        off = abs(change[i]) if counts else 0.0
-        if taut[i] and not excluded[i]:
-            told += 1
-        if off > largest:
-            cable, largest, second = i, off, largest
-        elif off > second:
-            second = off
-    if not taut[cable]:
-        told += 1
+    off = np.abs(change) * (~excluded & (taut | (change < 0.0)))
+    cable, ordered = int(off.argmax()), np.sort(off)
+    compared = np.count_nonzero(taut & ~excluded) + (not taut[cable])
     limit = witness + witness_share * stretch[cable]
-    if told >= _FEWEST and largest > max(limit, prominence * second):
+    if compared >= _FEWEST and ordered[-1] > max(limit, prominence * ordered[-2]):
         return cable
     return -1
 
@@ -163,6 +154,7 @@ class Witness:
         self._excluded = np.zeros(cables, dtype=bool)
         self._ticks = self._poses = 0
         self._named, self._times = -1, 0
+        """by the last pose, -1 for nobody; by how many in a row"""
 
     def reset(self) -> None:
         """A new reference: what was known of the lengths is void."""
@@ -235,8 +227,7 @@ class Witness:
         cable = _contradicting(
             change, taut, self._excluded, stretch, s.witness, s.witness_share, s.prominence
         )
-        same = cable >= 0 and cable == self._named
-        self._times = self._times + 1 if same else int(cable >= 0)
+        self._times = self._times + 1 if cable == self._named else 1
         self._named = cable
 
     def _moved(self, step: Array) -> Array:

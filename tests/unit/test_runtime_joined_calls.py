@@ -100,5 +100,13 @@ def test_a_step_that_looks_small_is_small() -> None:
         assert small == (shift < 2e-3)
         found[small] += 1
     assert min(found.values()) > 30
+    for _ in range(300):
+        # Of a robot whose cables all pull to one side, no direction is apart from the others.
+        ways = draw.normal(0.0, 0.6, (6, CABLES)) + draw.normal(0.0, 1.0, (6, 1))
+        shift = draw.normal(0.0, 1e-3, 3)
+        step = shift @ ways[:3]
+        size = float(np.linalg.norm(shift))
+        assert _is_small(ways, step, 1.001 * size)
+        assert not _is_small(ways, step, 0.999 * size)
     nothing = np.zeros((6, CABLES))
     assert not _is_small(nothing, np.zeros(CABLES), 1.0), "what has no solution is not small"

@@ -73,6 +73,30 @@ def test_drums_that_are_slow_for_as_long_as_lowering_takes_are_released(sign: fl
     assert way.sequence.passive_share < 1.0
 
 
+@pytest.mark.parametrize("fast", [True, False])
+def test_drums_that_are_not_fast_any_more_are_released_after_lowering(fast: bool) -> None:
+    """After a tick at the bound itself, which is fast; or from the first on. A time that is over
+    by the last tick is over."""
+    way = passive()
+    summed = 0.0
+    for _ in range(LOWER_TICKS):
+        summed += CONTROL.rates.period
+    way.sequence.plan_stop(summed)
+    radius = ROBOT.drum_radius[2]
+    slow, bound = 0.5 * STOP.passive_speed / radius, STOP.passive_speed / radius
+    assert bound * radius == STOP.passive_speed
+    if fast:
+        way.sensing.rate = np.full(N, slow)
+        way.steps(5)
+        way.sensing.rate = np.where(np.arange(N) == 2, bound, slow)
+        way.steps(1)
+    way.sensing.rate = np.full(N, slow)
+    way.steps(LOWER_TICKS - 1)
+    assert not way.sequence.releasing
+    way.steps(1)
+    assert way.sequence.releasing
+
+
 def test_drums_that_are_never_slow_are_released_in_the_end() -> None:
     assert enabled(passive()) == PASSIVE_TICKS + RELEASE_TICKS + LANDING_TICKS
 
@@ -135,6 +159,23 @@ def test_another_passive_stop_is_released_anew() -> None:
     way.step(finite=False)
     assert way.sequence.passive_share == 1.0
     assert enabled(way) == PASSIVE_TICKS + RELEASE_TICKS + LANDING_TICKS
+
+
+def test_slow_drums_of_an_earlier_passive_stop_do_not_count() -> None:
+    slow = np.full(N, 0.5 * STOP.passive_speed / ROBOT.drum_radius.max())
+    way = passive()
+    way.sensing.rate = slow
+    way.steps(LOWER_TICKS + 1)
+    assert way.sequence.releasing
+    way.sensing.rate = np.zeros(N)
+    enabled(way)
+    way.steps(1, after=State.FAULT)
+    way.step(Operator.RESET)
+    way.to(State.ACTIVE)
+    way.sensing.rate = slow
+    way.step(finite=False)
+    way.steps(LOWER_TICKS - 3)
+    assert not way.sequence.releasing
 
 
 def test_before_references_the_cables_are_slackened_from_what_they_were() -> None:

@@ -38,7 +38,7 @@ def test_before_the_first_tick_nothing_is_known(way: Way) -> None:
     assert (sequence.state, sequence.stop_mode) == (State.OFF, StopMode.NONE)
     assert (sequence.enabled, sequence.referenced) == (False, False)
     assert (sequence.elapsed, sequence.stop_time, sequence.reason) == (0.0, 0.0, "")
-    assert (sequence.load, sequence.height) == (0.0, 0.0)
+    assert (sequence.load, sequence.aside, sequence.height) == (0.0, 0.0, 0.0)
 
 
 def test_the_cells_are_zeroed_before_anything_else(way: Way) -> None:

@@ -294,6 +294,22 @@ def test_a_descent_lets_go_when_the_platform_has_landed_and_its_time_is_over() -
     assert enabled(high) == RELEASE_TICKS + LANDING_TICKS
 
 
+def test_a_descent_that_has_let_go_does_not_wait_for_the_time_of_a_passive_stop() -> None:
+    """Where the way down was so short that this would be longer; the drums never stand."""
+    way = descent()
+    way.sequence.plan_stop(0.0)
+    way.sensing.rate, way.sequence.height = np.full(N, 1.0), STOP.landed
+    assert enabled(way) == 2 * RELEASE_TICKS + LANDING_TICKS + RELEASE_TICKS
+
+
+def test_what_pushes_a_descent_aside_in_its_cradle_is_no_path() -> None:
+    way = descent()
+    way.steps(20)
+    way.sequence.height, way.sequence.aside = STOP.landed, 100.0
+    way.steps(10)
+    assert way.sequence.stop_mode is StopMode.DESCENT
+
+
 def test_a_descent_that_never_lands_becomes_passive() -> None:
     """Its drums at rest at once, else after a while."""
     moving = descent()

@@ -236,6 +236,18 @@ def test_a_slack_cable_has_no_elongation_to_be_unsure_of(still: Still) -> None:
     assert still.look(COUNT - 2 + AGREE)[-1] == 6
 
 
+def test_a_slack_cable_is_known_to_have_the_elongation_of_its_last_pull(still: Still) -> None:
+    """And no other one that it had before, whose share it would be unsure of."""
+    still.tension[6] = 120.0
+    still.look(COUNT - 1)
+    still.tension[6] = 30.0
+    still.look()
+    still.tension[6] = 0.0
+    still.look(COUNT)
+    still.tension[6], still.gap[6] = 30.0, -1.1 * LIMIT
+    assert still.look(AGREE)[-1] == 6
+
+
 # --- who stands out ------------------------------------------------------------------------------
 
 
@@ -341,6 +353,31 @@ def test_a_tracker_that_is_turned_is_not_taken_out() -> None:
     still.gap[1] -= 8.0 * MM
     assert still.look(COUNT - AGREE) == [-1] * (COUNT - AGREE)
     assert still.look(AGREE)[-1] == 1, "the turn is as old as what it is compared with"
+
+
+def test_a_motion_below_the_limit_is_left_in() -> None:
+    """Just below it; what is added to it later counts with it."""
+    kinematics = Kinematics(ROBOT.geometry)
+    kinematics.evaluate(np.zeros(3), LEVEL)
+    ways = kinematics.matrix[:3]
+    for share, named in ((0.9995, 5), (1.001, -1)):
+        still = begun(prominence=1.0, witness_share=0.0)
+        still.look(COUNT)
+        still.gap += share * LIMIT * ways[:, 5] @ ways
+        still.look()
+        still.gap[5] += 0.5 * LIMIT
+        assert still.look(AGREE)[-1] == named
+
+
+def test_a_turn_with_a_motion_is_left_in_whole() -> None:
+    """The turn is most of it, and a translation explains none of that."""
+    kinematics = Kinematics(ROBOT.geometry)
+    kinematics.evaluate(np.zeros(3), LEVEL)
+    ways, turned = kinematics.matrix[:3], kinematics.matrix[3]
+    still = begun(prominence=1.5)
+    still.excluded[1:4] = True
+    moved = 40.0 * MM * turned / turned[0] + 1.3 * LIMIT * ways[:, 0] @ ways
+    assert slipped(still, dict(enumerate(moved))) == 0
 
 
 def test_a_turn_is_left_in_whole() -> None:
