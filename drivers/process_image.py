@@ -103,6 +103,8 @@ class ProcessImage:
         """views of single columns, ready made: to make one takes as long as to use it"""
         self.bus_ns = 0
         """from the last exchange to its last answer, where the bus knows; no input of control"""
+        self.unguarded = False
+        """the supervisor could not take the torque of the drives: the relay's node is silent"""
         self.obstacles: dict[str, str] = {}
         """what the bus has against arming, by what it is looked at; no input of control"""
         self.axes["age"] = NEVER

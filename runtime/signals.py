@@ -15,7 +15,7 @@ import numpy as np
 
 from tonus.runtime.topics import Field, Per, Topic, record_dtype
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 """Counts up when a field changes its name, type, unit or meaning."""
 
 
@@ -106,6 +106,7 @@ TABLE: tuple[Topic, ...] = (
         Field("operator", "uint8", 0, "", "operator command of this tick, 0 for none"),
         Field("select", "uint8", 0, "", "scenario chosen in this tick, its number plus 1; or 0"),
         Field("scenario", "uint8", 0, "", "number of the scenario in force"),
+        Field("unguarded", "uint8", 0, "", "1 while the node of the STO relay is silent"),
     ),
     _topic(
         "drives",

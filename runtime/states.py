@@ -66,6 +66,7 @@ class Fault(IntEnum):
     CONTROL_FAILED = 21
     DRUM_TORQUE = 22
     DRUM_STUCK = 23
+    RELAY_SILENT = 24
 
 
 class StopMode(IntEnum):

@@ -35,6 +35,7 @@ TEXT = {
     Fault.DRUM_STUCK: "the drum does not turn with the platform: jammed, or its encoder frozen",
     Fault.CELL_FROZEN: "the load cell repeats one reading",
     Fault.CONTROL_FAILED: "control raised an exception",
+    Fault.RELAY_SILENT: "the relay of the STO inputs is silent: the supervisor could stop nothing",
 }
 _AT_THE_CABLE = "inspect cable, drum and cell; replace what is damaged; reference again"
 REMEDY = {
@@ -62,6 +63,7 @@ REMEDY = {
     Fault.DRUM_STUCK: "free the drum or its brake; check the encoder; then reset",
     Fault.CELL_FROZEN: "check the amplifier; switch it off and on; then reset",
     Fault.CONTROL_FAILED: "read the traceback in the process's log; report it with the log",
+    Fault.RELAY_SILENT: "check the supply and the cable of the relay's node; then reset",
 }
 """What a person should do, once the robot has stopped."""
 STOP_TEXT = {

@@ -167,6 +167,7 @@ class RelayedFieldbus:
         self._channel = self._node = None
         self._supervisor.forget()
         self.image.obstacles.pop(_ITEM, None)
+        self.image.unguarded = False
 
     async def recover(self) -> None:
         node = self._node
@@ -215,6 +216,8 @@ class RelayedFieldbus:
             self._silent = True
             text = f"{node.role.title}: no heartbeat for more than {self._silent_ticks} ticks"
             self._events.begin("heartbeat_lost", node.where, text)
+        # Whether its output would end with the heartbeat of the supervisor nobody knows.
+        self.image.unguarded = self._silent
         if self._reported:
             self._reported = False
             self._reported_at = tick

@@ -23,6 +23,7 @@ from tonus.runtime.signals import CycleRecord, Solver
 from tonus.runtime.states import Operator
 
 _CHANGE = struct.Struct("<Bd")
+_UNGUARDED = b"unguarded"
 _NO_SOLVER = int(Solver.NONE)
 _SELECT_BIT = 24
 """of the checksum's start, so that a tick without a choice has the checksum of its inputs alone"""
@@ -77,6 +78,8 @@ class CycleWriter:
         number, value = change
         if number:
             checksum = zlib.crc32(_CHANGE.pack(*change), checksum)
+        if image.unguarded:
+            checksum = zlib.crc32(_UNGUARDED, checksum)
         regulating = sequence.regulating
         faults, gains = sequence.faults, self._tuning.gains
         write_tick(
@@ -100,6 +103,7 @@ class CycleWriter:
             int(operator),
             select,
             guide.chosen,
+            image.unguarded,
             number,
             float(value),
             gains[0],

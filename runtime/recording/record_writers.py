@@ -79,6 +79,7 @@ def write_tick(
     operator: int,
     select: int,
     scenario: int,
+    unguarded: bool,
     parameter: int,
     value: float,
     deviation_gain: float,
@@ -105,6 +106,7 @@ def write_tick(
     now.operator = operator
     now.select = select
     now.scenario = scenario
+    now.unguarded = unguarded
     tuning.parameter = parameter
     tuning.value = value
     gains = (deviation_gain, velocity_gain, force_gain)

@@ -16,11 +16,13 @@ from tests.relayed import PATH, RelayRun, relay_of
 from tests.supervised import BRIEF, DRIVES, configured
 from tests.wrong_daemons import AT_ONCE, LATER, Change, blind, opposite, torque_on_the_bus
 from tonus.config.loader import load_scenario
-from tonus.config.schema.faults import PowerCycle, Unplug
+from tonus.config.schema.faults import Loss, PowerCycle, Unplug
 from tonus.config.schema.robot_faults import CableCut
 from tonus.config.schema.supervisor import Requirement
-from tonus.runtime.states import State
+from tonus.config.timeouts import node_timeout_ms
+from tonus.runtime.states import Fault, State, StopMode
 from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.tools.campaign.again import first_difference
 from tonus.tools.campaign.observed import Observed
 from tonus.tools.campaign.play import Playing
 
@@ -143,6 +145,47 @@ def test_a_relay_that_is_cut_off_opens(fault: Any, monkeypatch: pytest.MonkeyPat
     seen = run.play(0.5)
     _all_stopped(run, seen, relay_of(config).timeout_ms + 1.0)
     assert not run.said, "the daemon is in order"
+
+
+def _losing(frames: int, seconds: float) -> tuple[RelayRun, Observed]:
+    """A run in which heartbeats of the relay's node are lost: all that shows of one that hangs."""
+
+    def lost() -> None:
+        relay, lab = relay_of(run.config), run._playing.lab
+        assert lab is not None
+        identifier = 0x700 + relay.node_id
+        lab.inject(Loss(channel=relay.channel, identifier=identifier, frames=frames))
+
+    config, _ = configured(PATH, **ROBOT, **BRIEF)
+    run = RelayRun(config, load_scenario("sine_z"), lost)
+    return run, run.play(seconds)
+
+
+def test_a_relay_that_hangs_while_the_drives_are_enabled() -> None:
+    """The supervisor could not stop them any more: the daemon does, along the path, and with their
+    torque. The record tells why, and commands the same again."""
+    run, seen = _losing(10_000, 5.0)
+    config, state = run.config, seen.cycle["state"]
+    relay = relay_of(config)
+    assert not run.said
+    assert run.off_ns > seen.cycle_ns[seen.state == State.SAFE_STOP][-1], "its output stays on"
+    stopped = seen.cycle_ns[seen.state == State.SAFE_STOP]
+    waited_ms = (stopped[0] - run.changed_ns) * 1e-6
+    limit_ms = node_timeout_ms(relay, relay.master, config.tolerance)
+    assert limit_ms - relay.heartbeat_ms <= waited_ms <= limit_ms + 2.0
+    assert set(state["fault"][seen.cycle_ns >= stopped[0]]) == {Fault.RELAY_SILENT}
+    assert set(state["stop_mode"][seen.state == State.SAFE_STOP]) == {StopMode.ON_PATH}
+    assert len(stopped) > 1000, "it is lowered"
+    assert seen.state[-1] == State.FAULT
+    assert {"heartbeat_lost", "relay_silent"} <= {each.name for each in seen.events}
+    assert first_difference(seen) is None
+
+
+def test_a_lost_heartbeat_of_the_relay_stops_nothing() -> None:
+    run, seen = _losing(1, 0.5)
+    assert State.SAFE_STOP not in seen.state
+    assert not run.off_ns
+    assert "heartbeat_lost" not in {each.name for each in seen.events}
 
 
 @pytest.mark.parametrize("policy", ["require", "use"])

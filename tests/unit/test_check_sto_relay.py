@@ -92,6 +92,18 @@ def test_a_node_that_does_not_bear_a_lost_heartbeat(timeout_ms: int, ok: bool) -
     assert refused(sto_relay__timeout_ms=timeout_ms) == expected
 
 
+@pytest.mark.parametrize(("periods", "ok"), [(7, False), (8, True)])
+def test_a_robot_that_does_not_bear_a_lost_heartbeat_of_the_node(periods: int, ok: bool) -> None:
+    """Of 10 ms each, with 60 ms of jitter in a lab; without a statement it follows from these."""
+    expected = [] if ok else ["sto_relay.master.heartbeat_periods"]
+    assert refused(sto_relay__master__heartbeat_periods=periods) == expected
+    told = [each.text for each in findings() if each.where.endswith("heartbeat_periods")]
+    assert told == [
+        "the robot is stopped after 80 ms without its node's heartbeat, sent every 10 ms; 1 lost "
+        "and 60 ms of jitter need 80 ms"
+    ]
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [

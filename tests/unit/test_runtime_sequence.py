@@ -332,6 +332,27 @@ def test_contradictions_and_bounds_count_while_the_platform_moves() -> None:
         )
 
 
+def test_without_a_relay_that_answers_an_armed_robot_stops() -> None:
+    """Along the path, by a fault of no cable; a robot that is not armed has its self-test."""
+    for state in (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE):
+        way = Way().to(state)
+        way.image.unguarded = True
+        way.step()
+        assert way.state is State.SAFE_STOP
+        assert found(way) == [(Fault.RELAY_SILENT, -1)]
+        passive = state is State.REFERENCING
+        assert way.sequence.stop_mode is (StopMode.PASSIVE if passive else StopMode.ON_PATH)
+    stopping = Way().stop()
+    stopping.image.unguarded = True
+    stopping.step()
+    assert found(stopping) == [(Fault.RELAY_SILENT, -1)]
+    assert stopping.sequence.stop_mode is StopMode.ON_PATH
+    waiting = Way().to(State.STANDBY)
+    waiting.image.unguarded = True
+    waiting.steps(3)
+    assert found(waiting) == []
+
+
 def test_a_fault_comes_before_the_operator(way: Way) -> None:
     way.to(State.HOLD)
     way.envelope.fault = Fault.CONTACT_LIMIT

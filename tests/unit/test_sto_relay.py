@@ -11,8 +11,10 @@ import can
 import pytest
 
 from tonus.config import Config, load
+from tonus.config.schema.faults import Loss
 from tonus.config.schema.lab import LabScript
 from tonus.config.schema.sto_relay import StoRelay
+from tonus.config.timeouts import node_timeout_ms
 from tonus.drivers.canopen.sto_relay import RelayedFieldbus
 from tonus.drivers.errors import BringUpError, DriverError
 from tonus.drivers.fieldbus import BusEvent, Progress
@@ -28,6 +30,8 @@ ROBOT: dict[str, Any] = {"sto_relay.timeout_ms": 7, "supervisor.period_ms": 2}
 MS = 1_000_000
 SUPERVISOR = 126
 STO = 0x8A88
+HEARTBEAT = 0x778
+"""of the relay's node"""
 
 
 class Segment:
@@ -336,13 +340,37 @@ async def test_a_relay_that_opens_under_enabled_drives_is_an_event(bench: Bench)
 async def test_a_relay_whose_node_is_silent(bench: Bench) -> None:
     await bench.held()
     bench.lab.unplug(bench.relay.channel, bench.relay.node_id)
+    assert not bench.segment.image.unguarded
     await bench.pass_ms(200)
+    assert bench.segment.image.unguarded
     assert "does not answer" in bench.obstacles["sto relay"]
     assert "heartbeat_lost" in bench.names()
     bench.lab.replug(bench.relay.channel, bench.relay.node_id)
     await bench.pass_ms(300)
     assert "heartbeat_back" in bench.names()
     assert bench.obstacles == {}
+    assert not bench.segment.image.unguarded
+
+
+@played(**{"supervisor.policy": "use", "tolerance.jitter_ms": 20})
+async def test_when_a_relay_counts_as_silent(bench: Bench) -> None:
+    """After 40 ms: with one lost heartbeat of 10 ms, and 20 ms of jitter; no longer than the bus is
+    up."""
+    await bench.held()
+    limit = node_timeout_ms(bench.relay, bench.relay.master, bench.config.tolerance)
+    assert limit == 40
+    bench.lab.inject(Loss(channel=bench.relay.channel, identifier=HEARTBEAT, frames=1))
+    await bench.pass_ms(30)
+    assert not bench.segment.image.unguarded
+    bench.lab.inject(Loss(channel=bench.relay.channel, identifier=HEARTBEAT, frames=1000))
+    silent = 0
+    while not bench.segment.image.unguarded:
+        await bench.pass_ms(1)
+        silent += 1
+    assert limit - bench.relay.heartbeat_ms < silent <= limit + 2
+    assert bench.closed, "it hangs: its output is still on"
+    await bench.fieldbus.stop()
+    assert not bench.segment.image.unguarded
 
 
 @played()

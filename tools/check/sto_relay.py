@@ -8,6 +8,7 @@ from tonus.config import Config
 from tonus.config.schema.bus import CanopenBus, of_kind
 from tonus.config.schema.sto_relay import StoRelay
 from tonus.config.schema.supervisor import Supervisor
+from tonus.config.timeouts import least_node_timeout_ms, node_timeout_ms
 from tonus.tools.check.finding import Finding
 
 _RULE = _KEY = "sto_relay"
@@ -55,7 +56,23 @@ def check_relay(config: Config) -> Iterator[Finding]:
         f"with one lost it needs {least} ms",
         f"set it to at least {least}",
     )
+    yield _silence(config, relay)
     yield _times(relay, supervisor)
+
+
+def _silence(config: Config, relay: StoRelay) -> Finding:
+    tolerance = config.tolerance
+    waits = node_timeout_ms(relay, relay.master, tolerance)
+    least = least_node_timeout_ms(relay, tolerance)
+    return Finding(
+        _RULE,
+        waits >= least,
+        f"{_KEY}.master.heartbeat_periods",
+        f"the robot is stopped after {waits} ms without its node's heartbeat, sent every "
+        f"{relay.heartbeat_ms} ms; {tolerance.lost.heartbeat} lost and {tolerance.jitter_ms} ms of "
+        f"jitter need {least} ms",
+        "leave it out, or set it higher",
+    )
 
 
 def _times(relay: StoRelay, supervisor: Supervisor) -> Finding:

@@ -249,6 +249,7 @@ class _Replayer:
         state = batch["/tonus/state"].messages
         operators = self._input(state, "/tonus/state", "operator", ())
         selects = self._input(state, "/tonus/state", "select", ())
+        unguarded = self._input(state, "/tonus/state", "unguarded", ()).astype(bool).tolist()
         changes = self._changes(batch, len(ticks))
         failed = state["fault"] == Fault.CONTROL_FAILED
         for index, tick in enumerate(ticks.tolist()):
@@ -263,6 +264,7 @@ class _Replayer:
             self._next = int(sequence[index]) + 1
             for table, row in rows:
                 table[...] = row[index]
+            self._image.unguarded = unguarded[index]
             operator = self._operator(int(operators[index]), tick)
             select = int(selects[index])
             change = changes[index]
