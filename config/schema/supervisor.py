@@ -60,6 +60,33 @@ REQUIREMENT_TEXTS: dict[Requirement, str] = {
 }
 
 
+LARGEST = {
+    "axis_torque_ms": 200.0,
+    "stale_ms": 40.0,
+    "disarmed_ms": 100.0,
+    "stopping_ms": 200.0,
+    "window_ms": 50.0,
+    "opposed_ms": 50.0,
+    "frozen_frames": 20.0,
+    "logged_ticks": 16.0,
+    "rotation": 3.0,
+}
+"""What a robot may state, in the keys' units; in a lab the keys' own bounds hold. All R: with more
+a mistake is found too late. `tonus.config.schema.place` has period, patience and timeout."""
+LARGEST_SHARES = {
+    "unexplained_force": 0.5,
+    "opposed_force": 0.5,
+    "opposed_error": 0.1,
+    "logged_tension": 0.25,
+    "opposed_long_force": 0.25,
+    "opposed_long_error": 0.1,
+    "answered_torque": 0.25,
+    "passive_torque": 0.25,
+    "tension_stopping": 3.0,
+}
+"""The same of the keys in N, as shares of the robot's largest tension. All R."""
+
+
 class Supervisor(Section):
     """Judges while a drive is enabled, and stops the robot by ending its heartbeat. Its times and
     its margin have an upper bound: with more it would not stop what it is there for."""
@@ -165,4 +192,4 @@ class Supervisor(Section):
         return self
 
 
-__all__ = ["REQUIREMENT_TEXTS", "Requirement", "Supervisor"]
+__all__ = ["LARGEST", "LARGEST_SHARES", "REQUIREMENT_TEXTS", "Requirement", "Supervisor"]

@@ -8,34 +8,10 @@ from tonus.config import Config
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.bus.base import numbers
 from tonus.config.schema.drive import DriveError, DriveProfile
-from tonus.config.schema.supervisor import Supervisor
+from tonus.config.schema.supervisor import LARGEST, LARGEST_SHARES, Supervisor
 from tonus.tools.check.finding import Finding
 
 _KEY = "supervisor"
-_SHARES = (
-    ("unexplained_force", 0.5),
-    ("opposed_force", 0.5),
-    ("opposed_error", 0.1),
-    ("logged_tension", 0.25),
-    ("opposed_long_force", 0.25),
-    ("opposed_long_error", 0.1),
-    ("answered_torque", 0.25),
-    ("passive_torque", 0.25),
-    ("tension_stopping", 3.0),
-)
-"""of the largest tension, at most"""
-_LONGEST = {
-    "axis_torque_ms": 200.0,
-    "stale_ms": 40.0,
-    "disarmed_ms": 100.0,
-    "stopping_ms": 200.0,
-    "window_ms": 50.0,
-    "opposed_ms": 50.0,
-    "frozen_frames": 20.0,
-    "logged_ticks": 16.0,
-    "rotation": 3.0,
-}
-"""What a robot may state; `tonus.config.relaxed` has period, patience and timeout"""
 _NOTHING = 0
 """of 0x6007"""
 _HEARTBEAT_LOST = 0x8130
@@ -91,7 +67,10 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
     envelope, stiffness, tension = control.envelope, control.stiffness, control.tension.max
     tare, rise = control.sequence.tare_limit, stiffness.rise_rate
     for key, value, bound, times in (
-        *((f"{_KEY}.{name}", getattr(settings, name), tension, times) for name, times in _SHARES),
+        *(
+            (f"{_KEY}.{name}", getattr(settings, name), tension, times)
+            for name, times in LARGEST_SHARES.items()
+        ),
         (f"{_KEY}.contact_stopping", settings.contact_stopping, envelope.contact_limit, 2.0),
         (f"{_KEY}.contact_at_once", settings.contact_at_once, envelope.contact_limit, 4.0),
         (f"{_KEY}.speed_stopping", settings.speed_stopping, envelope.speed_limit, 10.0),
@@ -102,7 +81,7 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
             text = f"{value:g} is more than {times:g} times the bound of {bound:g} that it guards"
             remedy = f"set it to at most {times * bound:g}"
             yield Finding("supervisor", False, key, text, remedy)
-    for name, most in _LONGEST.items():
+    for name, most in LARGEST.items():
         value = getattr(settings, name)
         if value > most:
             text = f"{value:g} would find a mistake too late, a robot may state {most:g}"
