@@ -102,6 +102,8 @@ class Study(Section):
     scenarios: Annotated[tuple[str, ...], Field(min_length=1)]
     overrides: dict[str, Any] = Field(default_factory=dict)
     """dotted keys of every configuration"""
+    bus_overrides: dict[BusName, dict[str, Any]] = Field(default_factory=dict)
+    """and of those of one bus"""
     plants: Plants
     states: dict[Struck, Positive]
     """with their weights"""

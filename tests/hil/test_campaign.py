@@ -6,18 +6,21 @@ import json
 import os
 import signal
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.command import command
+from tests.wrong_daemons import after, opposite
 from tonus.config.loader import load_scenario, load_study
 from tonus.config.schema.scenario import Scenario
+from tonus.drivers.exchange import Exchange
 from tonus.tools.campaign.draw import begins, grouped, undisturbed
 from tonus.tools.campaign.episode import Episode, Setup
 from tonus.tools.campaign.invariants import within_bounds
-from tonus.tools.campaign.judge import digest
+from tonus.tools.campaign.judge import digest, row_of
 from tonus.tools.campaign.observed import Observed
 from tonus.tools.campaign.play import play
 from tonus.tools.campaign.players import play as played
@@ -27,6 +30,11 @@ FAULTS: dict[str, dict[str, Any]] = {
     "direct": {"kind": "cable_cut", "axis": 2},
     "can": {"kind": "unplug", "channel": "can1", "node": 3},
     "ethercat": {"kind": "drive_error", "channel": "tonus0", "node": 4, "code": 0x2310},
+}
+SUPERVISED = {
+    "direct": None,
+    "can": {"there": True, "stops": []},
+    "ethercat": {"there": True, "stops": []},
 }
 UNDISTURBED = [
     pytest.param(controller, name, marks=[] if number in (0, 3) else pytest.mark.long)
@@ -40,7 +48,8 @@ with faults"""
 
 def episode(bus: str, index: int, *, at: float, stop: float, name: str = "hold") -> Episode:
     """A fault and an operator's stop, where the bus has one."""
-    setup = Setup(config=f"config/{bus}.yaml", seed=5, overrides=dict(STUDY.overrides))
+    overrides = STUDY.overrides | STUDY.bus_overrides.get(bus, {})  # type: ignore[call-overload]
+    setup = Setup(config=f"config/{bus}.yaml", seed=5, overrides=overrides)
     data = undisturbed(STUDY, setup, load_scenario(name)).model_dump()
     trunk = Scenario.model_validate(data)
     fault = FAULTS[bus]
@@ -73,6 +82,25 @@ def test_a_forked_episode_is_bit_equal_to_one_from_off(bus: str) -> None:
         assert seen.error == ""
         assert found[each.index]["digest"] == digest(seen), each.index
         assert found[each.index]["ticks"] == len(seen.cycle_ns)
+        assert found[each.index]["supervisor"] == SUPERVISED[bus]
+
+
+@pytest.mark.wide
+def test_an_episode_shows_what_its_supervisor_did(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The daemon is changed here; no bound is broken yet, so the stop counts as one too many."""
+    ticks = count()
+
+    def late(result: Any, *_: Any) -> Any:
+        words, torques = result
+        return (words, opposite(torques.copy())) if next(ticks) > 3000 else result
+
+    after(Exchange, "commands", late)(monkeypatch)
+    each = episode("can", 1, at=9.0, stop=3.0)
+    seen = play(each, tail=STUDY.times.tail, longest=STUDY.times.longest)
+    found = row_of(each, seen, replayed=False)
+    (stop,) = found["supervisor"]["stops"]
+    assert stop["requirement"] == "SUP-10"
+    assert [name["invariant"] for name in found["violations"]][:1] == ["supervisor"]
 
 
 def dying(run: Observed) -> None:

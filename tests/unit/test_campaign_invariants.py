@@ -20,6 +20,7 @@ from tonus.runtime.states import Fault, Operator, State, StopMode
 from tonus.tools.campaign.invariants import INVARIANTS, Limits, within_bounds
 from tonus.tools.campaign.observed import End, Observed
 from tonus.tools.campaign.strikes import NS, Strike, strikes
+from tonus.tools.campaign.supervised import account, reach_ns, stops
 from tonus.tools.log.log import Event
 
 BOUNDS = load_bounds()
@@ -136,6 +137,15 @@ def unnamed(run: Observed) -> Observed:
     return run
 
 
+def stopped(run: Observed) -> Observed:
+    """By the supervisor."""
+    at = int(run.cycle_ns[active(run) + 1])
+    told = [("can0", at), ("can1", at + 1_000_000)]
+    text = "SUP-8, 0.4: broken is: the drums' speeds"
+    events = [Event(ns, 0, int(Level.ERROR), "supervisor_stopped", name, text) for name, ns in told]
+    return replace(run, events=tuple(events))
+
+
 def unlocated(run: Observed) -> Observed:
     return early(run, named=True)
 
@@ -177,6 +187,7 @@ DOCTORED: dict[Callable[[Observed], Observed], str] = {
     faster: "speed_rises",
     dropped: "free_fall",
     pressed: "contact",
+    stopped: "supervisor",
     unnamed: "unnamed",
     unlocated: "unnamed",
     unended: "end",
@@ -245,6 +256,55 @@ def test_power_cut_on_purpose_may_drop_the_platform() -> None:
     cut = [Strike("drive_input", at, unpowered=frozenset({axis})) for axis in range(8)]
     assert names(replace(run, strikes=tuple(cut))) == []
     assert "free_fall" in names(replace(run, strikes=tuple(cut[:7])))
+
+
+def test_a_stop_by_the_supervisor_needs_a_bound_that_is_broken_before() -> None:
+    """By what the robot does or is commanded; that a fault has no event, or what comes after the
+    stop, is no reason."""
+    assert names(stopped(good())) == ["supervisor"]
+    assert names(stopped(thrown(good()))) == ["speed"]
+    assert names(stopped(commanded(good()))) == ["commanded_tension"]
+    assert set(names(stopped(unnamed(good())))) == {"unnamed", "supervisor"}
+    later = stopped(good())
+    later.truth["tension"][active(later) + 2, 6] = 241.0
+    assert set(names(later)) == {"tension", "supervisor"}
+
+
+def test_a_stop_by_the_supervisor_may_drop_the_platform() -> None:
+    """Once no drive does what the daemon says."""
+    run = stopped(good())
+    reach = reach_ns(run.config) // run.config.control.rates.period_ns
+    assert reach == run.config.supervisor.timeout_ms  # type: ignore[union-attr]
+    for row, found in ((active(run) + reach, True), (active(run) + reach + 2, False)):
+        dropping = stopped(good())
+        dropping.truth["velocity"][row] = (0.0, 0.6, 0.6)
+        assert ("speed" in names(dropping)) is found
+
+
+def test_what_a_row_says_of_the_supervisor() -> None:
+    supervised, _ = load("config/can.yaml")
+    run = replace(stopped(unnamed(good())), config=supervised)
+    assert account(run) == {
+        "there": True,
+        "stops": [
+            {
+                "requirement": "SUP-8",
+                "at": round(run.events[0].time_ns / NS, 4),
+                "state": "ACTIVE",
+                "fault": "SPEED_LIMIT",
+                "text": "SUP-8, 0.4: broken is: the drums' speeds",
+            }
+        ],
+    }
+    (only,) = stops(stopped(good()))
+    assert only.fault is Fault.NONE
+    missed = Event(0, 0, int(Level.WARNING), "unsupervised", "can0", "")
+    assert account(replace(good(), config=supervised, events=(missed,))) == {
+        "there": False,
+        "stops": [],
+    }
+    alone, _ = load("config/direct.yaml")
+    assert account(replace(good(), config=alone)) is None
 
 
 def event(run: Observed, where: str, *, after_s: float, level: Level = Level.ERROR) -> Observed:

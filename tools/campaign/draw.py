@@ -52,7 +52,7 @@ def setups(study: Study, seed: int, buses: Sequence[BusName]) -> Iterator[tuple[
     while True:
         random = np.random.default_rng([seed, _SETUPS, number])
         bus = buses[number % len(buses)]
-        overrides = dict(study.overrides)
+        overrides = study.overrides | study.bus_overrides.get(bus, {})
         overrides["control.controller"] = str(random.choice(study.controllers))
         if random.random() < study.plants.drawn:
             overrides |= study.plants.overrides

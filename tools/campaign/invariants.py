@@ -21,6 +21,7 @@ from tonus.tools.campaign.again import first_difference
 from tonus.tools.campaign.allowance import Allowance, Limits, for_torn_cables
 from tonus.tools.campaign.observed import FAULTED, GOOD, Observed, of_log
 from tonus.tools.campaign.strikes import NS
+from tonus.tools.campaign.supervised import reach_ns, stops
 from tonus.tools.log.log import Log
 
 Floats = NDArray[np.float64]
@@ -65,6 +66,7 @@ def within_bounds(
     limits = allowance(run)
     found = [violation for check in CHECKS for violation in check(run, checked)]
     found += _motion(run, checked, limits)
+    found += _wrongly_stopped(run, found)
     if replayed:
         found += _replay(run)
     return sorted(found, key=lambda violation: violation.at_s)
@@ -196,12 +198,16 @@ def _contact(run: Observed, bounds: Bounds) -> Iterator[Violation]:
 
 def unpowered(run: Observed) -> Flags:
     """(m,) times of the truth at which all power was off, and not by control's choice: an emergency
-    stop, what is no number, or every axis without STO, supply or a way to the master."""
+    stop, what is no number, a stop by the supervisor, or every axis without STO, supply or a way to
+    the master."""
     state = run.cycle["state"]
     asked = (state["operator"] == Operator.ESTOP) | (
         np.isin(state["fault"], (Fault.EMERGENCY_STOP, Fault.NOT_FINITE))
         & (state["state"] == State.FAULT)
     )
+    reach = reach_ns(run.config)
+    for stop in stops(run):
+        asked[np.searchsorted(run.cycle_ns, stop.at_ns + reach) :][:1] = True
     off = np.zeros(len(asked), bool)
     now = False
     armed = np.isin(state["state"], tuple(ARMED))
@@ -262,6 +268,16 @@ def _named(run: Observed, bounds: Bounds) -> Iterator[Violation]:
             yield Violation("unnamed", strike.at_ns / NS, wait / NS, bounds.named_within, text)
 
 
+def _wrongly_stopped(run: Observed, broken: list[Violation]) -> Iterator[Violation]:
+    """The supervisor stops a robot by itself only where a bound is broken by then, whatever else
+    is wrong with it: the daemon is right, and its own stop is the better one."""
+    for stop in stops(run):
+        earlier = [each for each in broken if each.at_s <= stop.at_ns / NS]
+        if not any(each.invariant in _OF_THE_ROBOT for each in earlier):
+            text = f"the supervisor stopped the robot, no bound was broken by then: {stop.text}"
+            yield Violation("supervisor", stop.at_ns / NS, 1.0, 0.0, text)
+
+
 def _end(run: Observed, _: Bounds) -> Iterator[Violation]:
     """STANDBY or FAULT, with the exit code that the commands promise; and no exception."""
     at = float(run.cycle_ns[-1] / NS) if len(run.cycle_ns) else 0.0
@@ -309,11 +325,14 @@ INVARIANTS = (
     "free_fall",
     "contact",
     "unnamed",
+    "supervisor",
     "end",
     "exception",
     "replay",
 )
 """Names of all, as violations have them."""
+_OF_THE_ROBOT = INVARIANTS[: INVARIANTS.index("unnamed")]
+"""what it is commanded, and what it does"""
 
 
 def _stretches(flags: Flags) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

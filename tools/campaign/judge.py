@@ -14,6 +14,7 @@ from tonus.tools.campaign.episode import Episode
 from tonus.tools.campaign.invariants import Violation, within_bounds
 from tonus.tools.campaign.observed import Observed
 from tonus.tools.campaign.strikes import NS
+from tonus.tools.campaign.supervised import account
 
 Row = dict[str, Any]
 
@@ -21,8 +22,8 @@ Row = dict[str, Any]
 def row_of(
     episode: Episode, run: Observed, *, replayed: bool, allowance: Allowance = for_torn_cables
 ) -> Row:
-    """One JSON object: the whole episode, its strikes with the states they met, its end, its
-    violations and its extremes."""
+    """One JSON object: the whole episode, its strikes with the states they met, its end, what its
+    supervisor did, its violations and its extremes."""
     violations = within_bounds(run, allowance=allowance, replayed=replayed)
     speed = np.linalg.norm(run.truth["velocity"], axis=1)
     end = run.end
@@ -36,6 +37,7 @@ def row_of(
         "state": end.state.name if end is not None else "",
         "fault": end.fault.name if end is not None else "",
         "reason": end.reason if end is not None else run.error,
+        "supervisor": account(run),
         "stop_mode": StopMode(int(run.cycle["state"]["stop_mode"].max(initial=0))).name,
         "excluded": np.flatnonzero(run.cycle["state"]["failed"].any(axis=0)).tolist(),
         "ticks": len(run.cycle_ns),
@@ -57,6 +59,7 @@ def failed(episode: Episode, invariant: str, text: str) -> Row:
         "state": "",
         "fault": "",
         "reason": text,
+        "supervisor": None,
         "stop_mode": "",
         "excluded": [],
         "ticks": 0,

@@ -27,7 +27,7 @@ from tonus.tools.campaign.observed import FAULTED, GOOD, End, Observed
 from tonus.tools.campaign.strikes import strikes
 from tonus.tools.log.log import Event
 from tonus.tools.run import fieldbuses
-from tonus.tools.run.supervision import supervised
+from tonus.tools.run.supervision import supervised, wanted
 from tonus.tools.run.turning import TurningPacing
 
 
@@ -99,8 +99,8 @@ class Playing:
         """``tail`` and ``longest``: s, as in `tonus.config.schema.campaign.Times`. ``turn`` may
         fork the process and `take_up` an episode in the child."""
         self.config, self.scenario, self._seed = config, scenario, seed
-        # A relay of the STO inputs closes some ticks after the supervisor has begun.
-        patience_s = 0.0 if config.relay is None else config.operation.self_test.patience_s
+        # The supervisor begins after a while, and a relay of the STO inputs closes after that.
+        patience_s = config.operation.self_test.patience_s if wanted(config) else 0.0
         period = config.control.rates.period
         self.script = Operated(scenario, period, tail, longest, patience_s)
         self._turn = turn

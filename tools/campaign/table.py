@@ -40,12 +40,21 @@ class Table:
     possible: dict[str, list[Pair]]
     """pairs of kinds that can be drawn together, by state"""
     kinds: list[str]
+    supervised: int = 0
+    """episodes in which a supervisor could stop every drive that was enabled"""
+    stopped: Counter[str] = field(default_factory=Counter)
+    """episodes that it stopped, by the requirement"""
+    found_before: int = 0
+    """of these, in which the daemon had found a fault by then"""
 
     def as_json(self) -> dict[str, Any]:
         return {
             "episodes": self.episodes,
             "broken": self.broken,
             "by_invariant": dict(self.by_invariant),
+            "supervised": self.supervised,
+            "stopped": dict(self.stopped),
+            "found_before": self.found_before,
             "by_kind": {
                 name: {
                     "episodes": count.episodes,
@@ -87,6 +96,7 @@ def table(study: Study, buses: Sequence[BusName], rows: Sequence[Row]) -> Table:
         struck = [strike["kind"] for strike in row["strikes"]]
         found.broken += bool(names)
         found.by_invariant.update(names)
+        _supervised(found, row["supervisor"])
         if struck:
             found.pairs.add(met_in(row), struck)
         for kind in set(struck):
@@ -100,6 +110,16 @@ def table(study: Study, buses: Sequence[BusName], rows: Sequence[Row]) -> Table:
     return found
 
 
+def _supervised(found: Table, account: dict[str, Any] | None) -> None:
+    if account is None:
+        return
+    found.supervised += account["there"]
+    if account["stops"]:
+        first = account["stops"][0]
+        found.stopped[first["requirement"]] += 1
+        found.found_before += first["fault"] != "NONE"
+
+
 def met_in(row: Row) -> str:
     """The state in which the first fault struck; the way down is a state of its own."""
     state: str = row["strikes"][0]["state"]
@@ -111,6 +131,16 @@ def lines(counted: Table) -> list[str]:
     """As a person reads it."""
     used = [name for name in INVARIANTS if counted.by_invariant[name]]
     told = [f"{counted.broken} of {counted.episodes} episodes broke a bound"]
+    if counted.supervised:
+        total = sum(counted.stopped.values())
+        by = ", ".join(f"{name} {count}" for name, count in sorted(counted.stopped.items()))
+        told.append(
+            f"{counted.supervised} were supervised; the supervisor stopped {total}"
+            + (
+                f" ({by}), {counted.found_before} after a fault that the daemon had found"
+                * bool(by)
+            )
+        )
     if used:
         head = "".join(f"{_short(name):>11}" for name in used)
         told += ["", f"  {'kind':<16}{'episodes':>9}{'broken':>8}{'alone':>11}{head}"]
