@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from loop import configured
 
+from tonus.runtime.control.allocation import Allocation
 from tonus.runtime.control.controllers import Controller, Motion
 from tonus.runtime.control.controllers.impedance import Pd
+from tonus.runtime.control.distribution import (
+    TensionDistribution,
+    delivered,
+    opposition,
+    tension_bounds,
+)
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.control.tension import TensionLoop, drum_motion
+from tonus.runtime.safety.sequence import Levels
 from tonus.runtime.safety.witness import _is_small
 
 CONFIG = configured("hold")[0]
@@ -84,6 +94,70 @@ def test_a_loop_that_follows_is_the_motion_of_the_drums_and_the_loop(follows: bo
         torque = loops[1](reference, felt, against, rate, usable, kinematics.lengths, alone[1:])
         np.testing.assert_array_equal(drums, alone)
         np.testing.assert_array_equal(loops[0].torque, torque)
+
+
+class Drawn:
+    """A controller that commands tensions, or one that does not."""
+
+    tone, resting_stiffness = 1.0, 500.0
+
+    def tensions(self, motion: Any, stiffness: float, centre: Any) -> Any:
+        del motion, stiffness
+        return centre + np.linspace(-4.0, 4.0, CABLES)
+
+
+class Undrawn(Drawn):
+    tensions = Controller.tensions
+
+
+@pytest.mark.parametrize("controller", [Drawn(), Undrawn()])
+@pytest.mark.parametrize("force", [0.0, 30.0, 900.0, np.nan])
+@pytest.mark.parametrize("missing", [(), (2,)])
+def test_an_allocation_in_one_call_is_that_of_its_parts(
+    controller: Any, force: float, missing: tuple[int, ...]
+) -> None:
+    """Opposition, bounds, distribution, and what it delivers: within the bounds, at them, and
+    without a number."""
+    settings, tension = CONTROL.distribution, CONTROL.tension
+    kinematics = Kinematics(ROBOT.geometry)
+    kinematics.evaluate(np.array([0.05, -0.08, 0.1]), np.array([1.0, 0.0, 0.0, 0.0]))
+    matrix, lengths = kinematics.matrix, kinematics.lengths
+    present = np.ones(CABLES, bool)
+    present[list(missing)] = False
+    measured, before = np.linspace(30.0, 60.0, CABLES), np.full(CABLES, 45.0)
+    wrench = np.array([force, -0.5 * force, 25.0, 0.5, 0.0, -0.2])
+    agonism, gradient, low, high, centre = (np.zeros(CABLES) for _ in range(5))
+    bearing = np.zeros((6, CABLES))
+    opposition(matrix, lengths, wrench[:3], settings.least_force, agonism, gradient)
+    levels = (tension.min, tension.max, tension.pre, settings.tension_rate * CONTROL.rates.period)
+    tension_bounds(matrix, before, present, levels, 0.0, agonism, low, high, centre, bearing)
+    wanted = wrench.copy()
+    if type(controller) is Drawn:
+        centre = controller.tensions(None, 0.0, centre) * present
+        wanted = matrix @ centre
+    apart = TensionDistribution(settings, ROBOT.geometry.moment_length, CABLES)
+    expected = apart(bearing, wanted, centre, low, high, gradient)
+    force_missed, delivers = np.zeros(3), np.zeros(6)
+    stiffness = delivered(matrix, expected, wanted, gradient, measured, delivers, force_missed)
+
+    allocation = Allocation(ROBOT, CONTROL, controller, kinematics)
+    allocation.reference[:], allocation.wrench[:] = before, wrench
+    allocation.distribute(
+        None,  # type: ignore[arg-type]
+        controller.resting_stiffness,
+        Levels(tension.min, tension.max, tension.pre),
+        present,
+        measured,
+    )
+    np.testing.assert_array_equal(allocation.reference, expected)
+    np.testing.assert_array_equal(allocation.centre, centre)
+    np.testing.assert_array_equal(allocation.agonism, agonism)
+    np.testing.assert_array_equal(allocation.delivered, delivers)
+    np.testing.assert_array_equal(allocation.shortfall, force_missed)
+    np.testing.assert_equal(allocation.geometric, stiffness)
+    found = allocation.distribution
+    assert (found.solver, found.iterations) == (apart.solver, apart.iterations)
+    np.testing.assert_equal(found.deficit, apart.deficit)
 
 
 def test_a_step_that_looks_small_is_small() -> None:
