@@ -29,6 +29,8 @@ class Solver(IntEnum):
     """no solution within the iteration limit: closed form, clipped"""
     INTERIOR = 3
     """no bound mattered: the free minimiser itself"""
+    REFERENCE = 4
+    """as OPTIMAL, by Clarabel: DAQP had no answer, or none that is proven"""
 
 
 class Grade(IntEnum):

@@ -223,8 +223,15 @@ class Distribution(Section):
     """m2: how much a change of the geometric stiffness along the wrench counts"""
     least_force: Positive
     """N below which a wrench has no direction to speak of"""
+    solver: Literal["daqp", "clarabel"] = "clarabel"
+    """of the programme where a bound matters. A log of before there was a choice names none, and
+    was made with Clarabel; where DAQP has no proven answer, Clarabel is asked as well"""
+    largest_error: Positive = 1e-6
+    """N from the optimum that an answer of DAQP is proven to have at most"""
     maximum_iterations: Count
+    """of each solver"""
     tolerance: Positive
+    """of Clarabel's gap, N2, absolute and relative"""
 
 
 class Friction(Section):

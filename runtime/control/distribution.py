@@ -9,24 +9,20 @@ null space of W the cables pull against each other towards it. The row g prefers
 deliver a wrench, those that keep the geometric stiffness g . T along it at T_c's.
 
 The minimiser without bounds is one linear solve. Where it lies within the bounds it is the answer;
-where it does not, the programme finds the correction that the bounds demand. Posed for that
-correction its objective is zero at the free minimiser, so the solver's relative gap means
-millinewtons and not the size of the wrench. Its n unknowns and 2 n bounds never change their
-sparsity: it is built once, from configuration alone (results then depend on no history),
-updated in each tick that needs it, and bounded by iterations, never by time.
+where it does not, a solver of `tonus.runtime.control.programme` finds the correction that the
+bounds demand, by DAQP or by Clarabel. Where DAQP has no answer that is proven, Clarabel is asked.
 """
 
 from __future__ import annotations
 
 import math
 
-import clarabel
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy import sparse
 
 from tonus.config.schema.control import Distribution as Settings
+from tonus.runtime.control.programme import ActiveSet, InteriorPoint
 from tonus.runtime.signals import Solver
 
 Array = NDArray[np.float64]
@@ -117,15 +113,15 @@ def _free_minimiser(
     gradient: Array,
     weights: tuple[float, float],
     scale: Array,
-    quadratic: Array,
+    normal: Array,
     scaled: tuple[Array, Array],
     tensions: Array,
 ) -> bool:
     """Tensions without regard to the bounds, and whether they lie within them.
 
     ``bounds``: low, high, centre; ``weights``: of the wrench, and the root of that of the row
-    ``gradient``. ``quadratic`` becomes the upper triangle, column by column, of
-    I + p p^T + weight W^T W; ``scaled``, matrix and wrench, what they are times ``scale``.
+    ``gradient``. ``normal`` (n, n) becomes H = I + p p^T + weight W^T W; ``scaled``, matrix and
+    wrench, what they are times ``scale``.
     """
     low, high, centre = bounds
     weight, preference = weights
@@ -141,8 +137,7 @@ def _free_minimiser(
         target[k] = scale[k] * wrench[k]
         for i in range(size):
             w[k, i] = scale[k] * matrix[k, i]
-    normal, right = np.empty((size, size)), np.empty(size)
-    place, finite = 0, True
+    right, finite = np.empty(size), True
     for i in range(size):
         pulled = 0.0
         for k in range(6):
@@ -154,9 +149,8 @@ def _free_minimiser(
             for k in range(6):
                 together += w[k, i] * w[k, j]
             value = weight * together + row[i] * row[j] + (1.0 if i == j else 0.0)
-            normal[i, j] = normal[j, i] = quadratic[place] = value
+            normal[i, j] = normal[j, i] = value
             finite = finite and math.isfinite(value)
-            place += 1
     if not finite:
         tensions[:] = np.nan
         return True
@@ -225,7 +219,7 @@ def _solve(
     weight: float,
     preference: float,
     scale: Array,
-    quadratic: Array,
+    normal: Array,
     scaled: Array,
     target: Array,
     tensions: Array,
@@ -234,7 +228,7 @@ def _solve(
     returns."""
     bounds, weights, found = (low, high, centre), (weight, preference), (scaled, target)
     if not _free_minimiser(
-        matrix, wrench, bounds, gradient, weights, scale, quadratic, found, tensions
+        matrix, wrench, bounds, gradient, weights, scale, normal, found, tensions
     ):
         return False, False, 0.0
     finite, deficit = _deliver(scaled, target, low, high, tensions)
@@ -268,7 +262,7 @@ def distribute_tick(
     weight: float,
     preference: float,
     scale: Array,
-    quadratic: Array,
+    normal: Array,
     scaled: Array,
     target: Array,
 ) -> tuple[bool, bool, float, float]:
@@ -304,7 +298,7 @@ def distribute_tick(
         weight,
         preference,
         scale,
-        quadratic,
+        normal,
         scaled,
         target,
         tensions,
@@ -328,32 +322,12 @@ class TensionDistribution:
         self._scale = np.array([1.0] * 3 + [1.0 / moment_length] * 3)
         self._weights = (settings.wrench_weight, math.sqrt(settings.stiffness_weight))
         self._scaled = (np.zeros((6, cables)), np.zeros(6))
-        # Clarabel stores the upper triangle column by column.
-        self._quadratic = np.zeros(cables * (cables + 1) // 2)
-        self.kept = (*self._weights, self._scale, self._quadratic, *self._scaled)
+        self._normal = np.zeros((cables, cables))
+        self.kept = (*self._weights, self._scale, self._normal, *self._scaled)
         """the last arguments of the kernels"""
         self._none = np.zeros(cables)
-        self._room = np.zeros(2 * cables)
-        self._programme = self._build(settings, cables)
-
-    def _build(self, settings: Settings, cables: int) -> clarabel.DefaultSolver:
-        options = clarabel.DefaultSettings()
-        options.verbose = False
-        options.presolve_enable = False
-        options.max_iter = settings.maximum_iterations
-        options.time_limit = float("inf")
-        options.tol_gap_abs = options.tol_gap_rel = options.tol_feas = settings.tolerance
-        options.max_threads = 1
-        # A dozen well-scaled unknowns need neither, and they are a quarter of the time.
-        options.equilibrate_enable = options.iterative_refinement_enable = False
-        cost = sparse.triu(np.ones((cables, cables)) + cables * np.eye(cables)).tocsc()
-        eye = sparse.eye_array(cables, format="csc")
-        constraints = sparse.csc_array(sparse.vstack([eye, -eye]))
-        cones = [clarabel.NonnegativeConeT(2 * cables)]
-        start = np.concatenate([np.ones(cables), np.zeros(cables)])
-        return clarabel.DefaultSolver(
-            cost, np.zeros(cables), sparse.csc_matrix(constraints), start, cones, options
-        )
+        self._active_set = ActiveSet(settings, cables) if settings.solver == "daqp" else None
+        self._interior_point = InteriorPoint(settings, cables)
 
     def __call__(
         self,
@@ -367,7 +341,7 @@ class TensionDistribution:
         """``matrix`` (6, n), ``wrench`` (6,), ``centre``, ``low``, ``high`` (n,) in N, ``gradient``
         (n,) in 1/m: g, None for no preference.
 
-        If no solution comes back within the iteration limit, the closed form round ``centre``
+        If no solver has an answer within the iteration limit, the closed form round ``centre``
         (Pott, Bruckmann and Mikelsons 2009), clipped to the bounds, takes its place, and `solver`
         says so.
         """
@@ -411,17 +385,15 @@ class TensionDistribution:
     def _bounded(
         self, free: Array, matrix: Array, wrench: Array, centre: Array, low: Array, high: Array
     ) -> Array:
-        # A lost cable has no room at all, and no column in W: its correction is zero by itself, and
-        # room to be zero in keeps the programme's interior from vanishing.
-        lost = high <= low
-        self._room[: len(low)] = np.where(lost, 1.0, high - free)
-        self._room[len(low) :] = np.where(lost, 1.0, free - low)
-        self._programme.update(P=self._quadratic, q=self._none, b=self._room)
-        solution = self._programme.solve()
-        self.iterations = solution.iterations
-        if solution.status in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
-            self.solver = Solver.OPTIMAL
-            return np.asarray(free + np.array(solution.x))
+        self.solver = Solver.OPTIMAL
+        if self._active_set is not None:
+            found, self.iterations = self._active_set(self._normal, free, low, high)
+            if found is not None:
+                return found
+            self.solver = Solver.REFERENCE
+        found, self.iterations = self._interior_point(self._normal, free, low, high)
+        if found is not None:
+            return found
         self.solver = Solver.FALLBACK
         return closed_form(matrix, wrench, centre)
 

@@ -87,9 +87,14 @@ def distribution() -> list[Figure]:
     posed = [pose(p.matrix, p.wrench, p.centre, p.gradient, weights) for p in problems]
     best = np.array([_least(*q, p) for q, p in zip(posed, problems, strict=True)])
     ours = TensionDistribution(settings, length, 8)
+    by_clarabel = settings.model_copy(update={"solver": "clarabel"})
+    reference = TensionDistribution(by_clarabel, length, 8)
 
-    def by_ours(p: Problem) -> Array:
-        return ours(p.matrix, p.wrench, p.centre, p.low, p.high, p.gradient)
+    def by_ours(p: Problem, solve: TensionDistribution = ours) -> Array:
+        return solve(p.matrix, p.wrench, p.centre, p.low, p.high, p.gradient)
+
+    def by_reference(p: Problem) -> Array:
+        return by_ours(p, reference)
 
     def by_closed_form(p: Problem) -> Array:
         return improved_closed_form(p.matrix, p.wrench, p.centre, p.low, p.high)
@@ -112,6 +117,8 @@ def distribution() -> list[Figure]:
 
         theirs = _score(by_peer, problems, posed, best)
         figures.append(_against(name, mine, peer, theirs, licence))
+    theirs = _score(by_reference, problems, posed, best)
+    figures.append(_against(name, mine, "ours, Clarabel by choice", theirs, "Apache-2.0"))
     theirs = _score(by_closed_form, problems, posed, best)
     figures.append(_against(name, mine, "improved closed form", theirs, "Pott 2013, ours"))
     return figures

@@ -14,6 +14,7 @@ from loop import QUICK
 from replay.altered import altered
 
 from tonus.runtime.control.controllers import CONTROLLERS
+from tonus.runtime.signals import Solver
 from tonus.runtime.states import Operator, State
 from tonus.tools.cli.log import log as log_command
 from tonus.tools.errors import ToolError
@@ -74,6 +75,29 @@ def test_a_replay_may_begin_at_any_keyframe(sine: Log) -> None:
         assert found.first is None, found.first
         states.add(int(sine["/tonus/state"]["state"][tick]))
     assert {State.ACTIVE, State.SAFE_STOP, State.PRETENSION} & states
+
+
+@pytest.mark.parametrize("solver", ["daqp", pytest.param("clarabel", marks=pytest.mark.wide)])
+def test_ticks_in_which_a_tension_meets_a_bound_come_out_again(
+    tonus_run: Player, solver: str
+) -> None:
+    """Pushed so hard that some cables are at their lower bound; from every keyframe on."""
+    push = {"kind": "load", "at": 2.5, "force": (200.0, 0.0, 0.0), "rise": 0.3, "duration": 0.6}
+    run = tonus_run(
+        "hold",
+        faults=[push],
+        overrides={"control.distribution.solver": solver, "recording.keyframe_s": 0.25},
+        duration=0.8,
+    )
+    log = run.log
+    bounded = log["/tonus/tension"]["solver"] == Solver.OPTIMAL
+    ticks = log["/tonus/keyframe"]["tick"].astype(int)
+    within = [tick for tick in ticks if bounded[tick - 20 : tick + 20].all()]
+    assert len(within) > 1
+    for tick in ticks:
+        found = replay(log, first=int(tick) + 1, last=int(tick) + 100)
+        assert found.first is None, found.first
+    assert not (log["/tonus/tension"]["solver"] == Solver.FALLBACK).any()
 
 
 def test_the_whole_of_a_run_over_can_comes_out_again(sine: Log) -> None:

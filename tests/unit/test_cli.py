@@ -123,7 +123,7 @@ from tonus.tools.cli.entry import main
 try:
     main()
 finally:
-    heavy = {{"numba", "scipy", "matplotlib", "pyarrow", "clarabel"}} & set(sys.modules)
+    heavy = {{"numba", "scipy", "matplotlib", "pyarrow", "clarabel", "daqp"}} & set(sys.modules)
     assert not heavy, heavy
 """
     environment = {**os.environ, "TONUS_RUNTIME_DIR": str(tmp_path)}

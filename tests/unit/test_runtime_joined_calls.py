@@ -14,7 +14,9 @@ from tonus.runtime.control.controllers.impedance import Pd
 from tonus.runtime.control.distribution import (
     TensionDistribution,
     delivered,
+    distribute_tick,
     opposition,
+    prepare,
     tension_bounds,
 )
 from tonus.runtime.control.kinematics import Kinematics
@@ -184,3 +186,80 @@ def test_a_step_that_looks_small_is_small() -> None:
         assert not _is_small(ways, step, 0.999 * size)
     nothing = np.zeros((6, CABLES))
     assert not _is_small(nothing, np.zeros(CABLES), 1.0), "what has no solution is not small"
+
+
+class Stages:
+    """What the distribution of a tick is asked and has, arrays of its own."""
+
+    def __init__(self) -> None:
+        kinematics = Kinematics(ROBOT.geometry)
+        kinematics.evaluate(np.array(ROBOT.home), np.array([1.0, 0.0, 0.0, 0.0]))
+        self.distribution = TensionDistribution(
+            CONTROL.distribution, ROBOT.geometry.moment_length, CABLES
+        )
+        self.matrix, self.lengths = kinematics.matrix, kinematics.lengths
+        self.tensions = np.full(CABLES, 7.0)
+        self.measured = np.linspace(30.0, 60.0, CABLES)
+        self.prepared = [*np.full((5, CABLES), 7.0), np.full((6, CABLES), 7.0)]
+        self.delivered = [np.full(6, 7.0), np.full(3, 7.0)]
+
+    def prepare(self, wrench: np.ndarray) -> None:
+        prepare(self.matrix, self.lengths, wrench[:3], *self._levels, 5.0, 400.0, *self.prepared)
+
+    def step(self, wrench: np.ndarray, *, prepared: bool) -> tuple[bool, bool, float, float]:
+        return distribute_tick(
+            prepared,
+            self.matrix,
+            self.lengths,
+            wrench,
+            *self._levels,
+            self.measured,
+            self.tensions,
+            5.0,
+            400.0,
+            *self.prepared,
+            *self.delivered,
+            *self.distribution.kept,
+        )
+
+    @property
+    def _levels(self) -> tuple[object, ...]:
+        before, present = np.full(CABLES, 50.0), np.ones(CABLES, dtype=bool)
+        return before, present, 20.0, 200.0, 50.0, 0.3
+
+
+WITHIN = np.array([3.0, -2.0, ROBOT.platform.mass * ROBOT.gravity, 0.1, 0.0, -0.1])
+
+
+@pytest.mark.parametrize("prepared", [True, False])
+def test_a_distribution_in_one_call_is_that_of_its_stages(prepared: bool) -> None:
+    together, apart = Stages(), Stages()
+    apart.prepare(WITHIN)
+    if prepared:
+        together.prepare(WITHIN)
+        # As a controller that commands tensions leaves them.
+        for stages in (together, apart):
+            stages.prepared[4][:] = np.linspace(48.0, 52.0, CABLES)
+    inside, finite, deficit, geometric = together.step(WITHIN, prepared=prepared)
+    _, gradient, low, high, centre, bearing = apart.prepared
+    found = apart.distribution(bearing, WITHIN, centre, low, high, gradient)
+    assert (apart.distribution.iterations, inside, finite) == (0, True, True)
+    assert together.tensions.tobytes() == found.tobytes()
+    assert deficit == apart.distribution.deficit
+    for one, other in zip(together.prepared, apart.prepared, strict=True):
+        np.testing.assert_array_equal(one, other)
+    expected = delivered(apart.matrix, found, WITHIN, gradient, apart.measured, *apart.delivered)
+    assert geometric == expected != 0.0
+    for one, other in zip(together.delivered, apart.delivered, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("wrench", [30.0 * WITHIN, np.full(6, np.nan)])
+def test_where_the_free_minimiser_is_no_answer_nothing_is_delivered_yet(
+    wrench: np.ndarray,
+) -> None:
+    together = Stages()
+    inside, finite, _, geometric = together.step(wrench, prepared=False)
+    assert (inside, finite) == (bool(np.isnan(wrench).any()), False)
+    assert geometric == 0.0
+    assert [each.tolist() for each in together.delivered] == [[7.0] * 6, [7.0] * 3]

@@ -18,7 +18,9 @@ from tonus.config.schema.scenario import Scenario
 from tonus.runtime.signals import SCHEMA_VERSION
 from tonus.tools.run import fieldbuses
 
-_LIBRARIES = ("clarabel", "filterpy", "mcap", "numba", "numpy", "python-can", "scipy", "tonus")
+_LIBRARIES = (
+    *("clarabel", "daqp", "filterpy", "mcap", "numba", "numpy", "python-can", "scipy", "tonus"),
+)
 
 SCRIPT_START = "script_start_ns"
 """metadata of a log that begins later: time zero of the scenario's faults"""
