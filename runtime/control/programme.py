@@ -130,14 +130,18 @@ class InteriorPoint:
         self, normal: Array, free: Array, low: Array, high: Array
     ) -> tuple[Array | None, int]:
         """As `ActiveSet`."""
-        # A lost cable has no room at all, and no column in W: its correction is zero by itself, and
-        # room to be zero in keeps the programme's interior from vanishing.
-        lost = high <= low
-        self._room[: len(low)] = np.where(lost, 1.0, high - free)
-        self._room[len(low) :] = np.where(lost, 1.0, free - low)
-        self._programme.update(P=normal.take(self._triangle), q=self._none, b=self._room)
+        # What has no room is known. In its place the programme has a correction that is zero by
+        # itself, and room to be zero in, which keeps its interior from vanishing.
+        fixed, count = high <= low, len(low)
+        linear = self._none
+        if fixed.any():
+            linear = np.where(fixed, 0.0, normal @ np.where(fixed, low - free, 0.0))
+            normal = np.where(fixed | fixed[:, None], np.eye(count), normal)
+        self._room[:count] = np.where(fixed, 1.0, high - free)
+        self._room[count:] = np.where(fixed, 1.0, free - low)
+        self._programme.update(P=normal.take(self._triangle), q=linear, b=self._room)
         solution = self._programme.solve()
         solved = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
         if solution.status not in solved:
             return None, solution.iterations
-        return free + np.array(solution.x), solution.iterations
+        return np.where(fixed, low, free + np.array(solution.x)), solution.iterations
