@@ -32,6 +32,7 @@ from tonus.runtime.control.sensing import Sensing
 from tonus.runtime.control.tension import TensionLoop
 from tonus.runtime.control.tuning import NO_CHANGE, GainChange, Tuning
 from tonus.runtime.recording.cycle_writer import CycleWriter
+from tonus.runtime.safety.cross_check import CrossCheck
 from tonus.runtime.safety.descent import Descent
 from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.isolation import Isolation
@@ -92,6 +93,14 @@ class ControlCycle:
         self._estimator = PoseEstimator(
             robot, control.estimator, tracker, self._kinematics, period, Doubts.of(control)
         )
+        self._cross_check = CrossCheck(
+            self._sensing,
+            self.sequence,
+            self._referencing,
+            self._estimator,
+            self._isolation,
+            self._witness,
+        )
         self._controller = make_controller(control.controller, robot, control)
         self.tuning = Tuning(tunable, self._controller.tunable_law, period)
         ratio = self._controller.damping_ratio
@@ -136,8 +145,9 @@ class ControlCycle:
         select: int = 0,
         change: GainChange = NO_CHANGE,
     ) -> CycleRecord:
-        """One whole tick: `act`, then `write`."""
+        """One whole tick: `act`, `judge`, then `write`."""
         self.act(image, tick, operator, select, change)
+        self.judge(image)
         return self.write(image, tick, operator, select, change)
 
     def act(
@@ -163,14 +173,11 @@ class ControlCycle:
         image.command.fill(int(sequence.axis_command))
         self._skipped = tick - self._last_tick - 1
         self._last_tick = tick
-        self.drums.step(
-            image,
-            sensing,
-            sequence.faults.failed,
+        self._cross_check.begin(
             self._torque,
             self._drum_rate,
+            self._allocation.reference,
             skipped=self._skipped != 0,
-            enabled=sequence.enabled,
         )
         if sequence.passive_share >= 0.0:
             self._give_way(image)
@@ -200,6 +207,11 @@ class ControlCycle:
             torque[:] = 0.0
         self._torque[:] = torque
 
+    def judge(self, image: ProcessImage) -> None:
+        """What the next tick will ask of faults, of the tick that `act` has just been called for:
+        the drives need not wait for it."""
+        self._cross_check.finish(image)
+
     def fall_back(self, image: ProcessImage, tick: int) -> None:
         """In place of `act`, from the tick in which that raised on: each drive as in the last tick,
         and the passive stop's torques, by the drums' rates alone."""
@@ -218,8 +230,7 @@ class ControlCycle:
         """A tick of a passive stop, or of a descent that has landed and lets go."""
         sequence, stop, sensing = self.sequence, self._control.stop, self._sensing
         if sequence.referenced:
-            lengths = self._referencing.lengths(sensing.angle, sensing.tension, self._skipped)
-            self._witness.step(image, lengths, sensing.tension, sequence.faults.failed)
+            self._referencing.lengths(sensing.angle, sensing.tension, self._skipped)
         fresh = image.axis.age <= self._control.freshness.measurement_ticks
         trusted = sequence.faults.drums_trusted & sequence.faults.drums_obedient & fresh
         share = sequence.passive_share
@@ -298,29 +309,16 @@ class ControlCycle:
             self._change_loop(descent.loop)
         lengths = self._referencing.lengths(sensing.angle, sensing.tension, self._skipped)
         faults = sequence.faults
-        self._witness.step(image, lengths, sensing.tension, faults.failed)
         believed = sensing.usable & ~faults.failed if faults.count else sensing.usable
         self._pulling = descent.pulling(sensing.tension, faults)
         estimator, elastic = self._estimator, self._referencing.elastic
         for _ in range(min(self._skipped, _MOST_SKIPPED) if self._skipped else 0):
             estimator.step(lengths, self._pulling, elastic, self._nobody)
         estimate = estimator.advance(lengths, self._pulling, elastic, believed)
-        watched = sequence.sound
         if sequence.descending:
-            slack = watched & ~descent.taut
+            slack = sequence.sound & ~descent.taut
             self._isolation.reeled(self._kinematics.lengths, lengths, slack)
             self._isolation.lengths(estimator.innovations, estimator.believed)
-        cell = image.cell
-        self._isolation.step(
-            estimator.innovations,
-            estimator.doubts,
-            self._allocation.reference,
-            sensing.filtered,
-            watched,
-            cell.force,
-            cell.age,
-            sensing.tension,
-        )
         self._accepted = bool(tracker["fresh"]) and estimator.track(
             tracker["position"], tracker["quaternion"], float(tracker["delay"])
         )

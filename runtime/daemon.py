@@ -273,6 +273,7 @@ class Daemon:
         fieldbus.publish(tick)
         published = wall()
         used = self._stopwatch.processor_ns() - used
+        self._judge(tick)
         guard = self._guard
         record = guard.record(cycle.write, fieldbus.image, tick, command, select, change)
         if record is not None:
@@ -311,11 +312,23 @@ class Daemon:
             try:
                 self.cycle.act(image, tick, command, select, change)
             except Exception as error:  # noqa: BLE001 - power off at height would be worse
-                self._guard.control.failed(error)
-                fallback.begin(in_one_line(error), tick)
+                self._failed(error, tick)
             else:
                 return
         fallback.step(image, tick, disable=command is Operator.ESTOP)
+
+    def _judge(self, tick: int) -> None:
+        """Of the tick whose outputs are sent; what it raises is control's, answered in the next."""
+        if self._fallback.active:
+            return
+        try:
+            self.cycle.judge(self._fieldbus.image)
+        except Exception as error:  # noqa: BLE001 - as in `_act`
+            self._failed(error, tick)
+
+    def _failed(self, error: Exception, tick: int) -> None:
+        self._guard.control.failed(error)
+        self._fallback.begin(in_one_line(error), tick)
 
     def _look(self, tick: int) -> None:
         """The brakes, and the self-test as long as the robot is not armed."""

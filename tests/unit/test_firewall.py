@@ -264,6 +264,27 @@ def test_control_that_raises_falls_back_until_rest_and_disables_only_then(robot:
     assert [event.where for event in robot.events if event.name == "part_failed"] == ["control"]
 
 
+def test_what_raises_after_the_torques_falls_back_from_the_next_tick_on(robot: Operated) -> None:
+    """The torques of its own tick are sent already, and were computed without it."""
+    handled = len(robot.history)
+    ticks: list[int] = []
+    cycle = robot.daemon.cycle
+    fall_back = cycle.fall_back
+
+    def counted(image: Any, tick: int) -> None:
+        ticks.append(tick)
+        fall_back(image, tick)
+
+    cycle.judge = raising  # type: ignore[method-assign]
+    cycle.fall_back = counted  # type: ignore[method-assign]
+    outcome = ended(robot)
+    assert (outcome.state, outcome.fault) == (State.FAULT, Fault.CONTROL_FAILED)
+    first, *after = robot.history[handled:]
+    assert [moment.tick for moment in after] == ticks
+    assert (first.tick, first.state, first.enabled) == (ticks[0] - 1, State.SAFE_STOP, True)
+    assert [event.where for event in robot.events if event.name == "part_failed"] == ["control"]
+
+
 def test_while_drums_turn_the_fallback_goes_on_to_its_limit(robot: Operated) -> None:
     turned = {"angle": 0.0}
 

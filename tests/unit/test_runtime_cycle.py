@@ -4,6 +4,7 @@ its inputs alone."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,11 @@ from tonus.config.schema.lab import LabScript, Load, LoadPoint
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.control.referencing import Referencing
 from tonus.runtime.cycle import ControlCycle
+from tonus.runtime.safety.drum_observer import DrumObserver
+from tonus.runtime.safety.isolation import Isolation
+from tonus.runtime.safety.witness import Witness
 from tonus.runtime.signals import Solver
-from tonus.runtime.states import Fault, Operator, State
+from tonus.runtime.states import Fault, Operator, State, StopMode
 
 FRESH, STALE = CONTROL.freshness.measurement_ticks, CONTROL.freshness.stale_stop_ticks
 TENSION, LAW = CONTROL.tension, CONTROL.stiffness
@@ -294,6 +298,142 @@ def test_ticks_that_the_host_missed_pass_for_the_cables_damping_too(
     statue.number += 4
     statue.rest(2)
     assert passed[-3:] == [0, 4, 0]
+
+
+def judges(monkeypatch: pytest.MonkeyPatch) -> list[type]:
+    """Who is asked from now on."""
+    called: list[type] = []
+    for kind in (DrumObserver, Isolation, Witness):
+        monkeypatch.setattr(kind, "step", lambda *_, kind=kind, **__: called.append(kind))
+    return called
+
+
+def moving(image: ProcessImage) -> None:
+    image.cells["force"][:8] += np.linspace(-0.3, 0.3, 8)
+
+
+@pytest.mark.parametrize("state", [State.STANDBY, State.REFERENCING, State.HOLD, State.SAFE_STOP])
+def test_torques_wait_for_no_judgement_of_their_tick(state: State) -> None:
+    """Two ticks, of which one is whole and one has its outputs read before it is judged."""
+    whole, apart = Statue().until(state), Statue().until(state)
+    for _ in range(20):
+        for statue in (whole, apart):
+            statue.report()
+            moving(statue.image)
+        image, tick = apart.image, apart.number
+        apart.cycle.act(image, tick, Operator.NONE)
+        sent = image.commands.tobytes()
+        apart.cycle.judge(image)
+        apart.cycle.write(image, tick, Operator.NONE)
+        apart.number += 1
+        whole.step()
+        assert sent == whole.image.commands.tobytes()
+        assert apart.record.data.tobytes() == whole.record.data.tobytes()
+
+
+def test_a_tick_is_judged_by_what_was_asked_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last torques and references are those that its measurements answer, and the tick has
+    written its own over them; the lengths are its own."""
+    statue = Statue().until(State.ACTIVE)
+    cycle = statue.cycle
+    drums, references, lengths = [], [], []
+    drum, residual = DrumObserver.step, Isolation.step
+    seen = Witness.step
+
+    def drum_step(self: DrumObserver, *given: Any, **named: Any) -> None:
+        drums.append((given[3].copy(), given[4].copy(), named))
+        drum(self, *given, **named)
+
+    def residual_step(self: Isolation, *given: Any) -> None:
+        references.append(given[2].copy())
+        residual(self, *given)
+
+    def seen_step(self: Witness, *given: Any) -> None:
+        lengths.append(given[1].copy())
+        seen(self, *given)
+
+    monkeypatch.setattr(DrumObserver, "step", drum_step)
+    monkeypatch.setattr(Isolation, "step", residual_step)
+    monkeypatch.setattr(Witness, "step", seen_step)
+    for skipped in (0, 0, 3, 0):
+        torque = statue.image.torque.copy()
+        rate = cycle._drum_rate.copy()
+        reference = statue.record.tension.reference.copy()
+        statue.number += skipped
+        go_on(statue, moving)
+        assert (torque != statue.image.torque).any()
+        assert (reference != statue.record.tension.reference).any()
+        given_torque, given_rate, named = drums.pop()
+        np.testing.assert_array_equal(given_torque, torque)
+        np.testing.assert_array_equal(given_rate, rate)
+        assert named == {"skipped": skipped > 0, "enabled": True}
+        np.testing.assert_array_equal(references.pop(), reference)
+        np.testing.assert_array_equal(lengths.pop(), cycle._referencing.measured)
+        assert not drums + references + lengths, "once a tick"
+
+
+def test_a_tick_is_judged_once_and_only_after_it_was_computed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    statue = Statue().until(State.HOLD)
+    called = judges(monkeypatch)
+    statue.cycle.judge(statue.image)
+    assert not called
+    statue.report()
+    statue.cycle.act(statue.image, statue.number, Operator.NONE)
+    assert not called
+    statue.cycle.judge(statue.image)
+    assert len(called) == 3
+    statue.cycle.judge(statue.image)
+    assert len(called) == 3
+
+
+@pytest.mark.parametrize(
+    ("state", "asked"),
+    [
+        (State.STANDBY, {DrumObserver}),
+        (State.REFERENCING, {DrumObserver}),
+        (State.PRETENSION, {DrumObserver, Isolation, Witness}),
+    ],
+)
+def test_without_a_reference_drums_alone_are_judged(
+    state: State, asked: set[type], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    statue = Statue().until(state)
+    called = judges(monkeypatch)
+    go_on(statue, lambda image: None)
+    assert (set(called), len(called)) == (asked, len(asked))
+
+
+def defect(image: ProcessImage) -> None:
+    image.axes["state"][[1, 2, 3, 4]] = AxisState.FAULT
+
+
+def test_a_passive_stop_is_judged_without_the_estimate_to_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    statue = Statue().until(State.HOLD)
+    sequence, called, shares = statue.cycle.sequence, judges(monkeypatch), set()
+    while go_on(statue, defect).at(State.SAFE_STOP):
+        assert sequence.stop_mode is StopMode.PASSIVE
+        assert called == [DrumObserver, Witness]
+        called.clear()
+        shares.add(sequence.passive_share)
+    assert {0.0, 1.0} < shares
+    assert called == [DrumObserver]
+    assert sequence.referenced
+
+
+def test_a_passive_stop_without_a_reference_has_no_lengths_to_judge(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    statue = Statue().until(State.REFERENCING)
+    sequence, called = statue.cycle.sequence, judges(monkeypatch)
+    go_on(statue, lambda image: None, 3)
+    called.clear()
+    go_on(statue, defect)
+    assert sequence.passive_share >= 0.0
+    assert called == [DrumObserver]
 
 
 def test_the_solver_is_named_while_it_works_and_not_otherwise() -> None:
