@@ -132,10 +132,10 @@ def lines(counted: Table) -> list[str]:
     used = [name for name in INVARIANTS if counted.by_invariant[name]]
     told = [f"{counted.broken} of {counted.episodes} episodes broke a bound"]
     if counted.supervised:
-        total = sum(counted.stopped.values())
+        stops = sum(counted.stopped.values())
         by = ", ".join(f"{name} {count}" for name, count in sorted(counted.stopped.items()))
         told.append(
-            f"{counted.supervised} were supervised; the supervisor stopped {total}"
+            f"{counted.supervised} were supervised; the supervisor stopped {stops}"
             + (
                 f" ({by}), {counted.found_before} after a fault that the daemon had found"
                 * bool(by)
