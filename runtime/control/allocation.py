@@ -15,12 +15,8 @@ from tonus.config.schema.control import Control
 from tonus.config.schema.robot import Robot
 from tonus.runtime.control.controllers import Controller, Motion
 from tonus.runtime.control.controllers.base import share
-from tonus.runtime.control.distribution import (
-    TensionDistribution,
-    delivered,
-    distribute_tick,
-    prepare,
-)
+from tonus.runtime.control.distribution import TensionDistribution
+from tonus.runtime.control.distribution_kernels import delivered, distribute_tick, prepare
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.safety.descent import Descent
 from tonus.runtime.safety.faults import Faults

@@ -15,7 +15,8 @@ from tests.bench.measure import Figure
 from tests.bench.peers import PEERS, Solve, improved_closed_form
 from tonus.config import Config, load
 from tonus.config.loader import load_tuning
-from tonus.runtime.control.distribution import TensionDistribution, opposition
+from tonus.runtime.control.distribution import TensionDistribution
+from tonus.runtime.control.distribution_kernels import opposition
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.tools.tune.trial import play
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from tonus.config import load
 from tonus.runtime.control.compiled import rotate
-from tonus.runtime.control.distribution import TensionDistribution, opposition, tension_bounds
+from tonus.runtime.control.distribution import TensionDistribution
+from tonus.runtime.control.distribution_kernels import opposition, tension_bounds
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.control.programme import corrected
 from tonus.runtime.signals import Solver

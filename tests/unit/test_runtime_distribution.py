@@ -10,7 +10,8 @@ from scipy.optimize import lsq_linear
 from tonus.config import load
 from tonus.config.schema.control import Distribution
 from tonus.runtime.control.compiled import rotate
-from tonus.runtime.control.distribution import TensionDistribution, opposition
+from tonus.runtime.control.distribution import TensionDistribution
+from tonus.runtime.control.distribution_kernels import opposition
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.signals import Solver
 

@@ -13,12 +13,8 @@ from scipy.optimize import lsq_linear
 
 from tonus.config import load
 from tonus.runtime.control.compiled import rotate
-from tonus.runtime.control.distribution import (
-    TensionDistribution,
-    closed_form,
-    delivered,
-    prepare,
-)
+from tonus.runtime.control.distribution import TensionDistribution, closed_form
+from tonus.runtime.control.distribution_kernels import delivered, prepare
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.signals import Solver
 
@@ -228,6 +224,19 @@ def test_it_is_the_bounded_least_squares_of_the_cables_that_are_left(
     assert found.solver is (Solver.INTERIOR if inside else Solver.OPTIMAL)
     assert (found.iterations == 0) is inside
     assert found.iterations <= SETTINGS.maximum_iterations
+
+
+def test_a_lost_cable_takes_no_part_in_the_preference() -> None:
+    """It has a gradient, but would have to be pulled for it: the others are the free minimiser."""
+    present = np.arange(N) != 2
+    matrix, centre = ASKEW * present, np.linspace(40.0, 60.0, N) * present
+    wrench, low, high = matrix @ np.full(N, 50.0), 5.0 * present, HIGH * present
+    found = distribution()
+    tensions = found(matrix, wrench, centre, low, high, np.linspace(0.3, 1.2, N))
+    assert found.solver is Solver.INTERIOR
+    assert tensions[2] == 0.0
+    expected = least_squares(matrix, wrench, centre, low, high, np.linspace(0.3, 1.2, N))
+    np.testing.assert_allclose(tensions, expected, atol=1e-6)
 
 
 def test_without_a_gradient_there_is_no_preference() -> None:

@@ -11,8 +11,8 @@ from loop import configured
 from tonus.runtime.control.allocation import Allocation
 from tonus.runtime.control.controllers import Controller, Motion
 from tonus.runtime.control.controllers.impedance import Pd
-from tonus.runtime.control.distribution import (
-    TensionDistribution,
+from tonus.runtime.control.distribution import TensionDistribution
+from tonus.runtime.control.distribution_kernels import (
     delivered,
     distribute_tick,
     opposition,
