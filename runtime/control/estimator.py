@@ -39,11 +39,11 @@ from tonus.runtime.control.compiled import (
     error_size,
     estimate_tick,
     rotate,
-    rotation_between,
     track,
 )
 from tonus.runtime.control.disagreement import Disagreement
 from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.control.wrench import rotation_between
 from tonus.runtime.signals import Consistency
 
 Array = NDArray[np.float64]

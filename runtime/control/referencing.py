@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from tonus.config.schema.control import Sequence
 from tonus.config.schema.robot import Robot
 from tonus.drivers.process_image import ProcessImage
-from tonus.runtime.control.compiled import rotate, rotation_between
+from tonus.runtime.control.compiled import rotate
 from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.control.wrench import rotation_between
 
 Array = NDArray[np.float64]
 

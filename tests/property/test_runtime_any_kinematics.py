@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tonus.config import load
-from tonus.runtime.control.compiled import rotation_between
 from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.control.wrench import rotation_between
 
 ROBOT = load("config/can.yaml")[0].robot
 BOX = ROBOT.workspace

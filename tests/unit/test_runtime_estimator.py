@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from tonus.config import load
 from tonus.config.schema.control import Estimator
-from tonus.runtime.control.compiled import rotate, rotation_between
+from tonus.runtime.control.compiled import rotate
 from tonus.runtime.control.estimator import PoseEstimator
 from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.control.wrench import rotation_between
 from tonus.runtime.signals import Consistency
 
 CONFIG, _ = load("config/can.yaml")

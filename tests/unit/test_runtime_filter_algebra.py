@@ -11,8 +11,9 @@ from filterpy.kalman import predict, update
 from numpy.typing import NDArray
 
 from tonus.config import load
-from tonus.runtime.control.compiled import filter_tick, rotate, rotation_between, track
+from tonus.runtime.control.compiled import filter_tick, rotate, track
 from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.control.wrench import rotation_between
 
 ROBOT = load("config/can.yaml")[0].robot
 EA, PERIOD = ROBOT.axial_stiffness, 1e-3

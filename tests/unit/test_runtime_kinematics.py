@@ -9,8 +9,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from tonus.config import load
-from tonus.runtime.control.compiled import rotate, rotation_between
+from tonus.runtime.control.compiled import rotate
 from tonus.runtime.control.kinematics import Kinematics
+from tonus.runtime.control.wrench import rotation_between
 
 CONFIG, _ = load("config/can.yaml")
 GEOMETRY = CONFIG.robot.geometry

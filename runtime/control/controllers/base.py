@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.control import Control, TensionLoop
 from tonus.config.schema.robot import Robot
-from tonus.runtime.control.compiled import impedance_wrench, platform_wrench, spring
 from tonus.runtime.control.controllers.linear import LinearLaw, NoLinearLawError
 from tonus.runtime.control.passivity import damping
 from tonus.runtime.control.stiffness import Law, LawTerms
+from tonus.runtime.control.wrench import impedance_wrench, platform_wrench, spring
 
 Array = NDArray[np.float64]
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
