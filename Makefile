@@ -107,7 +107,7 @@ bench-realtime: setup
 # The least that physics allows after a torn cable: half an hour; it goes on where it was interrupted.
 # Writes config/least_stop.yaml and docs/least_stop.png.
 least-stop: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.least_stop --write $(shell date +%F)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.least_stop table --write $(shell date +%F)
 
 # What the tick makes of busy processes, a slow disk, a flooding client and a stopped recorder.
 load: setup

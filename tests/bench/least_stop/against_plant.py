@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.bench.least_stop.grid import UNLOADED
 from tests.bench.least_stop.hold import Hold
 from tests.bench.least_stop.model import BODY, LEFT
-from tests.bench.least_stop.problem import EARLY, Case, Solution
+from tests.bench.least_stop.problem import Case, Solution
 from tonus.config.schema.root import Config
 from tonus.sim.plant import Plant
 
@@ -50,7 +51,7 @@ def speeds(
         plant.current[:] = plant.current_reference
     plant.cut_cable(torn)
     times, played = [0.0], [float(np.linalg.norm(velocity))]
-    for k, step in enumerate(EARLY):
+    for k, step in enumerate(UNLOADED.early):
         if k > 0:
             rates = 0.5 * (stop.early[k] + stop.early[k + 1])[BODY + LEFT :]
             plant.current_reference[left] = currents(config, stop.forces[k], rates, pulls[k])
@@ -58,6 +59,6 @@ def speeds(
             plant.advance(plant.now_ns + _TICK)
             times.append(plant.now_ns * 1e-9)
             played.append(float(np.linalg.norm(plant.velocity)))
-    nodes = np.concatenate([[0.0], np.cumsum(EARLY)])
+    nodes = np.concatenate([[0.0], np.cumsum(UNLOADED.early)])
     wanted = np.interp(times, nodes, np.linalg.norm(stop.early[:, 6:9], axis=1))
     return np.array(times), np.array(played), wanted

@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.bench.least_stop.push import NO_PUSH, Push
 from tests.loop import QUICK, ClosedLoop, configured
 from tonus.runtime.states import State
 
@@ -17,6 +18,7 @@ POSITIONS = tuple(product((-0.15, 0.0, 0.15), (-0.15, 0.0, 0.15), (-0.06, 0.0, 0
 _LIFT_S = 3.5
 """so long that the lift to the farthest pose keeps the speed limit"""
 _SETTLE_S = 0.5
+_PUSHED_S = 1.0
 _MEAN_TICKS = 100
 
 
@@ -32,11 +34,15 @@ class Hold:
     """N (8,)"""
 
 
-def hold_at(position: tuple[float, float, float]) -> Hold:
-    """Bring the shipped robot up with its home at ``position`` (m) and let it settle in HOLD."""
+def hold_at(position: tuple[float, float, float], push: Push = NO_PUSH) -> Hold:
+    """Bring the shipped robot up with its home at ``position`` (m) and let it settle in HOLD, under
+    a push that grows slowly and stays."""
     overrides = {**QUICK, "robot.home": list(position), "control.sequence.lift_s": _LIFT_S}
     loop = ClosedLoop(*configured("hold", overrides))
     loop.until(State.HOLD, within=20.0)
+    if push != NO_PUSH:
+        loop.plant.defects.push(push.force, push.point, rise=_SETTLE_S)
+        loop.run(_PUSHED_S)
     loop.run(_SETTLE_S)
     last = loop.trace.truth[-_MEAN_TICKS:]
     quaternion = np.asarray(last["quaternion"]).mean(axis=0)

@@ -4,7 +4,7 @@ written apart from the plant's and the controller's.
 State (26,): position m, orientation as modified Rodrigues parameters (tan of a quarter of the
 angle, along the axis), velocity m/s, body rate rad/s, cable reeled in since the break m (7,), its
 rate m/s (7,). Control (7,): what gearbox and friction leave of each motor's torque, as N at the
-cable.
+cable. A push: a force in the base frame, N (3,), on a point of the platform.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ LEFT = 7
 BODY = 12
 """states of the platform alone"""
 STATES = BODY + 2 * LEFT
+GEOMETRY = 7 * LEFT + 3
+"""numbers of a case's geometry, the point that is pushed included"""
 _KINK = 2.0
 """N: width over which a cable's slack and the table's touch are rounded"""
 _FRICTION_TENSION = 80.0
@@ -95,8 +97,9 @@ def _rounded(x: ca.SX) -> ca.SX:
 
 
 class Model:
-    """CasADi functions of state x, control u and a case's geometry ``g`` (49,): anchors in the
-    base frame (7, 3) and in the platform frame (7, 3), unstretched lengths at the break (7,).
+    """CasADi functions of state x, control u, push f and a case's geometry ``g`` (52,): anchors in
+    the base frame (7, 3) and in the platform frame (7, 3), unstretched lengths at the break (7,),
+    and the point of the platform that is pushed (3,).
 
     ``motion``: rate of change of state, and tensions (33,). ``body_motion``: that of the platform
     alone (12,) under given tensions. ``*_slopes``: their derivatives.
@@ -104,9 +107,10 @@ class Model:
 
     def __init__(self, c: Constants) -> None:
         self.constants = c
-        x, u, g = ca.SX.sym("x", STATES), ca.SX.sym("u", LEFT), ca.SX.sym("g", LEFT * 7)
+        x, u, f = ca.SX.sym("x", STATES), ca.SX.sym("u", LEFT), ca.SX.sym("f", 3)
+        g = ca.SX.sym("g", GEOMETRY)
         body, reeled, reeling = x[:BODY], x[BODY : BODY + LEFT], x[BODY + LEFT :]
-        free = g[6 * LEFT :] - reeled
+        free = g[6 * LEFT : 7 * LEFT] - reeled
         courses = [_course(body, g, i) for i in range(LEFT)]
         tensions = []
         for i, (length, _, _, shortening) in enumerate(courses):
@@ -116,19 +120,19 @@ class Model:
             tensions.append(elastic * (1.0 + c.damping * rate / (elastic + c.damping)))
         pull = ca.vertcat(*tensions)
         given = ca.SX.sym("given", LEFT)
-        under_given = _body_rates(c, body, courses, given)
+        pushed = f, g[7 * LEFT :]
+        under_given = _body_rates(c, body, courses, given, pushed)
         drums = (u - pull) / c.drum_mass
-        rates = ca.vertcat(_body_rates(c, body, courses, pull), reeling, drums)
+        rates = ca.vertcat(_body_rates(c, body, courses, pull, pushed), reeling, drums)
         every = ca.vertcat(rates, pull)
         both = ca.vertcat(body, given)
-        self.derivative = ca.Function("derivative", [x, u, g], [rates])
+        inputs, body_inputs = [x, u, f, g], [body, given, f, g]
+        self.derivative = ca.Function("derivative", inputs, [rates])
         self.tension = ca.Function("tension", [x, g], [pull])
-        self.motion = ca.Function("motion", [x, u, g], [every])
-        self.slopes = ca.Function("slopes", [x, u, g], [ca.jacobian(every, ca.vertcat(x, u))])
-        self.body_motion = ca.Function("body_motion", [body, given, g], [under_given])
-        self.body_slopes = ca.Function(
-            "body_slopes", [body, given, g], [ca.jacobian(under_given, both)]
-        )
+        self.motion = ca.Function("motion", inputs, [every])
+        self.slopes = ca.Function("slopes", inputs, [ca.jacobian(every, ca.vertcat(x, u))])
+        self.body_motion = ca.Function("body_motion", body_inputs, [under_given])
+        self.body_slopes = ca.Function("body_slopes", body_inputs, [ca.jacobian(under_given, both)])
 
 
 def _course(body: ca.SX, g: ca.SX, i: int) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -144,12 +148,17 @@ def _course(body: ca.SX, g: ca.SX, i: int) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
 
 
 def _body_rates(
-    c: Constants, body: ca.SX, courses: list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]], pull: ca.SX
+    c: Constants,
+    body: ca.SX,
+    courses: list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]],
+    pull: ca.SX,
+    pushed: tuple[ca.SX, ca.SX],
 ) -> ca.SX:
     """Newton, Euler and the kinematics of the orientation (12,)."""
     turn, velocity, rate = body[3:6], body[6:9], body[9:12]
     rotation = _rotation(turn)
-    force, moment = ca.SX.zeros(3), ca.SX.zeros(3)
+    push, point = pushed
+    force, moment = ca.SX(push), ca.cross(point, rotation.T @ push)
     for i, (_, direction, tip, _) in enumerate(courses):
         force += pull[i] * direction
         moment += ca.cross(tip, rotation.T @ direction) * pull[i]

@@ -7,23 +7,18 @@ vibrations that a step of 20 ms could not show anyway, and lets a slack cable be
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.bench.least_stop.model import BODY, LEFT, STATES, Model
+from tests.bench.least_stop.grid import UNLOADED, Grid
+from tests.bench.least_stop.model import BODY, GEOMETRY, LEFT, STATES, Model
+from tests.bench.least_stop.push import NO_PUSH, Push
 from tests.bench.least_stop.sparse import Blocks
 
 Array = NDArray[np.float64]
-DELAY = 0.003
-"""s from the break to the first torque that knows of it: noticed in the tick after the sample, a
-command acts one tick later still"""
-EARLY = np.array([DELAY] + [0.003] * 20)
-LATE = np.array([0.008] * 10 + [0.020] * 28)
-"""s, the intervals of either phase; 0.7 s in all"""
-TIMES = np.concatenate([[0.0], np.cumsum(np.concatenate([EARLY, LATE]))])
 QUIET_S = 0.1
 """s at the end in which the platform is as good as still: no apex of a throw can pass for a stop"""
 QUIET_SPEED = 0.03
@@ -51,9 +46,12 @@ class Case:
     state: Array
     """(26,)"""
     geometry: Array
-    """(49,)"""
+    """(52,), as the model has it"""
     force: Array
     """N (7,): net of the motors before the break, which go on through the delay"""
+    push: Push = NO_PUSH
+    lost: Array = field(default_factory=lambda: np.zeros(LEFT))
+    """N (7,): what faults take of the motors' driving force"""
 
 
 @dataclass(frozen=True)
@@ -66,13 +64,13 @@ class Solution:
     """N"""
     unknowns: Array
     early: Array
-    """states (22, 26)"""
+    """states (early nodes, 26)"""
     forces: Array
-    """N (21, 7), net of the motors in the early phase"""
+    """N (early intervals, 7), net of the motors"""
     late: Array
-    """platform's states (38, 12), after each late interval"""
+    """platform's states (late intervals, 12), after each of them"""
     tensions: Array
-    """N (38, 7), of each late interval"""
+    """N (late intervals, 7)"""
     defect: float
     iterations: int
 
@@ -84,8 +82,8 @@ class Solution:
 class _Unknowns:
     """Names for the parts of the programme's vector, as numpy or CasADi have it."""
 
-    def __init__(self) -> None:
-        n, m = len(EARLY), len(LATE)
+    def __init__(self, grid: Grid) -> None:
+        n, m = len(grid.early), len(grid.late)
         sizes = ((n + 1) * STATES, n * LEFT, m * BODY, m * LEFT, 1, 1)
         ends = np.concatenate([[0], np.cumsum(sizes)])
         self.size = int(ends[-1])
@@ -107,20 +105,28 @@ def _taken(z: ca.MX, places: NDArray[np.int64]) -> ca.MX:
 class Problem:
     """Least peak speed, and of the stops with this speed one with least peak tension."""
 
-    def __init__(self, model: Model, *, print_level: int = 0, iterations: int = 200) -> None:
-        self.model = model
-        at = self.at = _Unknowns()
-        n, m = len(EARLY), len(LATE)
-        z, parameters = ca.MX.sym("z", at.size), ca.MX.sym("p", LEFT * 7 + 2)
-        geometry, weights = parameters[:-2], parameters[-2:]
+    def __init__(
+        self,
+        model: Model,
+        grid: Grid = UNLOADED,
+        *,
+        print_level: int = 0,
+        iterations: int = 200,
+    ) -> None:
+        self.model, self.grid = model, grid
+        at = self.at = _Unknowns(grid)
+        n, m = len(grid.early), len(grid.late)
+        z, parameters = ca.MX.sym("z", at.size), ca.MX.sym("p", GEOMETRY + 3 * (n + m) + 2)
+        geometry, weights = parameters[:GEOMETRY], parameters[-2:]
+        push = ca.reshape(parameters[GEOMETRY:-2], 3, n + m)
         square, tension = z[at.square], z[at.tension]
         states, forces = _taken(z, at.states), _FORCE * _taken(z, at.forces)
         bodies, pulls = _taken(z, at.late), _FORCE * _taken(z, at.pulls)
         middle = 0.5 * (states[:, :-1] + states[:, 1:])
         body_middle = 0.5 * (bodies[:, :-1] + bodies[:, 1:])
-        early, late = ca.DM(EARLY).T, ca.DM(LATE).T
-        given = (middle, forces, ca.repmat(geometry, 1, n))
-        body_given = (body_middle, pulls, ca.repmat(geometry, 1, m))
+        early, late = ca.DM(grid.early).T, ca.DM(grid.late).T
+        given = (middle, forces, push[:, :n], ca.repmat(geometry, 1, n))
+        body_given = (body_middle, pulls, push[:, n:], ca.repmat(geometry, 1, m))
         motion = model.motion.map(n)(*given)
         body_motion = model.body_motion.map(m)(*body_given)
         defect = states[:, 1:] - states[:, :-1] - motion[:STATES, :] * ca.repmat(early, STATES, 1)
@@ -135,7 +141,7 @@ class Problem:
             (tension - pulls / _FORCE, 0.0, np.inf),
             (driven / model.constants.driving_force, -1.0, 1.0),
             (steps / _TENSION_RATE / ca.repmat(0.5 * (late[:-1] + late[1:]), LEFT, 1), -1.0, 1.0),
-            (joint / _TENSION_RATE / LATE[0], -1.0, 1.0),
+            (joint / _TENSION_RATE / grid.late[0], -1.0, 1.0),
         ]
         nonlinear = [
             (defect, 0.0, 0.0),
@@ -148,6 +154,7 @@ class Problem:
         self._lowest = np.repeat([low for _, low, _ in groups], sizes)
         self._highest = np.repeat([high for _, _, high in groups], sizes)
         self._defects = np.r_[0 : sizes[0], sum(sizes[:2]) : sum(sizes[:3])]
+        self._driven = sum(sizes[:5]) + np.arange(sizes[5]).reshape(n, LEFT)
         rest = ca.vertcat(*[ca.vec(rows) for rows, _, _ in simple])
         smooth = (
             ca.sum1(middle[BODY + LEFT :, :] ** 2) @ early.T / 0.06
@@ -162,17 +169,18 @@ class Problem:
         first = rows[: sizes[0]].reshape(n, STATES)
         second = rows[sizes[0] : sum(sizes[:2])].reshape(n, LEFT)
         third = rows[sum(sizes[:2]) :].reshape(m, BODY)
-        scale = np.hstack([-np.tile(EARLY[:, None], STATES), np.full((n, LEFT), -1.0 / _FORCE)])
+        lengths, body_scale = np.array(grid.early), -np.array(grid.late)[:, None]
+        scale = np.hstack([-np.tile(lengths[:, None], STATES), np.full((n, LEFT), -1.0 / _FORCE)])
         slopes = model.slopes.map(n)(*given)
         body_slopes = model.body_slopes.map(m)(*body_given)
         for side in (0, 1):
             here, there = slice(side, n + side), slice(side, m + side)
             blocks.stages(slopes, scale, np.hstack([first, second]), at.states[here], 0, 0.5)
-            blocks.stages(body_slopes, -LATE[:, None], third, at.late[there], 0, 0.5)
+            blocks.stages(body_slopes, body_scale, third, at.late[there], 0, 0.5)
             blocks.constant(2.0 * side - 1.0, first, at.states[here])
             blocks.constant(2.0 * side - 1.0, third, at.late[there])
         blocks.stages(slopes, scale, np.hstack([first, second]), at.forces, STATES, _FORCE)
-        blocks.stages(body_slopes, -LATE[:, None], third, at.pulls, BODY, _FORCE)
+        blocks.stages(body_slopes, body_scale, third, at.pulls, BODY, _FORCE)
         blocks.constant(1.0, second, np.full_like(second, at.tension))
         jacobian = ca.vertcat(blocks.matrix(), ca.jacobian(rest, z))
         # Without the curvature of the equations of motion what is left is positive semidefinite,
@@ -218,18 +226,23 @@ class Problem:
         low[at.pulls], high[at.pulls] = 0.0, tension_limit / _FORCE
         low[at.states[0]] = high[at.states[0]] = case.state
         low[at.forces[0]] = high[at.forces[0]] = case.force / _FORCE
-        quiet = TIMES[len(EARLY) + 1 :] >= TIMES[-1] - QUIET_S - 1e-9
+        times = self.grid.times
+        quiet = np.vstack([at.states[:, :BODY], at.bodies])[times >= times[-1] - QUIET_S - 1e-9]
         for columns, bound in ((slice(6, 9), QUIET_SPEED), (slice(9, 12), QUIET_RATE)):
-            low[at.bodies[quiet, columns]], high[at.bodies[quiet, columns]] = -bound, bound
+            low[quiet[:, columns]], high[quiet[:, columns]] = -bound, bound
+        lowest, highest = self._lowest.copy(), self._highest.copy()
+        share = np.maximum(0.0, 1.0 - case.lost / constants.driving_force)
+        # In the delay the torque is what it was, whatever its drum has lost.
+        lowest[self._driven[1:]], highest[self._driven[1:]] = -share, share
         low[at.square], high[at.square] = 0.0, speed_limit**2
         low[at.tension], high[at.tension] = 0.0, tension_limit / _FORCE
         answer = self._solver(
             x0=begin,
-            p=np.concatenate([case.geometry, weights]),
+            p=np.concatenate([case.geometry, case.push.means(times).ravel(), weights]),
             lbx=low,
             ubx=high,
-            lbg=self._lowest,
-            ubg=self._highest,
+            lbg=lowest,
+            ubg=highest,
         )
         found = np.asarray(answer["x"]).ravel()
         early, late = found[at.states], found[at.bodies]
@@ -256,7 +269,7 @@ class Problem:
     def unknowns(self, case: Case, states: Array) -> Array:
         """A start that puts ``states`` (nodes, 26) on the nodes of both phases, with the motors in
         balance with the cables; it need not obey the equations of motion."""
-        at, n = self.at, len(EARLY)
+        at, n = self.at, len(self.grid.early)
         pulls = np.clip(self.tensions(states, case), 0.0, 150.0)
         z = np.zeros(at.size)
         z[at.states], z[at.bodies] = states[: n + 1], states[n + 1 :, :BODY]

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from tests.bench.least_stop.cases import MOTIONS, Tear, solved, solved_as
+from tests.bench.least_stop.grid import DELAY
 from tests.bench.least_stop.hold import POSITIONS
-from tests.bench.least_stop.problem import CONVERGED, DELAY
+from tests.bench.least_stop.problem import CONVERGED
 from tonus.config.schema.least_stop import LeastStops
 from tonus.config.schema.least_stop import Stop as Least
 from tonus.config.schema.least_stop import Tear as Row
