@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plant_setup import LAB, ROBOT, UPRIGHT, balanced, frictionless, plant
+from plant_setup import CONFIG, LAB, ROBOT, UPRIGHT, balanced, frictionless, plant
 
 pytest.importorskip("casadi", reason="the least stop is computed with the extra bench")
 
 from tests.bench.least_stop.__main__ import main
+from tests.bench.least_stop.against_plant import speeds
 from tests.bench.least_stop.begin import case_of, played, still
 from tests.bench.least_stop.episode import case_in, constants_of, reached
 from tests.bench.least_stop.grid import LOADED, UNLOADED
@@ -93,6 +94,19 @@ def test_the_model_moves_under_a_push_as_the_plant_does_without_friction() -> No
     assert state[6:9] == pytest.approx(p.velocity, abs=0.015 * np.linalg.norm(p.velocity))
     turned = state[9:12]
     assert turned == pytest.approx(p.angular_velocity, abs=0.03 * np.linalg.norm(turned))
+
+
+@pytest.mark.parametrize("begin", [0.006, -1.0], ids=["coming", "there already"])
+def test_the_optimal_torques_under_a_push_do_in_the_plant_what_they_do_in_the_model(
+    begin: float,
+) -> None:
+    push = replace(pushed(-1.0), begin=begin, rise=0.003)
+    case, hold = centre(push), placed(CENTRE)[1]
+    found = stop(case)
+    pulls = PROBLEM.tensions(0.5 * (found.early[:-1] + found.early[1:]), case)
+    _, true, wanted = speeds(CONFIG, hold, TORN, np.zeros(3), case, found, pulls)
+    assert true == pytest.approx(wanted, abs=0.04 * wanted.max())
+    assert true.max() == pytest.approx(wanted.max(), rel=0.03)
 
 
 @pytest.mark.parametrize("grid", [UNLOADED, LOADED], ids=["unloaded", "loaded"])
