@@ -140,9 +140,11 @@ def unnamed(run: Observed) -> Observed:
 def stopped(run: Observed) -> Observed:
     """By the supervisor."""
     at = int(run.cycle_ns[active(run) + 1])
-    told = [("can0", at), ("can1", at + 1_000_000)]
-    text = "SUP-8, 0.4: broken is: the drums' speeds"
-    events = [Event(ns, 0, int(Level.ERROR), "supervisor_stopped", name, text) for name, ns in told]
+    told = [("can0", at, "speeds"), ("can1", at + 1_000_000, "speeds"), ("can0", at, "2 so far")]
+    events = [
+        Event(ns, 0, int(Level.ERROR), "supervisor_stopped", name, f"SUP-8, 0.4: broken is: {text}")
+        for name, ns, text in told
+    ]
     return replace(run, events=tuple(events))
 
 
@@ -292,7 +294,7 @@ def test_what_a_row_says_of_the_supervisor() -> None:
                 "at": round(run.events[0].time_ns / NS, 4),
                 "state": "ACTIVE",
                 "fault": "SPEED_LIMIT",
-                "text": "SUP-8, 0.4: broken is: the drums' speeds",
+                "text": "SUP-8, 0.4",
             }
         ],
     }

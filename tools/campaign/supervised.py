@@ -26,7 +26,7 @@ class Stop:
     at_ns: int
     """on the clock of the records: when the daemon received it"""
     text: str
-    """requirement, place, value"""
+    """requirement, place and value: SUP-10 at 2, 17.5"""
     state: State
     """of the daemon at that time"""
     fault: Fault
@@ -34,7 +34,7 @@ class Stop:
 
     @property
     def requirement(self) -> str:
-        return self.text.split(",", 1)[0].split(" ", 1)[0]
+        return self.text.replace(",", " ").split(" ", 1)[0]
 
     def told(self) -> dict[str, Any]:
         """As a row has it."""
@@ -48,15 +48,15 @@ class Stop:
 
 
 def stops(run: Observed) -> list[Stop]:
-    """In the order of time. On every channel it says the same."""
+    """In the order of time. On every channel it says the same, and on a busy one late or again."""
     found: dict[str, Stop] = {}
     for event in run.events:
-        # What it says on a channel that is busy arrives late: once for all, until the next stop.
-        if event.name == _STOPPED and event.text not in found:
+        text = event.text.split(":", 1)[0]
+        if event.name == _STOPPED and text not in found:
             row = max(int(np.searchsorted(run.cycle_ns, event.time_ns)) - 1, 0)
             state = run.cycle["state"][row]
             named = State(int(state["state"])), Fault(int(state["fault"]))
-            found[event.text] = Stop(event.time_ns, event.text, *named)
+            found[text] = Stop(event.time_ns, text, *named)
     return sorted(found.values(), key=lambda stop: stop.at_ns)
 
 
