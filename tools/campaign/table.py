@@ -132,15 +132,7 @@ def lines(counted: Table) -> list[str]:
     used = [name for name in INVARIANTS if counted.by_invariant[name]]
     told = [f"{counted.broken} of {counted.episodes} episodes broke a bound"]
     if counted.supervised:
-        stops = sum(counted.stopped.values())
-        by = ", ".join(f"{name} {count}" for name, count in sorted(counted.stopped.items()))
-        told.append(
-            f"{counted.supervised} were supervised; the supervisor stopped {stops}"
-            + (
-                f" ({by}), {counted.found_before} after a fault that the daemon had found"
-                * bool(by)
-            )
-        )
+        told.append(_of_the_supervisor(counted))
     if used:
         head = "".join(f"{_short(name):>11}" for name in used)
         told += ["", f"  {'kind':<16}{'episodes':>9}{'broken':>8}{'alone':>11}{head}"]
@@ -157,6 +149,15 @@ def lines(counted: Table) -> list[str]:
         single, met = counted.singles(state), counted.met(state)
         told.append(f"  {state:<16}{single[0]:>5}/{single[1]:<4}{met[0]:>6}/{met[1]}")
     return told
+
+
+def _of_the_supervisor(counted: Table) -> str:
+    stopped = sum(counted.stopped.values())
+    told = f"{counted.supervised} were supervised; the supervisor stopped {stopped}"
+    if not stopped:
+        return told
+    by = ", ".join(f"{name} {count}" for name, count in sorted(counted.stopped.items()))
+    return f"{told} ({by}), {counted.found_before} after a fault that the daemon had found"
 
 
 def _short(name: str) -> str:
