@@ -87,6 +87,8 @@ class Judge:
     def _end_stop(self) -> None:
         self._stopping_ns: int | None = None
         self._before: Claim | None = None
+        self._tension: Floats | None = None
+        """N, of the look before"""
         self._ordered: int = Operator.NONE
         """the last order to stop that was recorded"""
 
@@ -242,8 +244,11 @@ class Judge:
 
     def _against(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
         """SUP-5, wherever tensions follow the references, so in a stop along the path too: a torque
-        against them; and a smaller one that lasts, such as one that is missing."""
+        against them; and a smaller one that lasts, such as one that is missing. Where a tension
+        goes against the torque it is the platform that moves, and its drum has to follow it."""
         claim, settings = seen.claim, self._settings
+        before = seen.tension if self._tension is None else self._tension
+        self._tension = seen.tension
         if claim is None:
             return
         on_path = claim.state == State.SAFE_STOP and claim.stop_mode == StopMode.ON_PATH
@@ -253,7 +258,8 @@ class Judge:
         pull, error = seen.torque - seen.tension, reference - seen.tension
         against = seen.enabled & ((pull > 0.0) != (error > 0.0))
         opposed = abs(pull) > settings.opposed_force
-        opposed &= against & (abs(error) > settings.opposed_error)
+        led = np.where(pull > 0.0, seen.tension < before, seen.tension > before)
+        opposed &= against & (abs(error) > settings.opposed_error) & ~led
         opposed |= seen.enabled & ~np.isfinite(reference)
         for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
             yield each, self._patience_ns[Requirement.OPPOSED]

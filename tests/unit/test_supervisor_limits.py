@@ -23,6 +23,7 @@ from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.judge import NOWHERE, Judge
+from tonus.runtime.supervisor.observation import Observation
 from tonus.runtime.supervisor.record import Claim
 
 
@@ -178,3 +179,37 @@ def test_a_torque_against_the_reference(
     found = judged(config, *looks)[1]
     assert (found is not None) is opposed
     assert found is None or found.requirement is Requirement.OPPOSED
+
+
+def opposing(at_ms: int, tension: float, pull: float) -> Observation:
+    """A torque that is more, or less, than a tension beyond its reference, or below it."""
+    error = -2.1 if pull > 0.0 else 2.1
+    said = claim(reference=np.full(N, tension + error), tension=np.full(N, tension))
+    forces = {"torque": np.full(N, tension + pull), "tension": np.full(N, tension)}
+    return seen(float(at_ms), replace(said, at_ns=at_ms * MS), **forces)
+
+
+@pytest.mark.parametrize("pull", [61.0, -61.0])
+@pytest.mark.parametrize(("way", "opposed"), [(0.01, True), (0.0, True), (-0.01, False)])
+def test_a_tension_that_goes_against_a_torque_is_not_driven_by_it(
+    config: Config, pull: float, way: float, opposed: bool
+) -> None:
+    """A platform that is thrown takes the tension along, and the torque makes its drum follow.
+    ``way``: N of each look in the direction of the torque."""
+    step = way if pull > 0.0 else -way
+    looks = [opposing(100 + 2 * k, 70.0 + step * k, pull) for k in range(10)]
+    found = [verdict for verdict in judged(config, *looks[1:]) if verdict is not None]
+    assert bool(found) is opposed
+    assert {each.requirement for each in found} <= {Requirement.OPPOSED}
+
+
+def test_a_tension_of_before_is_forgotten_with_all_else(config: Config) -> None:
+    assert config.supervisor is not None
+    for over in (Judge.forget, lambda judge: judge.rest(101 * MS)):
+        judge = Judge(config, config.supervisor)
+        assert judge(opposing(100, 80.0, 50.0)) is None
+        over(judge)
+        assert judge(opposing(102, 70.0, 61.0)) is None
+        found = judge(opposing(107, 70.0, 61.0))
+        assert found is not None
+        assert found.requirement is Requirement.OPPOSED
