@@ -210,7 +210,8 @@ class Judge:
         gone = np.minimum(seen.torque_age, seen.measured_age) > settings.patience_ms
         wrong = enabled & seen.unlogged & ~gone
         yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong)
-        sent = (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
+        # Those of a channel without a heartbeat stop by themselves, whatever comes back with it.
+        sent = enabled & (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)
         # Nobody could judge, whatever the torques are. Drives that lose the heartbeat brake; those
         # that lose the relay have no torque, which is what they are sent.

@@ -181,6 +181,16 @@ def test_a_torque_against_the_reference(
     assert found is None or found.requirement is Requirement.OPPOSED
 
 
+@pytest.mark.parametrize("enabled", [True, False])
+def test_a_torque_to_a_drive_that_does_not_answer(config: Config, enabled: bool) -> None:
+    """Where the drive counts as disabled, such as on a channel without a heartbeat, it stops by
+    itself."""
+    given = {"measured_age": at(5, 21.0), "enabled": at(5, float(enabled), 1.0) > 0.0}
+    (found,) = judged(config, seen(**given))
+    assert (found is not None) is enabled
+    assert found is None or (found.requirement, found.where) == (Requirement.STALE, 5)
+
+
 def opposing(at_ms: int, tension: float, pull: float) -> Observation:
     """A torque that is more, or less, than a tension beyond its reference, or below it."""
     error = -2.1 if pull > 0.0 else 2.1
