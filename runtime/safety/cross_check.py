@@ -1,4 +1,4 @@
-"""Drums, lengths and cells of a tick held against each other, once its torques are sent.
+"""Drums, lengths and cells of a tick compared with each other, once its torques are sent.
 
 The drives need not wait for it: the first to ask what drum observer, witness and isolation have
 found is the state machine of the next tick.

@@ -19,7 +19,7 @@ from tonus.config.errors import ConfigError
 from tonus.config.loader import HERE, load
 from tonus.runtime.recording.payloads import EVENT
 from tonus.runtime.recording.ring import RingWriter
-from tonus.runtime.signals import cycle_dtype
+from tonus.runtime.signals import SCHEMA_VERSION, cycle_dtype
 from tonus.runtime.states import Fault
 from tonus.runtime.timing import clock
 from tonus.runtime.words import TEXT
@@ -37,7 +37,7 @@ from tonus.tools.view.shape import Plane, Shape
 from tonus.tools.view.viewer import Viewer
 from tonus.tools.view.words import state_of
 
-GOLDEN = Path(__file__).resolve().parents[1] / "replay" / "golden" / "v6.mcap"
+GOLDEN = Path(__file__).resolve().parents[1] / f"replay/golden/v{SCHEMA_VERSION}.mcap"
 COMPLETE = sorted(file for file in HERE.glob("*.yaml") if "\nfieldbus:" in file.read_text())
 """configurations that no other one includes"""
 

@@ -16,11 +16,12 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from tests.loop import QUICK
+from tonus.runtime.signals import SCHEMA_VERSION
 from tonus.runtime.timing import clock
 
 TONUS = [sys.executable, "-m", "tonus.tools.cli"]
 ROOT = Path(__file__).resolve().parents[2]
-GOLDEN = ROOT / "tests" / "replay" / "golden" / "v6.mcap"
+GOLDEN = ROOT / f"tests/replay/golden/v{SCHEMA_VERSION}.mcap"
 TOKEN = "a-token-for-tests-only"  # noqa: S105
 PATIENCE_S = 60.0
 
