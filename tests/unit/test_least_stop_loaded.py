@@ -208,3 +208,10 @@ def test_the_command_plays_an_episode_and_compares_it_with_its_optimum() -> None
     least, did, ratio = (float(each) for each in found.groups())
     assert 0.3 < least < 0.45
     assert ratio == pytest.approx(did / least, abs=0.02)
+
+
+@pytest.mark.parametrize("words", [["83", "direct", "--", "-1"], ["83", "usb", "3"]])
+def test_a_wrong_argument_ends_with_one_line(words: list[str]) -> None:
+    result = CliRunner().invoke(main, ["episode", *words])
+    assert result.exit_code == 2
+    assert "Invalid value" in result.output

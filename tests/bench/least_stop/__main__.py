@@ -79,9 +79,9 @@ def of_table(
 
 
 @main.command("episode")
-@click.argument("seed", type=int)
+@click.argument("seed", type=click.IntRange(min=0))
 @click.argument("bus", type=click.Choice(get_args(BusName)))
-@click.argument("index", type=int)
+@click.argument("index", type=click.IntRange(min=0))
 @click.option("--sound", is_flag=True, help="With the full force of every motor.")
 @starts_of_load
 def of_episode(seed: int, bus: BusName, index: int, sound: bool, starts: tuple[str, ...]) -> None:
@@ -94,13 +94,15 @@ def of_episode(seed: int, bus: BusName, index: int, sound: bool, starts: tuple[s
         case = episode.case_in(run, model, sound=sound)
         did = episode.reached(run)
     except ToolError as error:
-        raise click.ClickException(str(error)) from None
+        raise click.UsageError(f"seed {seed}, {bus} {index}: {error}") from None
     _solve(run.config, model, case, starts, did)
 
 
 @main.command("pushed")
 @click.argument("cable", type=click.IntRange(0, 7))
-@click.option("--force", default=100.0, show_default=True, help="N")
+@click.option(
+    "--force", type=click.FloatRange(0.0, 200.0), default=100.0, show_default=True, help="N"
+)
 @starts_of_load
 def of_pushed(cable: int, force: float, starts: tuple[str, ...]) -> None:
     """Tear a cable at the centre under a push away from its anchor that stays, as
