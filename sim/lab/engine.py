@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.bus import FieldbusSection
 from tonus.config.schema.faults import Fault, Replug, Unplug
-from tonus.config.schema.lab import LabScript
+from tonus.config.schema.lab import LabScript, Load
 from tonus.config.schema.root import Config
 from tonus.sim.can import registry
 from tonus.sim.can.canopen.node import Node
@@ -327,6 +327,15 @@ class Lab:
                 raise LabError(f"fault {fault.kind}: {fault.at:g} s of the script are over")
         for fault in faults:
             self._inject_later(fault, begun)
+
+    def extend_load(self, load: Load) -> None:
+        """Have the load port play ``load`` as if the script, which has none, had contained it from
+        the start. Raises `LabError` for one that would have begun by now."""
+        begun, first = self.script_start_ns, load.profile[0]
+        played = begun is not None and begun + round(first.at * _SECOND_NS) < self.now_ns
+        if played or first.force:
+            raise LabError("the load would have begun already")
+        self.plant.schedule(load)
 
     def inject(self, fault: Fault) -> None:
         """Inject a fault now, or ``fault.at`` s from now. Raises `LabError` if it is not possible

@@ -57,11 +57,7 @@ class Plant:
         self._loads = np.zeros(0)
         self._displacement = displacement
         if load is not None:
-            self._knots = np.array([point.at for point in load.profile])
-            self._loads = np.array([point.force for point in load.profile])
-            if np.any(np.diff(self._knots) < 0.0):
-                raise ValueError("the load's profile must run forward in time")
-            add_load(self.parameters, load)
+            self.schedule(load)
         self.state = np.zeros(1, state_dtype(robot.cables))
         state = self.state
         true = truth_dtype(robot.cables).itemsize
@@ -128,6 +124,14 @@ class Plant:
         elif self._knots.size and time > profile[-1].at:
             self._knots, self._loads = np.zeros(0), np.zeros(0)
             let_go(self.parameters)
+
+    def schedule(self, load: Load) -> None:
+        """Have the load port play ``load``. Raises `ValueError` for a profile that runs back."""
+        self._knots = np.array([point.at for point in load.profile])
+        self._loads = np.array([point.force for point in load.profile])
+        if np.any(np.diff(self._knots) < 0.0):
+            raise ValueError("the load's profile must run forward in time")
+        add_load(self.parameters, load)
 
     def start_schedule(self, at_ns: int) -> None:
         """Time zero of the load's profile."""

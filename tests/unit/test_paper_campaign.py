@@ -18,13 +18,14 @@ import pytest
 from click.testing import CliRunner
 from loop import QUICK
 
-from tonus.config import Config, load
+from tonus.config import load
 from tonus.config.loader import load_protocol
+from tonus.config.schema.scenario import Scenario
 from tonus.tools.cli.paper import paper
 from tonus.tools.errors import ToolError
+from tonus.tools.paper import metrics
 from tonus.tools.paper.campaign import TRIALS, Job, Progress, carry_out, fingerprint, prepare
 from tonus.tools.paper.case import Run
-from tonus.tools.paper.conduct import conduct
 from tonus.tools.paper.protocol import Programme
 from tonus.tools.paper.trial import Trial
 
@@ -39,11 +40,25 @@ def jobs(*controllers: str, duration: float = 0.3) -> list[Job]:
     return prepare(PROTOCOL, BRISK, todo)
 
 
-def deadly(run: Run, config: Config, **_: Any) -> Trial:
-    """`conduct`, but a trial of pd ends its process."""
-    if run.controller == "pd":
+MEASURE = metrics.measure
+
+
+def deadly(trial: Trial) -> dict[str, float]:
+    """`measure`, but a trial of pd, and any sine, ends its process."""
+    if trial.run.controller == "pd" or trial.run.case.name.startswith("sine"):
         os._exit(1)
-    return conduct(run, config)
+    return MEASURE(trial)
+
+
+def begin_alike(duration: float = 0.3) -> list[Job]:
+    """Four tests of one robot with one controller, and the first of them with another."""
+    cases = {case.name: case for case in Programme(PROTOCOL, BRISK).cases()}
+    runs = []
+    for name in ("hold", "sine_z_30mm_1Hz", "step_x", "contact"):
+        scenario = cases[name].scenario.model_copy(update={"duration": duration})
+        case = replace(cases[name], scenario=scenario)
+        runs.append(Run(case, "bio", "lab", 1, "direct"))
+    return prepare(PROTOCOL, BRISK, [*runs, replace(runs[0], controller="pd")])
 
 
 @pytest.mark.long
@@ -80,7 +95,7 @@ def test_it_goes_on_where_it_was_interrupted_and_gives_the_same(tmp_path: Path) 
 def test_neither_an_exception_nor_a_dead_process_ends_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tonus.tools.paper.campaign.conduct", deadly)
+    monkeypatch.setattr(metrics, "measure", deadly)
     good, dead, broken = jobs("bio", "pd", "pid")
     broken = replace(broken, config=broken.config.model_copy(update={"lab": None}))
     campaign = carry_out([good, dead, broken], tmp_path, 2, lambda _: None)
@@ -90,6 +105,72 @@ def test_neither_an_exception_nor_a_dead_process_ends_it(
     assert "lab section" in rows["pid"].reason
     assert {row.controller for row in campaign.failed} == {"pd", "pid"}
     assert not rows["pd"].completed
+
+
+@pytest.mark.wide
+def test_trials_that_begin_alike_are_what_each_is_by_itself(tmp_path: Path) -> None:
+    # Long enough for the load, which comes half a second after ACTIVE.
+    todo = begin_alike(duration=0.8)
+    together = carry_out(todo, tmp_path / "together", 1, lambda _: None)
+    rows = {row.key: row for row in together.results.rows}
+    for job in todo:
+        alone = carry_out([job], tmp_path / "alone", 1, lambda _: None)
+        assert alone.results.rows == [rows[job.run.key]]
+        assert rows[job.run.key].completed
+        for suffix in ("json", "npz"):
+            name = Path(TRIALS, f"{job.run.key}.{suffix}")
+            assert (tmp_path / "together" / name).read_bytes() == (
+                tmp_path / "alone" / name
+            ).read_bytes()
+    peaks = {row.case: row.indicators["contact_peak"] for row in rows.values()}
+    assert peaks["hold"] == peaks["step_x"]
+    assert len({json.dumps(row.indicators) for row in rows.values()}) == len(todo)
+
+
+def test_only_what_begins_with_active_shares_a_bring_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    hold, sine, step, contact, pd = begin_alike()
+    early = step.run.case.scenario.model_dump()
+    early["lab"]["load"]["profile"][0]["at"] = 0.0
+    load = Scenario.model_validate(early)
+    early_step = replace(step, run=replace(step.run, case=replace(step.run.case, scenario=load)))
+    other_seed = replace(sine, run=replace(sine.run, seed=2))
+    todo = [hold, sine, step, contact, pd, early_step, other_seed]
+    kept: list[list[Job]] = []
+
+    def noted(jobs: list[list[Job]], *_: Any) -> list[Any]:
+        kept.extend(jobs)
+        return []
+
+    monkeypatch.setattr("tonus.tools.paper.campaign.forked", noted)
+    carry_out(todo, Path("unused"), 1, lambda _: None)
+    assert kept == [[hold, sine, step], [contact], [pd], [early_step], [other_seed]]
+
+
+def test_of_trials_that_begin_alike_a_dead_one_is_the_only_one_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(metrics, "measure", deadly)
+    hold, sine, step, *_ = begin_alike()
+    campaign = carry_out([hold, sine, step], tmp_path, 1, lambda _: None)
+    assert [row.completed for row in campaign.results.rows] == [True, False, True]
+    assert [row.reason for row in campaign.failed] == ["crashed: exit code 1"]
+    assert not (tmp_path / TRIALS / f"{sine.run.key}.json").exists()
+
+
+def test_a_bring_up_that_fails_is_the_end_of_each_trial_that_shares_it(tmp_path: Path) -> None:
+    hold, sine, *_ = begin_alike()
+    cut = {"kind": "cable_cut", "axis": 1, "at": 0.05}
+
+    def torn(job: Job) -> Job:
+        case = job.run.case
+        plain = case.scenario.model_dump() | {"lab": {"faults": [cut]}}
+        case = replace(case, scenario=Scenario.model_validate(plain))
+        return replace(job, run=replace(job.run, case=case))
+
+    campaign = carry_out([torn(hold), torn(sine)], tmp_path, 1, lambda _: None)
+    assert not campaign.failed
+    assert [row.state for row in campaign.results.rows] == ["FAULT", "FAULT"]
+    assert len({row.reason for row in campaign.results.rows}) == 1
 
 
 CHILD = """

@@ -1,6 +1,7 @@
 """Many trials on several processors: resumable, and no trial's failure is the campaign's end.
 
-Trials are forked from this process (`tonus.tools.forked_work`), so it must have no thread.
+Trials that begin alike share their bring-up (`tonus.tools.paper.conduct`). Trials are forked from
+this process (`tonus.tools.forked_work`), so it must have no thread.
 """
 
 from __future__ import annotations
@@ -27,10 +28,11 @@ from tonus.tools.folders import make_folder
 from tonus.tools.forked_work import Tell, crashed, forked
 from tonus.tools.paper import metrics
 from tonus.tools.paper.case import Run
-from tonus.tools.paper.conduct import conduct
+from tonus.tools.paper.conduct import Together
 from tonus.tools.paper.plants import settings_key, settle
-from tonus.tools.paper.protocol import robot_seconds
+from tonus.tools.paper.protocol import robot_seconds, starts_in_active
 from tonus.tools.paper.results import Results, Row
+from tonus.tools.paper.trial import Trial
 from tonus.tools.warm_up import warm
 
 Json = dict[str, Any]
@@ -188,48 +190,85 @@ def _length(job: Job) -> float:
 
 
 def _answers(jobs: list[Job], folder: Path, workers: int) -> Iterator[tuple[Job, Row, float]]:
-    """Jobs with what became of them, as they are finished; each in a process of its own."""
+    """Jobs with what became of them, as they are finished; those that begin alike in one process
+    and its forks, each with a process of its own from ACTIVE on."""
     first = {job.run.bus: job for job in reversed(jobs)}
     for job in first.values():
         warm(job.config, job.run.case.scenario)
 
-    def carry(job: Job, tell: Tell) -> None:
-        try:
-            row, seconds = work(job, folder)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is this trial's
-            row, seconds = _row(job.run, {}, "", f"{type(error).__name__}: {error}", ""), 0.0
-        tell(json.dumps([row.as_json(), seconds]).encode())
+    def carry(together: list[Job], tell: Tell) -> None:
+        work(together, folder, lambda row, seconds: tell(_told(row, seconds)))
 
     heard: set[str] = set()
-    for said in forked(jobs, workers, carry):
-        key = said.job.run.key
+    for said in forked(_alike(jobs), workers, carry):
+        by_key = {job.run.key: job for job in said.job}
         if said.line is not None:
-            heard.add(key)
-            row, seconds = json.loads(said.line)
-            yield said.job, Row.from_json(row), seconds
-        elif key not in heard:
-            yield said.job, _row(said.job.run, {}, "", crashed(said.exit_code), ""), 0.0
+            told, seconds = json.loads(said.line)
+            row = Row.from_json(told)
+            heard.add(row.key)
+            yield by_key[row.key], row, seconds
+        else:
+            for key in by_key.keys() - heard:
+                yield by_key[key], _failed(by_key[key].run, crashed(said.exit_code)), 0.0
 
 
-def work(job: Job, folder: Path) -> tuple[Row, float]:
-    """Run a trial, measure it, keep what it came to. Returns its row and the s of robot time it
-    took."""
-    run = job.run
-    traced = run.seed == 1 and run.bus == "direct"
-    trial = conduct(run, job.config, cycle=metrics.NEEDED_CYCLE, truth=metrics.NEEDED_TRUTH)
+def _alike(jobs: list[Job]) -> list[list[Job]]:
+    """Jobs that are the same until ACTIVE, in the order of their first ones."""
+    found: dict[object, list[Job]] = {}
+    for job in jobs:
+        run = job.run
+        script = run.case.scenario.lab
+        if script.load is not None and starts_in_active(script.load, job.config):
+            script = script.model_copy(update={"load": None})
+        same = (settings_key(run), run.seed, script.model_dump_json())
+        found.setdefault(same, []).append(job)
+    return list(found.values())
+
+
+def _told(row: Row, seconds: float) -> bytes:
+    return json.dumps([row.as_json(), seconds]).encode()
+
+
+def work(jobs: list[Job], folder: Path, tell: Callable[[Row, float], None]) -> None:
+    """Run trials that begin alike, measure them, keep what they came to. ``tell`` is called once
+    for each trial, in whichever process it was done, with its row and the s of robot time it took.
+    """
+    prints = {job.run.key: job.fingerprint for job in jobs}
+    config = jobs[0].config
+    together = Together(
+        [job.run for job in jobs],
+        config,
+        lambda run, code: tell(_failed(run, crashed(code)), 0.0),
+    )
+    try:
+        for trial in together.play(metrics.NEEDED_CYCLE, metrics.NEEDED_TRUTH):
+            row = _measured(trial, folder, prints[trial.run.key])
+            together.left.remove(trial.run)
+            tell(row, trial.ticks * config.control.rates.period)
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is these trials'
+        for run in together.left:
+            tell(_failed(run, f"{type(error).__name__}: {error}"), 0.0)
+
+
+def _measured(trial: Trial, folder: Path, fingerprint: str) -> Row:
+    run = trial.run
     indicators = metrics.measure(trial)
     if indicators:
         indicators["contact_peak"] = trial.contact_peak
     row = _row(run, indicators, trial.state, trial.reason, trial.fault)
-    seconds = trial.ticks * job.config.control.rates.period
-    if traced and len(trial.time):
+    seconds = trial.ticks * trial.config.control.rates.period
+    if run.seed == 1 and run.bus == "direct" and len(trial.time):
         packed = BytesIO()
         np.savez_compressed(packed, **metrics.traces(trial))  # type: ignore[arg-type]
         _put(folder / f"{run.key}.npz", packed.getvalue())
-    text = json.dumps({"fingerprint": job.fingerprint, "row": row.as_json(), "robot_s": seconds})
+    text = json.dumps({"fingerprint": fingerprint, "row": row.as_json(), "robot_s": seconds})
     # Last, so that where it is everything is.
     _put(folder / f"{run.key}.json", text.encode())
-    return row, seconds
+    return row
+
+
+def _failed(run: Run, reason: str) -> Row:
+    return _row(run, {}, "", reason, "")
 
 
 def _row(run: Run, indicators: dict[str, float], state: str, reason: str, fault: str) -> Row:

@@ -1,8 +1,15 @@
-"""Carries one trial out in virtual time, from OFF, without a log: its records stay in memory."""
+"""Carries trials out in virtual time, from OFF, without a log: their records stay in memory.
+
+Trials that differ only in what begins with ACTIVE have one bring-up: each goes on from there in a
+fork of the process, and is bit for bit what it would have been from OFF.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import os
+import sys
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,18 +21,19 @@ from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Script
 from tonus.runtime.recording.taps import Level
-from tonus.runtime.safety.sequence import Sequence
+from tonus.runtime.safety.sequence import Sequence as ControlSequence
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import Fault, Operator, State
 from tonus.runtime.timing import clock
-from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.lab.engine import Lab
 from tonus.sim.lab.truth import truth_dtype
+from tonus.tools.forking import die_with_parent
 from tonus.tools.log.log import Event
 from tonus.tools.paper.case import Kind, Run
 from tonus.tools.paper.trial import Trial
 from tonus.tools.run import fieldbuses
 from tonus.tools.run.supervision import without_relay
+from tonus.tools.run.turning import TurningPacing
 
 SLOW_TICKS = 10
 """A trial of stage 1 moves at 1 mm/s for minutes: one tick in so many is kept."""
@@ -35,11 +43,18 @@ class _UntilDone(Script):
     """As a script, but the run ends where its ACTIVE does: nothing is judged on the way down. A run
     that a fault stops goes on to its end."""
 
-    def next(self, sequence: Sequence) -> Operator:
+    def __init__(self, duration: float) -> None:
+        super().__init__(duration)
+        self.number = 0
+        """of the scenario that START comes with"""
+
+    def next(self, sequence: ControlSequence) -> Operator:
         if sequence.state is State.ACTIVE and sequence.elapsed >= self._duration:
             self._over = True
             return Operator.NONE
-        return super().next(sequence)
+        command = super().next(sequence)
+        self.select = self.number + 1 if command is Operator.START else 0
+        return command
 
 
 class _Rows:
@@ -78,90 +93,153 @@ class _Cycles(_Rows):
             super().publish(payload, stamp_ns)
 
 
-class _Conduct:
-    """One run: everything on one virtual loop."""
+class Together:
+    """Trials of one configuration and one seed whose scenarios differ in the reference, the load
+    and the duration alone. After `play` each process that returns has played those in `left`."""
 
-    def __init__(self, run: Run, config: Config) -> None:
-        self._run, self._config = run, without_relay(config)
-        stride = SLOW_TICKS if run.case.kind is Kind.SLOPE else 1
+    def __init__(
+        self, runs: Sequence[Run], config: Config, lost: Callable[[Run, int], None]
+    ) -> None:
+        """``config``: that of all, `plants.settle`. ``lost`` is called with a trial whose process
+        died, and its exit code."""
+        self.left = list(runs)
+        self._config, self._lost = config, lost
+        stride = SLOW_TICKS if runs[0].case.kind is Kind.SLOPE else 1
         stride_ns = stride * config.control.rates.period_ns
         cables = config.robot.cables
-        self.cycles = _Cycles(cycle_dtype(cables), stride_ns)
-        self.truths = _Rows(truth_dtype(cables), stride_ns)
-        self.events: list[Event] = []
-        self.contact_peak = 0.0
+        self._cycles = _Cycles(cycle_dtype(cables), stride_ns)
+        self._truths = _Rows(truth_dtype(cables), stride_ns)
+        self._events: list[Event] = []
+        self._contact_peak = 0.0
+        self._script = _UntilDone(runs[0].case.scenario.duration)
+        self._lab: Lab | None = None
+        self._daemon: Daemon | None = None
 
-    async def play(self) -> Outcome:
-        run, config = self._run, self._config
+    def play(
+        self, cycle: Collection[str] | None = None, truth: Collection[str] | None = None
+    ) -> list[Trial]:
+        """The trials of `left`: one, or all of them where the robot never came to ACTIVE. ``cycle``
+        ("pose.position") and ``truth`` ("position") name the fields that are wanted, None: all.
+
+        Raises a `DriverError` when the bus cannot be brought up.
+        """
+        outcome = clock.run(self._main(), virtual=True)
+        first = self._trial(outcome, cycle, truth)
+        return [replace(first, run=run) for run in self.left]
+
+    async def _main(self) -> Outcome:
+        config, scenarios = (
+            without_relay(self._config),
+            [run.case.scenario for run in self.left],
+        )
+        script = scenarios[0].lab
+        if len(scenarios) > 1:
+            script = script.model_copy(update={"load": None})
         image = ProcessImage(config.robot.cables)
-        lab = Lab(
-            config, run.case.scenario.lab, seed=run.seed, clock=clock.loop_clock(), truth=self._true
+        lab = self._lab = Lab(
+            config, script, seed=self.left[0].seed, clock=clock.loop_clock(), truth=self._true
         )
         lab.open()
         fieldbus = fieldbuses.build(config, image, lab)
-        daemon = Daemon(
+        daemon = self._daemon = Daemon(
             config,
-            run.case.scenario,
+            scenarios[0],
             fieldbus,
             TrackerInput(image, lab.tracker),
-            _UntilDone(run.case.scenario.duration),
-            ring=self.cycles,
+            self._script,
+            ring=self._cycles,
             events=self._event,
             stopwatch=clock.Stopwatch(running=False),
+            others=scenarios[1:],
         )
         try:
-            return await daemon.run(VirtualPacing, lambda _: None, lambda: None)
+            return await daemon.run(
+                lambda: TurningPacing(self._before_tick), lambda _: None, lambda: None
+            )
         finally:
             lab.close()
 
+    def _before_tick(self) -> None:
+        """Part before the tick that starts: it is HOLD's second."""
+        assert self._daemon is not None
+        sequence = self._daemon.cycle.sequence
+        if len(self.left) > 1 and sequence.state is State.HOLD and sequence.elapsed > 0.0:
+            self._part()
+
+    def _part(self) -> None:
+        """A process for each trial, one after the other; the last one's is this one."""
+        runs = self.left
+        for number, run in enumerate(runs[:-1]):
+            sys.stdout.flush()
+            sys.stderr.flush()
+            process = clock.fork()
+            if process == 0:
+                die_with_parent()
+                self._take_up(number, run)
+                return
+            _, status = os.waitpid(process, 0)
+            code = os.waitstatus_to_exitcode(status)
+            if code:
+                self._lost(run, code)
+        self._take_up(len(runs) - 1, runs[-1])
+
+    def _take_up(self, number: int, run: Run) -> None:
+        assert self._lab is not None
+        assert self._daemon is not None
+        scenario = run.case.scenario
+        self.left = [run]
+        self._script.number = number
+        self._script.last(scenario.duration)
+        self._daemon.go_on(scenario.duration)
+        if scenario.lab.load is not None:
+            self._lab.extend_load(scenario.lab.load)
+
     def _true(self, record: NDArray[Any], stamp_ns: int) -> None:
-        self.contact_peak = max(self.contact_peak, float(record["contact_force"][0]))
-        self.truths.publish(record, stamp_ns)
+        self._contact_peak = max(self._contact_peak, float(record["contact_force"][0]))
+        self._truths.publish(record, stamp_ns)
 
     def _event(
         self, stamp_ns: int, tick: int, level: Level, name: str, where: str, text: str
     ) -> None:
-        self.events.append(Event(stamp_ns, tick, int(level), name, where, text))
+        self._events.append(Event(stamp_ns, tick, int(level), name, where, text))
+
+    def _trial(
+        self, outcome: Outcome, cycle: Collection[str] | None, truth: Collection[str] | None
+    ) -> Trial:
+        stamps, here, there = np.intersect1d(
+            self._cycles.stamps, self._truths.stamps, assume_unique=True, return_indices=True
+        )
+        cycles, truths = self._cycles.rows[here], self._truths.rows[there]
+        seconds = (stamps - stamps[0]) * 1e-9 if len(stamps) else np.zeros(0)
+        return Trial(
+            run=self.left[0],
+            config=self._config,
+            time=seconds,
+            cycle={
+                f"{topic}.{field}": np.ascontiguousarray(cycles[topic][field])
+                for topic in cycles.dtype.names or ()
+                for field in cycles.dtype[topic].names or ()
+                if cycle is None or f"{topic}.{field}" in cycle
+            },
+            truth={
+                name: np.ascontiguousarray(truths[name])
+                for name in truths.dtype.names or ()
+                if truth is None or name in truth
+            },
+            state=outcome.state.name,
+            reason=outcome.reason,
+            fault="" if outcome.fault is Fault.NONE else outcome.fault.name.lower(),
+            events=self._events,
+            contact_peak=self._contact_peak,
+            ticks=outcome.ticks,
+        )
 
 
-def conduct(
-    run: Run,
-    config: Config,
-    *,
-    cycle: Collection[str] | None = None,
-    truth: Collection[str] | None = None,
-) -> Trial:
-    """Carry a trial out. ``config`` is its own, `plants.settle`. ``cycle`` ("pose.position") and
-    ``truth`` ("position") name the fields that are wanted, None: all.
+def conduct(run: Run, config: Config) -> Trial:
+    """Carry one trial out in this process, with every field. ``config`` is its own,
+    `plants.settle`.
 
     Raises a `DriverError` when the bus cannot be brought up.
     """
-    at_work = _Conduct(run, config)
-    outcome = clock.run(at_work.play(), virtual=True)
-    stamps, here, there = np.intersect1d(
-        at_work.cycles.stamps, at_work.truths.stamps, assume_unique=True, return_indices=True
-    )
-    cycles, truths = at_work.cycles.rows[here], at_work.truths.rows[there]
-    seconds = (stamps - stamps[0]) * 1e-9 if len(stamps) else np.zeros(0)
-    return Trial(
-        run=run,
-        config=config,
-        time=seconds,
-        cycle={
-            f"{topic}.{field}": np.ascontiguousarray(cycles[topic][field])
-            for topic in cycles.dtype.names or ()
-            for field in cycles.dtype[topic].names or ()
-            if cycle is None or f"{topic}.{field}" in cycle
-        },
-        truth={
-            name: np.ascontiguousarray(truths[name])
-            for name in truths.dtype.names or ()
-            if truth is None or name in truth
-        },
-        state=outcome.state.name,
-        reason=outcome.reason,
-        fault="" if outcome.fault is Fault.NONE else outcome.fault.name.lower(),
-        events=at_work.events,
-        contact_peak=at_work.contact_peak,
-        ticks=outcome.ticks,
-    )
+    (trial,) = Together([run], config, lambda *_: None).play()
+    return trial

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tonus.config.schema.base import Direction
+from tonus.config.schema.lab import Load
 from tonus.config.schema.protocol import Jump, Protocol, Selection, SineSet
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
@@ -37,6 +38,12 @@ def lead_in(config: Config) -> float:
         + sequence.lift_s
         + 1.0 / sequence.reference_slew
     )
+
+
+def starts_in_active(load: Load, config: Config) -> bool:
+    """Whether a run with this load is until ACTIVE the same as one without."""
+    first = load.profile[0]
+    return first.force == 0.0 and first.at >= lead_in(config)
 
 
 class Programme:
