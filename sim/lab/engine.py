@@ -247,31 +247,9 @@ class Lab:
         channels = self._order
         while True:
             due = self.next_work_ns()
-            limit = min(due, to_ns)
-            row = self._table.run(0, limit)
-            while row < len(channels):
-                channels[row].run(limit)
-                row = self._table.run(row + 1, limit)
-            while True:
-                row, when = self._table.waiting()
-                if when > limit:
-                    break
-                self.now_ns = when
-                left = None
-                if channels[row].ready:
-                    row, left = self._reaction(self._table, when, limit)
-                    if row == len(channels):
-                        continue
-                channel = channels[row]
-                if left is None:
-                    channel.deliver()
-                else:
-                    channel.follow(left, when)
-                # The frame may have set a timer before the limit.
-                if self._timers and self._timers[0][0] < limit:
-                    limit = self._timers[0][0]
-                channel.run(limit)
-            due = self.next_work_ns()
+            if channels:
+                self._carry(min(due, to_ns))
+                due = self.next_work_ns()
             if due > to_ns:
                 break
             self.now_ns = due
@@ -280,6 +258,33 @@ class Lab:
         for channel in channels:
             if channel.wire.words[DELIVERED]:
                 channel.hand_out()
+
+    def _carry(self, limit: int) -> None:
+        """Let frames come up to ``limit``, or to a timer that one of them has set before it."""
+        channels = self._order
+        row = self._table.run(0, limit)
+        while row < len(channels):
+            channels[row].run(limit)
+            row = self._table.run(row + 1, limit)
+        while True:
+            row, when = self._table.waiting()
+            if when > limit:
+                break
+            self.now_ns = when
+            left = None
+            if channels[row].ready:
+                row, left = self._reaction(self._table, when, limit)
+                if row == len(channels):
+                    continue
+            channel = channels[row]
+            if left is None:
+                channel.deliver()
+            else:
+                channel.follow(left, when)
+            # The frame may have set a timer before the limit.
+            if self._timers and self._timers[0][0] < limit:
+                limit = self._timers[0][0]
+            channel.run(limit)
 
     def _happen(self, now_ns: int) -> None:
         """Timers, exposure and truth of one instant."""

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import traceback
 from pathlib import Path
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Protocol
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
@@ -27,33 +24,9 @@ from tonus.tools.campaign.observed import FAULTED, GOOD, End, Observed
 from tonus.tools.campaign.strikes import strikes
 from tonus.tools.log.log import Event
 from tonus.tools.run import fieldbuses
+from tonus.tools.run.kept import Kept
 from tonus.tools.run.supervision import supervised, wanted
 from tonus.tools.run.turning import TurningPacing
-
-
-class Rows:
-    """Records of one type with their times, in arrays that grow."""
-
-    def __init__(self, dtype: np.dtype[Any]) -> None:
-        self._rows = np.zeros(1024, dtype)
-        self._stamps = np.zeros(1024, np.int64)
-        self._count = 0
-
-    def publish(self, payload: NDArray[Any], stamp_ns: int) -> None:
-        if self._count == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-            self._stamps = np.concatenate([self._stamps, np.zeros_like(self._stamps)])
-        self._rows[self._count] = payload[0]
-        self._stamps[self._count] = stamp_ns
-        self._count += 1
-
-    @property
-    def rows(self) -> NDArray[Any]:
-        return self._rows[: self._count]
-
-    @property
-    def stamps(self) -> NDArray[np.int64]:
-        return self._stamps[: self._count]
 
 
 class Operated(Script):
@@ -105,7 +78,7 @@ class Playing:
         self.script = Operated(scenario, period, tail, longest, patience_s)
         self._turn = turn
         cables = config.robot.cables
-        self._cycles, self._truths = Rows(cycle_dtype(cables)), Rows(truth_dtype(cables))
+        self._cycles, self._truths = Kept(cycle_dtype(cables)), Kept(truth_dtype(cables))
         self._events: list[Event] = []
         self.lab: Lab | None = None
 
@@ -127,7 +100,8 @@ class Playing:
             error = describe(caught)
         begun = self.lab.script_start_ns if self.lab is not None else None
         faults = self.scenario.lab.faults if begun is not None else ()
-        last = int(self._truths.stamps[-1]) if len(self._truths.stamps) else 0
+        truth_stamps = self._truths.stamps
+        last = int(truth_stamps[-1]) if len(truth_stamps) else 0
         found = strikes(self.config, faults, begun or 0, named)
         return Observed(
             self.config,
@@ -135,7 +109,7 @@ class Playing:
             self._cycles.rows,
             self._cycles.stamps,
             self._truths.rows,
-            self._truths.stamps,
+            truth_stamps,
             self._events,
             [strike for strike in found if strike.at_ns <= last],
             _end(outcome) if outcome is not None else None,

@@ -32,11 +32,15 @@ from tonus.tools.log.log import Event
 from tonus.tools.paper.case import Kind, Run
 from tonus.tools.paper.trial import Trial
 from tonus.tools.run import fieldbuses
+from tonus.tools.run.kept import Kept
 from tonus.tools.run.supervision import without_relay
 from tonus.tools.run.turning import TurningPacing
 
 SLOW_TICKS = 10
 """A trial of stage 1 moves at 1 mm/s for minutes: one tick in so many is kept."""
+
+
+_ACTIVE, _HOLD = State.ACTIVE, State.HOLD
 
 
 class _UntilDone(Script):
@@ -49,7 +53,7 @@ class _UntilDone(Script):
         """of the scenario that START comes with"""
 
     def next(self, sequence: ControlSequence) -> Operator:
-        if sequence.state is State.ACTIVE and sequence.elapsed >= self._duration:
+        if sequence.state is _ACTIVE and sequence.elapsed >= self._duration:
             self._over = True
             return Operator.NONE
         command = super().next(sequence)
@@ -57,40 +61,20 @@ class _UntilDone(Script):
         return command
 
 
-class _Rows:
-    """Records of one type by their time, in an array that grows; every ``stride`` ns is kept."""
-
-    def __init__(self, dtype: np.dtype[Any], stride_ns: int) -> None:
-        self._rows = np.zeros(1024, dtype)
-        self._stamps = np.zeros(1024, np.int64)
-        self._stride_ns = stride_ns
-        self._count = 0
-
-    def publish(self, record: NDArray[Any], stamp_ns: int) -> None:
-        if stamp_ns % self._stride_ns:
-            return
-        if self._count == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-            self._stamps = np.concatenate([self._stamps, np.zeros_like(self._stamps)])
-        self._rows[self._count] = record[0]
-        self._stamps[self._count] = stamp_ns
-        self._count += 1
-
-    @property
-    def stamps(self) -> NDArray[np.int64]:
-        return self._stamps[: self._count]
-
-    @property
-    def rows(self) -> NDArray[Any]:
-        return self._rows[: self._count]
-
-
-class _Cycles(_Rows):
+class _Cycles(Kept):
     """The records of ACTIVE."""
 
-    def publish(self, payload: NDArray[Any], stamp_ns: int) -> None:
-        if payload["state"]["state"][0] == State.ACTIVE:
-            super().publish(payload, stamp_ns)
+    def __init__(self, cables: int, stride_ns: int) -> None:
+        dtype = cycle_dtype(cables)
+        super().__init__(dtype, stride_ns)
+        state = dtype["state"].fields
+        assert dtype.fields is not None
+        assert state is not None
+        self._state = dtype.fields["state"][1] + state["state"][1]
+        """the byte that has it"""
+
+    def _wanted(self, data: bytes) -> bool:
+        return data[self._state] == _ACTIVE
 
 
 class Together:
@@ -107,8 +91,8 @@ class Together:
         stride = SLOW_TICKS if runs[0].case.kind is Kind.SLOPE else 1
         stride_ns = stride * config.control.rates.period_ns
         cables = config.robot.cables
-        self._cycles = _Cycles(cycle_dtype(cables), stride_ns)
-        self._truths = _Rows(truth_dtype(cables), stride_ns)
+        self._cycles = _Cycles(cables, stride_ns)
+        self._truths = Kept(truth_dtype(cables), stride_ns)
         self._events: list[Event] = []
         self._contact_peak = 0.0
         self._script = _UntilDone(runs[0].case.scenario.duration)
@@ -163,7 +147,7 @@ class Together:
         """Part before the tick that starts: it is HOLD's second."""
         assert self._daemon is not None
         sequence = self._daemon.cycle.sequence
-        if len(self.left) > 1 and sequence.state is State.HOLD and sequence.elapsed > 0.0:
+        if len(self.left) > 1 and sequence.state is _HOLD and sequence.elapsed > 0.0:
             self._part()
 
     def _part(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from tonus.runtime.timing import clock
 from tonus.runtime.timing.scheduler import VirtualPacing
 from tonus.sim.lab.engine import Lab
 from tonus.sim.lab.truth import truth_dtype
+from tonus.tools.run.kept import Kept
 
 Array = NDArray[np.float64]
 
@@ -43,19 +43,6 @@ class Trial:
     def error(self) -> Array:
         """(n, 3) m, desired less true position"""
         return np.asarray(self.cycle["pose"]["desired_position"] - self.truth["position"])
-
-
-class _Rows:
-    """Rows that come with a time, each kept."""
-
-    def __init__(self) -> None:
-        self.rows: list[bytes] = []
-        """since numpy copies a record field by field, which takes a hundred times as long"""
-        self.stamps: list[int] = []
-
-    def publish(self, row: NDArray[Any], stamp_ns: int) -> None:
-        self.rows.append(row.tobytes())
-        self.stamps.append(stamp_ns)
 
 
 class _WithoutStop(Script):
@@ -82,7 +69,8 @@ def play(config: Config, scenario: Scenario, *, seed: int) -> Trial:
 
     The trial is empty when ACTIVE was not reached.
     """
-    cycles, truths = _Rows(), _Rows()
+    cables = config.robot.cables
+    cycles, truths = Kept(cycle_dtype(cables)), Kept(truth_dtype(cables))
 
     async def main() -> Daemon:
         lab = Lab(config, scenario.lab, seed=seed, clock=clock.loop_clock(), truth=truths.publish)
@@ -101,13 +89,12 @@ def play(config: Config, scenario: Scenario, *, seed: int) -> Trial:
         return daemon
 
     daemon = clock.run(main(), virtual=True)
-    return _active(config.robot.cables, cycles, truths, daemon.cycle.sequence.fault)
+    return _active(cycles, truths, daemon.cycle.sequence.fault)
 
 
-def _active(cables: int, cycles: _Rows, truths: _Rows, fault: Fault) -> Trial:
+def _active(cycles: Kept, truths: Kept, fault: Fault) -> Trial:
     """The rows of ACTIVE, truth beside them."""
-    cycle = np.frombuffer(b"".join(cycles.rows), cycle_dtype(cables))
-    truth = np.frombuffer(b"".join(truths.rows), truth_dtype(cables))
+    cycle, truth = cycles.rows, truths.rows
     at = np.searchsorted(truths.stamps, cycles.stamps)
     chosen = (cycle["state"]["state"] == State.ACTIVE) & (at < len(truth))
     return Trial(cycle[chosen], truth[at[chosen]], fault)
