@@ -72,9 +72,9 @@ class Run:
         if not self._buses:
             self._buses = [can.Bus(interface="tonus", channel=name) for name in self._channels()]
         self._listen()
-        rows = playing._cycles.rows
+        last = playing._cycles.last
         if self.changed_ns == 0:
-            state = rows[-1]["state"] if len(rows) else None
+            state = last["state"] if last is not None else None
             if state is not None and state["state"] == self.state and state["elapsed"] >= self.at:
                 self.changed_ns = clock.now_ns()
                 self.change()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -29,16 +28,28 @@ STATE, _QUICK_STOP_ACTIVE, OPERATION_ENABLED = 0x6F, 0x07, 0x27
 _COMMUNICATION = (0x81, 0x82)
 """CiA 301, error codes 0x81xx and 0x82xx: the bus is wrong, not what is measured"""
 _POWERED = frozenset((OPERATION_ENABLED, _QUICK_STOP_ACTIVE))
+_LARGEST_NUMBER = 2.0**32
+"""of an integer in a PDO; a float beyond it is none, and would leave nothing of the sum's digits"""
+_LONGEST = 8
+"""bytes"""
 
 
 class Watched(NamedTuple):
     """An identifier, the length its frames must have, the numbers that are summed, and the
-    statusword where it is a drive's."""
+    statusword where it is a drive's. A ``command`` may be longer: a drive acts on the part that it
+    maps (CiA 301). Of ``errors``, emergency frames, those about the bus are left out."""
 
     identifier: int
     size: int
     values: tuple[Value, ...]
     statusword: Value | None = None
+    command: bool = False
+    errors: bool = False
+
+    @property
+    def sizes(self) -> range:
+        """Lengths that are taken."""
+        return range(self.size, (_LONGEST if self.command else self.size) + 1)
 
 
 class Heard:
@@ -72,9 +83,8 @@ class Heard:
 
     @property
     def reports_error(self) -> bool:
-        """Of emergency frames: the newest error code (CiA 301, two bytes) is of the device."""
-        code = self.word & 0xFFFF
-        return code != 0 and code >> 8 not in _COMMUNICATION
+        """Of emergency frames: the error code (CiA 301, two bytes) is one."""
+        return self.word & 0xFFFF != 0
 
     def take(self, words: Sequence[int], now_ns: int) -> None:
         """The data of frames that were read at one time, in their order; at least one."""
@@ -89,9 +99,21 @@ class Heard:
             self.off += [word >> shift & mask in _POWERED for word in words].count(False)
         found = [value.numbers(words) for value in self.values]
         for place, numbers in enumerate(found):  # the sum is for ever
-            self.totals[place] = sum(filter(math.isfinite, numbers), self.totals[place])
+            known = (number for number in numbers if abs(number) <= _LARGEST_NUMBER)
+            self.totals[place] = sum(known, self.totals[place])
         if found:
             self.numbers.extend(found[0])
+
+
+class Errors(Heard):
+    """Emergency frames, of which the newest is kept that is about the device."""
+
+    __slots__ = ()
+
+    def take(self, words: Sequence[int], now_ns: int) -> None:
+        """An error of the bus takes none of the device's back: only 0x0000 does (CiA 301)."""
+        own = [word for word in words if word >> 8 & 0xFF not in _COMMUNICATION]
+        super().take(own or [self.word], now_ns)
 
 
 class Listener:
@@ -103,8 +125,11 @@ class Listener:
         self._arrived: dict[tuple[int, int], list[int]] = {}
         """data by identifier and length"""
         for each in watched:
-            self.heard[each.identifier] = Heard(each.values, each.statusword)
-            self._arrived[each.identifier, each.size] = []
+            kind = Errors if each.errors else Heard
+            self.heard[each.identifier] = kind(each.values, each.statusword)
+            words: list[int] = []
+            for size in each.sizes:
+                self._arrived[each.identifier, size] = words
         self._fetch = _fetch(bus)
 
     def read(self, now_ns: int) -> None:

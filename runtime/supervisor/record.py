@@ -96,7 +96,8 @@ def claims(records: New, *, answered: bool = False) -> list[Claim]:
             tension["measured"].copy(),
             tension["reference"].copy(),
             rows["force_cells"]["tare"].copy(),
-            rows["wrench"]["contact"].tolist(),
+            # wrench.contact is written only where control has use for it.
+            rows["force_cells"]["filtered"][:, -1].tolist(),
             rows["stiffness"]["k_eq"].tolist(),
             state["failed"].astype(bool),
             _answers(rows) if answered else [None] * len(stamps),

@@ -297,7 +297,7 @@ def _watched(wiring: Wiring, channel: str) -> list[Watched]:
     found: list[Watched] = []
     for axis in wiring.axes:
         if axis.channel == channel:
-            found.append(Watched(axis.sent, axis.sent_bytes, (axis.torque,)))
+            found.append(Watched(axis.sent, axis.sent_bytes, (axis.torque,), command=True))
             found.append(Watched(axis.received, axis.received_bytes, (), axis.statusword))
             found.append(Watched(axis.heartbeat, 1, (_STATE,)))
     found += [Watched(each, 0, ()) for each in {axis.sync for axis in wiring.axes}]
@@ -308,6 +308,6 @@ def _watched(wiring: Wiring, channel: str) -> list[Watched]:
     found += [Watched(key, size, tuple(values)) for key, (size, values) in cells.items()]
     nodes = {(each.emergency, each.heartbeat) for each in wiring.cells if each.channel == channel}
     for emergency, heartbeat in sorted(nodes):
-        found.append(Watched(emergency, _EMERGENCY_BYTES, ()))
+        found.append(Watched(emergency, _EMERGENCY_BYTES, (), errors=True))
         found.append(Watched(heartbeat, 1, (_STATE,)))
     return found

@@ -14,7 +14,7 @@ from tonus.config import Config
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.judge import Judge, Violation
-from tonus.runtime.supervisor.listener import Heard
+from tonus.runtime.supervisor.listener import Errors, Heard
 from tonus.runtime.supervisor.observation import Observation, Observer
 from tonus.runtime.supervisor.record import Claim, New
 from tonus.runtime.supervisor.supervisor import Supervisor
@@ -131,7 +131,7 @@ class Stage:
             self.heard[axis.channel, axis.sync] = Heard(())
         for cell in self.wiring.cells:
             self.heard[cell.channel, cell.received] = Heard((cell.force,))
-            self.heard[cell.channel, cell.emergency] = Heard(())
+            self.heard[cell.channel, cell.emergency] = Errors(())
         self.observe = Observer(self.wiring, config.supervisor, config.robot.contact_cell, MS)
 
     def tick(self, now_ns: int, *, newton: float, metre: float, force: float) -> None:

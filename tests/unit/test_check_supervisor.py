@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tonus.config import Config, ConfigError, load
@@ -89,10 +90,10 @@ def test_bounds_of_control_that_it_judges_by(key: str, most: float) -> None:
         assert [each.where for each in found] == [key] * count
 
 
-@pytest.mark.parametrize(("key", "most"), [("opposed_error", 15.0), ("logged_tension", 37.5)])
+@pytest.mark.parametrize(("key", "most"), [("opposed_error", 4.0), ("logged_tension", 20.0)])
 def test_bounds_of_a_robot_with_smaller_tensions(key: str, most: float) -> None:
     for value, there in ((most + 0.1, True), (most, False)):
-        given = {"control__tension__max": 150.0, f"supervisor__{key}": value}
+        given = {"control__tension__pre": 40.0, f"supervisor__{key}": value}
         found = refused("config/can.yaml", lab=None, **given)
         assert (f"supervisor.{key}" in [each.where for each in found]) is there
 
@@ -118,16 +119,16 @@ def test_a_run_that_requires_one_that_has_no_drive_to_act_on() -> None:
 @pytest.mark.parametrize(
     ("key", "most"),
     [
-        ("tension_stopping", 600.0),
-        ("contact_stopping", 50.0),
-        ("contact_at_once", 100.0),
-        ("opposed_long_force", 50.0),
-        ("opposed_long_error", 20.0),
-        ("passive_torque", 50.0),
+        ("tension_stopping", 300.0),
+        ("contact_stopping", 37.5),
+        ("contact_at_once", 75.0),
+        ("opposed_long_force", 22.5),
+        ("opposed_long_error", 11.25),
+        ("passive_torque", 22.5),
         ("speed_stopping", 2.5),
-        ("unexplained_force", 100.0),
-        ("opposed_force", 100.0),
-        ("answered_torque", 50.0),
+        ("unexplained_force", 90.0),
+        ("opposed_force", 67.5),
+        ("answered_torque", 22.5),
     ],
 )
 def test_bounds_that_are_far_beyond_the_envelope(key: str, most: float) -> None:
@@ -136,6 +137,59 @@ def test_bounds_that_are_far_beyond_the_envelope(key: str, most: float) -> None:
     found = refused("config/can.yaml", lab=None, **beyond)
     assert [each.where for each in found] == [f"supervisor.{key}"]
     assert refused("config/can.yaml", lab=None, **{f"supervisor__{key}": most}) == []
+
+
+@pytest.mark.parametrize(
+    ("key", "most"),
+    [
+        ("control__stop__passive_tension", 45.0),
+        ("control__envelope__over_tension_ticks", 20),
+        ("control__tension__slack", 2.41),
+        ("supervisor__stop_s", 80.0),
+        ("supervisor__frozen_rate", 0.06),
+        ("supervisor__frozen_tension", 0.1),
+        ("supervisor__rotation_stopping", 20.0),
+        ("supervisor__margin", 1.2),
+    ],
+)
+def test_keys_with_which_a_requirement_would_never_say_anything(key: str, most: float) -> None:
+    more = most - 0.02 if key.endswith("slack") else most + (1 if isinstance(most, int) else 0.01)
+    named = key.replace("__", ".")
+    assert named not in [each.where for each in refused("config/can.yaml", **{key: more})]
+    assert named in [each.where for each in refused("config/can.yaml", lab=None, **{key: more})]
+    assert named not in [each.where for each in refused("config/can.yaml", lab=None, **{key: most})]
+
+
+def test_poses_that_a_small_robot_does_not_have() -> None:
+    config, _ = load("config/can.yaml", overrides={"lab": None})
+    frame = [[0.3 * each for each in anchor] for anchor in config.robot.geometry.frame]
+    given: dict[str, Any] = {"robot.geometry.frame": frame, "lab": None}
+    small, _ = load("config/can.yaml", overrides=given)
+    found = [each for each in check_supervisor(small) if not each.ok]
+    assert [each.where for each in found] == ["supervisor.spread"]
+    given["supervisor.spread"] = 0.4 * 0.5 * min(np.ptp(np.array(frame), axis=0).tolist())
+    small, _ = load("config/can.yaml", overrides=given)
+    assert all(each.ok for each in check_supervisor(small))
+
+
+@pytest.mark.parametrize(
+    ("key", "least"),
+    [
+        ("supervisor__tension_stopping", 220.0),
+        ("supervisor__contact_stopping", 27.5),
+        ("supervisor__contact_at_once", 35.0),
+        ("supervisor__speed_stopping", 0.275),
+        ("supervisor__rotation_stopping", 1.5),
+        ("supervisor__stop_s", 29.5),
+        ("supervisor__stale_ms", 8.0),
+        ("supervisor__patience_ms", 4.0),
+    ],
+)
+def test_bounds_that_would_stop_a_daemon_that_is_right(key: str, least: float) -> None:
+    for value, fine in ((0.99 * least, False), (1.001 * least, True)):
+        config, _ = load("config/can.yaml", overrides={key.replace("__", "."): value, "lab": None})
+        found = [each.where for each in check_supervisor(config) if not each.ok]
+        assert (key.replace("__", ".") not in found) is fine
 
 
 def test_drives_that_wait_for_less_than_its_period_allows() -> None:

@@ -74,6 +74,17 @@ def test_a_listener_on_messages() -> None:
     assert (heard.count, heard.same) == (6, 2)
 
 
+@pytest.mark.parametrize(("command", "count"), [(False, 1), (True, 2)])
+def test_a_command_that_is_longer_than_it_need_be_acts_as_well(command: bool, count: int) -> None:
+    bus = FakeBus()
+    listener = Listener(bus, [Watched(0x201, 4, (Value(16, 16),), command=command)])
+    for data in (b"\x0f\0\5", b"\x0f\0\5\0", b"\x0f\0\7\0\0\0\0\0"):
+        bus.waiting.append(can.Message(arbitration_id=0x201, is_extended_id=False, data=data))
+    listener.read(7)
+    heard = listener.heard[0x201]
+    assert (heard.count, heard.totals) == (count, [12.0 if command else 5.0])
+
+
 def test_a_listener_on_arrays_of_frames() -> None:
     word = -1 << 32 | 0x0005_000F
     bus = FakeBus()

@@ -237,7 +237,7 @@ def tense(record: Any) -> None:
 
 
 def pushed(record: Any) -> None:
-    record["force_cells"]["raw"][-1] = record["wrench"]["contact"] = 28.0
+    record["force_cells"]["raw"][-1] = record["force_cells"]["filtered"][-1] = 28.0
 
 
 def opposite(record: Any) -> None:

@@ -134,6 +134,13 @@ def test_orders_and_faults_of_a_record() -> None:
     assert (found.fault, found.operator, found.stop_mode) == (12, 5, 3)
 
 
+def test_the_contact_of_a_record_is_the_one_that_is_measured_in_every_state() -> None:
+    record = np.zeros(1, cycle_dtype(N))
+    record["wrench"]["contact"] = 20.0  # as control left it
+    record["force_cells"]["filtered"][0, -1] = 3.0
+    assert claims(([1], record))[0].contact == 3.0
+
+
 # --- a passive stop ------------------------------------------------------------------------------
 
 

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from tonus.config import Config
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.bus.base import numbers
 from tonus.config.schema.drive import DriveError, DriveProfile
-from tonus.config.schema.supervisor import LARGEST, LARGEST_SHARES, Supervisor
+from tonus.config.schema.supervisor import (
+    LARGEST,
+    LARGEST_SHARES,
+    LARGEST_SPREAD,
+    Supervisor,
+)
 from tonus.tools.check.finding import Finding
 
 _KEY = "supervisor"
@@ -17,6 +24,8 @@ _NOTHING = 0
 _HEARTBEAT_LOST = 0x8130
 _COMPARED = (0x6040, 0x6071)
 """controlword and target torque: the statusword tells of the one, the record of the other"""
+_LEAST_SLACK = 0.2
+"""of the tension while referencing. R"""
 
 
 def check_supervisor(config: Config) -> Iterator[Finding]:
@@ -32,10 +41,14 @@ def check_supervisor(config: Config) -> Iterator[Finding]:
             "add supervisor: !include supervisor.yaml, or write supervisor.policy under relaxed",
         )
         return
-    yield from _wide(config, settings)
+    if config.lab is None:
+        yield from _wide(config, settings)
+        yield from _narrow(config, settings)
     if config.lab is not None or settings.policy != "require" or config.relay is not None:
         return
-    parts = [numbers(list(bus.nodes())) for bus in config.fieldbus.parts if bus.heartbeats]
+    parts = [
+        numbers(list(bus.nodes())) for bus in config.fieldbus.parts if isinstance(bus, CanopenBus)
+    ]
     others = sorted(set(range(config.robot.cables)) - {each for axes, _ in parts for each in axes})
     unread = sorted(set(range(config.robot.cells)) - {each for _, cells in parts for each in cells})
     if unread and not others:
@@ -60,33 +73,80 @@ def check_supervisor(config: Config) -> Iterator[Finding]:
 
 
 def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
-    """Its bounds against those of tension and envelope."""
-    if config.lab is not None:
-        return
+    """Bounds with which it would find a mistake too late, or never: its own, and those of the
+    daemon that it judges by."""
     control = config.control
-    envelope, stiffness, tension = control.envelope, control.stiffness, control.tension.max
+    envelope, stiffness, tension = control.envelope, control.stiffness, control.tension
     tare, rise = control.sequence.tare_limit, stiffness.rise_rate
+    slack_ms = envelope.over_tension_ticks * control.rates.period * 1e3
+    frame = np.array(config.robot.geometry.frame)
+    narrowest = float(np.ptp(frame, axis=0).min()) / 2.0
     for key, value, bound, times in (
         *(
-            (f"{_KEY}.{name}", getattr(settings, name), tension, times)
+            (f"{_KEY}.{name}", getattr(settings, name), tension.pre, times)
             for name, times in LARGEST_SHARES.items()
         ),
-        (f"{_KEY}.contact_stopping", settings.contact_stopping, envelope.contact_limit, 2.0),
-        (f"{_KEY}.contact_at_once", settings.contact_at_once, envelope.contact_limit, 4.0),
+        (f"{_KEY}.tension_stopping", settings.tension_stopping, tension.max, 1.5),
+        (f"{_KEY}.contact_stopping", settings.contact_stopping, envelope.contact_limit, 1.5),
+        (f"{_KEY}.contact_at_once", settings.contact_at_once, envelope.contact_limit, 3.0),
         (f"{_KEY}.speed_stopping", settings.speed_stopping, envelope.speed_limit, 10.0),
+        (f"{_KEY}.spread", settings.spread, narrowest, LARGEST_SPREAD),
         ("control.sequence.tare_limit", tare, envelope.contact_limit, 0.5),
         ("control.stiffness.rise_rate", rise, stiffness.maximum - stiffness.minimum, 10.0),
+        ("control.stop.passive_tension", control.stop.passive_tension, tension.pre, 1.0),
+        ("control.envelope.over_tension_ticks", slack_ms, settings.patience_ms, 4.0),
     ):
         if value > times * bound:
-            text = f"{value:g} is more than {times:g} times the bound of {bound:g} that it guards"
+            text = f"{value:g} is more than {times:g} times the {bound:g} that it is judged beside"
             remedy = f"set it to at most {times * bound:g}"
+            if key.endswith("_ticks"):
+                text, remedy = f"{text} (ms)", f"{remedy} ms in ticks"
             yield Finding("supervisor", False, key, text, remedy)
+    least = _LEAST_SLACK * tension.referencing
+    if tension.slack < least:
+        text = f"a cable counts as slack below {tension.slack:g} N, which no cell shows in time"
+        yield Finding(
+            "supervisor", False, "control.tension.slack", text, f"set it to at least {least:g}"
+        )
     for name, most in LARGEST.items():
         value = getattr(settings, name)
         if value > most:
             text = f"{value:g} would find a mistake too late, a robot may state {most:g}"
             yield Finding(
                 "supervisor", False, f"{_KEY}.{name}", text, f"set it to at most {most:g}"
+            )
+
+
+def _narrow(config: Config, settings: Supervisor) -> Iterator[Finding]:
+    """Bounds with which it would stop a robot whose daemon is right."""
+    control = config.control
+    envelope, sequence, freshness = control.envelope, control.sequence, control.freshness
+    tick_ms = control.rates.period * 1e3
+    margin = settings.margin
+    stop_s = sequence.hold_s + sequence.lower_s + control.stop.passive_s + control.stop.landing_s
+    for name, least, why in (
+        ("tension_stopping", margin * control.tension.max, "the bound of a controlled robot"),
+        ("contact_stopping", margin * envelope.contact_limit, "the bound of a controlled robot"),
+        ("contact_at_once", settings.contact_stopping, "contact_stopping"),
+        ("speed_stopping", margin * envelope.speed_limit, "the bound of a controlled robot"),
+        ("rotation_stopping", settings.rotation, "rotation"),
+        ("stop_s", stop_s, "what a stop that waits and then fails may take"),
+        (
+            "patience_ms",
+            (config.realtime.overrun_ticks + 1) * tick_ms,
+            "what the daemon may miss (realtime.overrun_ticks)",
+        ),
+        (
+            "stale_ms",
+            (freshness.stale_stop_ticks + 1) * tick_ms + settings.period_ms,
+            "when the daemon stops for it (control.freshness.stale_stop_ticks)",
+        ),
+    ):
+        value = getattr(settings, name)
+        if value < least:
+            text = f"{value:g} is less than {why}, {least:g}: it would stop a robot in order"
+            yield Finding(
+                "supervisor", False, f"{_KEY}.{name}", text, f"set it to at least {least:g}"
             )
 
 

@@ -36,6 +36,14 @@ class Kept:
         return np.frombuffer(b"".join(self._rows), self._dtype)
 
     @property
+    def last(self) -> np.void | None:
+        """The newest record."""
+        newest: np.void | None = (
+            np.frombuffer(self._rows[-1], self._dtype)[0] if self._rows else None
+        )
+        return newest
+
+    @property
     def stamps(self) -> NDArray[np.int64]:
         """(n,) ns"""
         return np.array(self._stamps, np.int64)
