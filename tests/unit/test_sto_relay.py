@@ -32,6 +32,8 @@ SUPERVISOR = 126
 STO = 0x8A88
 HEARTBEAT = 0x778
 """of the relay's node"""
+LONGEST_S = 5.0
+"""of the robot's time, in which a test has ended: one that waits for what never comes fails"""
 
 
 class Segment:
@@ -94,7 +96,8 @@ class Bench:
             self.bus = can.Bus(interface="tonus", channel=self.relay.channel)
             self.fieldbus = RelayedFieldbus(self.config, self.segment)
             try:
-                await act(self)
+                async with asyncio.timeout(LONGEST_S):
+                    await act(self)
             finally:
                 await self.fieldbus.stop()
                 self.bus.shutdown()
