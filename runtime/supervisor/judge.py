@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ class Violation:
     where: int
     """axis, or `NOWHERE`"""
     value: float
+    alone: bool = False
+    """of the channel of that axis, and of no other"""
 
 
 class Judge:
@@ -93,12 +95,14 @@ class Judge:
         """the last order to stop that was recorded"""
 
     def __call__(self, seen: Observation) -> Violation | None:
-        """The first requirement that has been broken for longer than it may be."""
+        """The first requirement that has been broken for longer than it may be; one of a channel
+        alone where there is no other."""
         broken: dict[Key, Violation] = {}
         for each, patience_ns in self._broken(seen):
             broken.setdefault((each.requirement, patience_ns), each)
         self._hold(seen.now_ns, broken.keys())
-        return next((each for key, each in broken.items() if self._held[key] >= key[1]), None)
+        found = (each for key, each in broken.items() if self._held[key] >= key[1])
+        return min(found, key=lambda each: each.alone, default=None)
 
     def _hold(self, now_ns: int, broken: Collection[Key]) -> None:
         """Count what is broken, and forget what is not."""
@@ -193,23 +197,16 @@ class Judge:
         if most_drives > settings.patience_ms:
             yield Violation(Requirement.TORQUE, NOWHERE, most_drives)
         yield from _at(Requirement.TORQUE, seen, seen.torque_age, settings.axis_torque_ms, enabled)
-        frozen = enabled & (seen.same >= settings.frozen_frames)
-        state = None if seen.claim is None else seen.claim.state
-        controlled = state in CONTROLLED[1:]
-        # In a stop cables are given up, without torque, and drives work at their limits.
-        most = controlled and 2 * (frozen & (seen.mille != 0)).sum() > enabled.sum()
-        if most or frozen.sum() == enabled.sum():
-            if seen.claim is not None and state == State.SAFE_STOP:
-                # A drum whose cable is given up has no torque, and moves as it will.
-                used = frozen & ~(seen.claim.failed[seen.axes] & (seen.mille == 0))
-                frozen = used if used.any() else frozen
-            felt = controlled and (seen.swing > settings.frozen_tension)[frozen].any()
-            if felt or (seen.jolt > settings.frozen_rate)[frozen].any():
-                yield Violation(Requirement.FROZEN, NOWHERE, int(seen.same[frozen].min()))
+        yield from self._frozen(seen)
         # Where nothing is sent and nothing answers the channel is gone: its heartbeat ends alone.
         gone = np.minimum(seen.torque_age, seen.measured_age) > settings.patience_ms
         wrong = enabled & seen.unlogged & ~gone
-        yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong)
+        # A daemon that is late is so on every channel, and one that repeats itself is not late.
+        late = wrong & seen.late & (seen.same < settings.frozen_frames)
+        late &= not (late | ~enabled).all()
+        yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong & ~late)
+        for each in _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, late):
+            yield replace(each, alone=True)
         # Those of a channel without a heartbeat stop by themselves, whatever comes back with it.
         sent = enabled & (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)
@@ -218,6 +215,34 @@ class Judge:
         newest = float(seen.measured_age.min())
         if self._brakes and newest > settings.stale_ms:
             yield Violation(Requirement.STALE, NOWHERE, newest)
+
+    def _frozen(self, seen: Observation) -> Iterator[Violation]:
+        """SUP-3."""
+        settings, enabled, claim = self._settings, seen.enabled, seen.claim
+        frozen = enabled & (seen.same >= settings.frozen_frames)
+        controlled = claim is not None and claim.state in CONTROLLED[1:]
+        # In a stop cables are given up, without torque, and drives work at their limits.
+        most = controlled and 2 * (frozen & (seen.mille != 0)).sum() > enabled.sum()
+        if not most and frozen.sum() < enabled.sum():
+            return
+        if claim is not None and claim.state == State.SAFE_STOP:
+            # A drum whose cable is given up has no torque, and moves as it will.
+            used = frozen & ~(claim.failed[seen.axes] & (seen.mille == 0))
+            # Where none is used, drives that lose the relay have what they are sent.
+            if used.any() or not self._brakes:
+                frozen = used
+            frozen = frozen & ~self._at_its_limit(seen, claim)
+        felt = controlled and (seen.swing > settings.frozen_tension)[frozen].any()
+        if felt or (seen.jolt > settings.frozen_rate)[frozen].any():
+            yield Violation(Requirement.FROZEN, NOWHERE, int(seen.same[frozen].min()))
+
+    def _at_its_limit(self, seen: Observation, claim: Claim) -> NDArray[np.bool_]:
+        """Torques that cannot follow a motion any further: the motor's limit, as long as it takes
+        the tension to its reference or brakes the drum."""
+        pull, error = seen.torque - seen.tension, claim.reference[seen.axes] - seen.tension
+        right = ((pull > 0.0) == (error > 0.0)) | (seen.torque * seen.rate < 0.0)
+        found: NDArray[np.bool_] = seen.limited & right
+        return found
 
     def _controlled(self, seen: Observation, speeds: tuple[float, ...]) -> Iterator[Violation]:
         """In states whose control is to keep the envelope: SUP-4, 6 to 8 and 11."""

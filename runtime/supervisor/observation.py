@@ -18,6 +18,8 @@ from tonus.runtime.supervisor.wiring import Cell, Wiring
 _MS = 1e-6
 _ROUNDING = 1
 """per mille"""
+_TICKS = 1.5
+"""by which the time between two answers may differ from what their number says"""
 Listened = Mapping[tuple[str, int], Heard]
 """By channel and identifier."""
 
@@ -41,6 +43,8 @@ class Observation:
     """PDOs to it in a row that were equal to the one before"""
     mille: NDArray[np.int64]
     """torque on the bus, per mille of rated torque"""
+    limited: NDArray[np.bool_]
+    """that torque is at the motor's limit"""
     torque: Floats
     """N at the cable"""
     rate: Floats
@@ -71,6 +75,8 @@ class Observation:
     """the newest"""
     unlogged: NDArray[np.bool_]
     """a torque that the drive was sent is in none of the newest records"""
+    late: NDArray[np.bool_]
+    """but in one of before, as long as a drive waits for the heartbeat"""
 
 
 @dataclass
@@ -81,7 +87,9 @@ class _Sample:
     length: Floats
     """m (n,)"""
     places: NDArray[np.int64]
-    """of the position in the drive's answers (n,)"""
+    """of the position in the drive's answers (n,), and"""
+    read_ns: NDArray[np.int64]
+    """when that was read"""
     sums: Floats
     """of torques and of forces, in their units on the bus and in N (2, n)"""
     counts: NDArray[np.int64]
@@ -89,7 +97,7 @@ class _Sample:
     tension: Floats
     """N (n,)"""
     rate: Floats
-    """m/s since the look before (n,)"""
+    """m/s since the answer before (n,); not a number where answers are missing"""
 
 
 class Observer:
@@ -104,6 +112,7 @@ class Observer:
         self._contact = self._cell_of.get(contact_cell)
         self._numbers = np.array([axis.number for axis in wiring.axes], np.int64)
         self._newton = np.array([np.nan if a.newton is None else a.newton for a in wiring.axes])
+        self._limit = np.array([axis.limit for axis in wiring.axes], np.int64)
         self._mass = np.array([axis.mass for axis in wiring.axes])
         self._damping = np.array([axis.damping for axis in wiring.axes])
         self._metre = np.array([np.nan if a.metre is None else a.metre for a in wiring.axes])
@@ -114,6 +123,8 @@ class Observer:
         self._claimed: deque[tuple[int, ...]] = deque()
         """per mille, of each axis, by record"""
         self._new = 0
+        self._late = math.ceil(settings.timeout_ms * 1e6 / tick_ns)
+        """records before those that are compared"""
         self._sent: list[set[float]] = [set() for _ in wiring.axes]
         """to each axis in the look before, per mille"""
         self._samples: deque[_Sample] = deque()
@@ -144,6 +155,8 @@ class Observer:
         tension = np.array([_force(cell, heard, tared) for cell in cells])
         self._sample(now_ns, received, sent, cells, heard, tension)
         rate, unexplained, mean = self._moved(tared)
+        # For the platform's least speed a drum whose answers are missing is at rest.
+        rests = np.isnan(rate) & (len(self._samples) > 2) & np.isfinite(self._samples[-1].length)
         return Observation(
             now_ns,
             self._numbers,
@@ -153,8 +166,9 @@ class Observer:
             np.maximum(_ages(now_ns, sent), _ages(now_ns, synced)),
             same,
             mille,
+            abs(mille) >= self._limit,
             mille * self._newton,
-            rate,
+            np.where(rests, 0.0, rate),
             tension,
             _force(self._contact, heard, tared),
             np.array([_cell_age(now_ns, cell, heard) for cell in cells]),
@@ -166,28 +180,30 @@ class Observer:
             *self._since.spans(changed, tension, rate),
             claims,
             self._claim,
-            self._unlogged(sent, mille, len(claims)),
+            *self._compared(sent, mille, len(claims)),
         )
 
-    def _unlogged(self, sent: list[Heard], mille: NDArray[np.int64], new: int) -> NDArray[np.bool_]:
-        """A tick is recorded after its torques are sent: those of the look before are compared, or
-        the newest where there was none, with the records since then and ``logged_ticks`` more."""
-        while len(self._claimed) > self._settings.logged_ticks + self._new + new:
+    def _compared(
+        self, sent: list[Heard], mille: NDArray[np.int64], new: int
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which are unlogged, and which of them late. A tick is recorded after its torques are
+        sent: those of the look before are compared, or the newest where there was none, with the
+        records since then and ``logged_ticks`` more."""
+        newest = self._settings.logged_ticks + self._new + new
+        while len(self._claimed) > self._late + newest:
             self._claimed.popleft()
-        claimed = [set(each) for each in zip(*self._claimed, strict=True)] or [set()] * len(sent)
-        found = np.array(
-            [
-                _beyond(before or {newest}, each)
-                for before, newest, each in zip(self._sent, mille.tolist(), claimed, strict=True)
-            ],
-            bool,
-        )
+        known = np.isfinite(self._newton)
+        found, late = known.copy(), known
+        claimed = list(zip(*self._claimed, strict=True)) or [()] * len(sent)
+        for row, (before, latest) in enumerate(zip(self._sent, mille.tolist(), strict=True)):
+            torques = before or {latest}
+            found[row] &= _beyond(torques, set(claimed[row][-newest:]))
+            late[row] = found[row] and not _beyond(torques, set(claimed[row]))
         self._new = new
         self._sent = [set(each.numbers) for each in sent]
         for each in sent:
             each.numbers.clear()
-        found &= np.isfinite(self._newton)
-        return found
+        return found, late
 
     def _sample(
         self,
@@ -216,18 +232,21 @@ class Observer:
             [[each.count for each in sent], [0 if each is None else each.count for each in found]]
         )
         places = np.array([each.count for each in received], np.int64)
-        samples, length = self._samples, length * self._metre
+        read_ns = np.array([each.at_ns for each in received], np.int64)
         rate = np.full(len(length), np.nan)
+        sample = _Sample(now_ns, length * self._metre, places, read_ns, sums, counts, tension, rate)
+        samples = self._samples
         if samples:
-            rate = self._rate(samples[-1], now_ns, length, places)
-        samples.append(_Sample(now_ns, length, places, sums, counts, tension, rate))
+            sample.rate = self._rate(samples[-1], sample)
+        samples.append(sample)
         window_ns = self._settings.window_ms * 1e6
         while len(samples) > 3 and now_ns - samples[1].at_ns >= window_ns:
             samples.popleft()
 
     def _moved(self, tared: Floats | None) -> tuple[Floats, Floats, Floats]:
-        """Rates between the last two looks; over the window, what of the mean torque neither the
-        mean tension nor the drum's change of motion explains, and that mean."""
+        """Rates since the look before; over the window, what of the mean torque neither the mean
+        tension nor the drum's change of motion explains, and that mean. Not a number where answers
+        are missing: how a drum moves meanwhile nobody knows."""
         samples = self._samples
         nothing = np.full(len(self._axes), np.nan)
         if len(samples) < 3:
@@ -245,20 +264,21 @@ class Observer:
         motion = self._mass * change + self._damping * rate
         return rate, torque - (means[1] - tare) - motion, torque
 
-    def _rate(
-        self, first: _Sample, now_ns: int, length: Floats, places: NDArray[np.int64]
-    ) -> Floats:
+    def _rate(self, before: _Sample, now: _Sample) -> Floats:
         """Over the time between the SYNCs of the two positions, which their number tells better
         than the times of the looks: one may come just before a PDO and the other just after. Where
-        that number does not fit the looks' own time, answers were lost or are too many. Without an
-        answer between two looks the last rate holds."""
-        looked_s = (now_ns - first.at_ns) * 1e-9
-        answered_s = (places - first.places) * (self._tick_ns * 1e-9)
-        doubtful = abs(answered_s - looked_s) > 1.5e-9 * self._tick_ns
-        time_s = np.where(doubtful, looked_s, answered_s)
+        that number does not fit the time between the reads, answers were lost or are too many.
+        Between two answers the last rate holds."""
+        answered_ns = (now.places - before.places) * self._tick_ns
+        read_ns = now.read_ns - before.read_ns
+        doubtful = abs(answered_ns - read_ns) > _TICKS * self._tick_ns
+        time_ns = np.where(doubtful, read_ns, answered_ns)
         with np.errstate(divide="ignore", invalid="ignore"):
-            rate = (length - first.length) / time_s
-        return np.where(time_s > 0.0, rate, first.rate)
+            rate = (now.length - before.length) / (time_ns * 1e-9)
+        rate = np.where(answered_ns > 0, rate, before.rate)
+        missing = now.at_ns - now.read_ns > _TICKS * self._tick_ns
+        rate[missing & (answered_ns == 0)] = np.nan
+        return rate
 
 
 class _Since:

@@ -17,7 +17,7 @@ from tonus.config.schema.sto_relay import StoRelay
 from tonus.runtime.supervisor.listener import OPERATION_ENABLED, STATE, Heard
 from tonus.runtime.supervisor.observation import Listened
 from tonus.runtime.supervisor.record import Answers, Claim, Floats
-from tonus.runtime.supervisor.wiring import Axis, Cell, Value, Wiring
+from tonus.runtime.supervisor.wiring import Axis, Cell, Value, Wiring, limit_of
 
 _CHANNEL = ""
 _NO_FRAME = 0
@@ -64,6 +64,7 @@ class RecordedWiring(Wiring):
                     _POSITION,
                     mille * ratio / radius,
                     1.0 / (mille * ratio),
+                    limit_of(train.motor),
                     _METRE,
                     train.drum.inertia / radius**2,
                     train.drum.viscous_friction / radius**2,

@@ -45,7 +45,7 @@ class Supervisor:
     of its own that has passed, gives an armed robot nothing back, and a drive that it stopped needs
     the operator's reset. A silent drive counts as what it was, while the daemon's record is armed
     or the drive sends heartbeats and has not booted since.
-    A channel on which no device answers gets no heartbeat any more.
+    A channel on which no device answers, or torques come late, gets no heartbeat any more.
 
     With a relay in the circuit of the STO inputs it judges what the daemon records of the drives,
     and the heartbeat and the relay's output are what it holds.
@@ -132,7 +132,8 @@ class Supervisor:
         if armed or seen.claim is None or seen.claim.state not in CONTROLLED:
             self._agreed_ns = now_ns
         self._fall_silent_where_deaf(now_ns, armed)
-        if not (armed or self._sees(seen)):
+        silent = bool(seen.measured_age.min() > self.settings.quiet_s * 1e3)
+        if (silent or not armed) and not self._sees(seen):
             self._beating = [False] * len(self._listeners)
         quiet = self._quiet_ns is not None and (
             now_ns - self._quiet_ns >= self.settings.quiet_s * 1e9
@@ -145,9 +146,12 @@ class Supervisor:
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
         seen.enabled &= np.array(self._beating)[self._channel_of]
         if seen.enabled.any():
-            self.violation = self._late(now_ns) or self._judge(seen)
-            if self.violation is not None:
-                self._send(_EMERGENCY, _error(self.violation))
+            found = self._late(now_ns) or self._judge(seen)
+            if found is not None and found.alone:
+                self._beating[self._channel_of[seen.axes == found.where].item()] = False
+            elif found is not None:
+                self.violation = found
+                self._send(_EMERGENCY, _error(found))
                 self._beating = [False] * len(self._listeners)
         self._send(_HEARTBEAT, _OPERATIONAL)
         self._hold_relay()

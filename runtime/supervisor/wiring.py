@@ -7,6 +7,7 @@ import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+from tonus.config.schema.axis import Motor
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.root import Config
 
@@ -60,6 +61,8 @@ class Axis:
     """at the cable for one per mille of rated torque; None: only the drive knows its scale"""
     per_newton_metre: float
     """per mille for one newton metre at the drum"""
+    limit: int
+    """per mille, either way, of the motor's current limit"""
     metre: float | None
     """of cable for one increment, reeling in; None like ``newton``"""
     mass: float
@@ -123,6 +126,7 @@ class Wiring:
                         _value(profile.tpdo, _POSITION),
                         mille * ratio / radius if own else None,
                         1.0 / (mille * ratio),
+                        limit_of(train.motor),
                         turn / ratio * radius if own else None,
                         train.drum.inertia / radius**2,
                         train.drum.viscous_friction / radius**2,
@@ -146,6 +150,11 @@ class Wiring:
                             _HEARTBEAT + node.node_id,
                         )
                     )
+
+
+def limit_of(motor: Motor) -> int:
+    """Per mille of its rated torque."""
+    return math.floor(1e3 * motor.current_limit / motor.nominal_current)
 
 
 def _process_values(mapping: Sequence[int]) -> Iterator[int]:

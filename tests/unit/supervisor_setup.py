@@ -54,6 +54,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         torque_age=np.zeros(N),
         same=np.zeros(N, np.int64),
         mille=np.full(N, 100),
+        limited=np.zeros(N, bool),
         torque=np.full(N, 45.0),
         rate=np.zeros(N),
         tension=np.full(N, 45.0),
@@ -69,6 +70,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         claims=[said],
         claim=said,
         unlogged=np.zeros(N, bool),
+        late=np.zeros(N, bool),
     )
     return replace(found, **given)
 
@@ -174,16 +176,18 @@ class Watchdog:
         deaf: Any = (),
         interrupted: bool = False,
         beats: Any = (),
+        everywhere: bool = False,
     ) -> list[tuple[int, bytes]]:
         """What the first channel was sent in this step. Identifiers in ``deaf`` do not arrive; on
-        the other channels no drive is enabled. ``interrupted``: all drives were off before.
-        ``beats``: heartbeats of drives, axis and state each."""
+        the other channels no drive is enabled, unless ``everywhere``. ``interrupted``: all drives
+        were off before. ``beats``: heartbeats of drives, axis and state each."""
         place = {channel: number for number, (_, channel, _) in enumerate(self.wiring.channels)}
         frames = {
             (cell.channel, cell.received): bytes(cell.received_bytes) for cell in self.wiring.cells
         }
         for axis in self.wiring.axes:
-            word = 0x0237 if enabled and place[axis.channel] == 0 else 0x0240
+            on = enabled and (everywhere or place[axis.channel] == 0)
+            word = 0x0237 if on else 0x0240
             data = word.to_bytes(2, "little") + bytes(axis.received_bytes - 2)
             frames[axis.channel, axis.received] = data
             frames[axis.channel, axis.sent] = bytes(axis.sent_bytes)

@@ -93,3 +93,57 @@ def test_how_many_torques_have_been_equal(config: Config) -> None:
     found = judged(config, seen(same=np.array([9, 6, 7, 8, 9, 9, 9, 9])))[0]
     assert found is not None
     assert (found.requirement, found.value) == (Requirement.FROZEN, 6)
+
+
+@pytest.mark.parametrize(
+    ("pull", "error", "rate", "right"),
+    [
+        (-600.0, -100.0, -0.5, True),
+        (-600.0, 100.0, -0.5, False),
+        (600.0, 100.0, 0.5, True),
+        (600.0, -100.0, 0.5, False),
+        (600.0, -100.0, -0.5, True),
+        (-600.0, 100.0, 0.5, True),
+        (-600.0, 100.0, 0.0, False),
+    ],
+)
+def test_a_motor_at_its_limit_in_a_stop(
+    config: Config, pull: float, error: float, rate: float, right: bool
+) -> None:
+    """It cannot give more, as long as the tension goes to its reference by it, or the drum is
+    braked. Where one axis is not at its limit, its torque has to change."""
+    tension = 150.0
+    stop = claim(State.SAFE_STOP, reference=np.full(N, tension + error))
+    given = {
+        "same": np.full(N, 6),
+        "torque": np.full(N, tension + pull),
+        "tension": np.full(N, tension),
+        "rate": np.full(N, rate),
+        "jolt": np.full(N, 0.04),
+    }
+    limited = np.ones(N, bool)
+    found = judged(config, seen(said=stop, limited=limited, **given))[0]
+    assert (found is None) is right
+    for free in (limited & (np.arange(N) != 3), ~limited):
+        assert judged(config, seen(said=stop, limited=free, **given))[0] is not None
+    kept = judged(
+        config, seen(said=stop, limited=np.arange(N) != 3, **given | {"jolt": at(4, 0.04)})
+    )
+    assert (kept[0] is None) is right, "what moves is an axis at its limit"
+    control = claim(State.ACTIVE, reference=stop.reference, tension=stop.tension)
+    found = judged(config, seen(said=control, limited=limited, **given))[0]
+    assert found is not None
+    assert found.requirement is Requirement.FROZEN
+
+
+def test_drives_without_a_torque_that_would_only_lose_it() -> None:
+    """Every cable is given up. Drives that lose the heartbeat brake, those on a relay do not."""
+    stop = claim(State.SAFE_STOP, failed=np.ones(N, bool))
+    given = {"same": np.full(N, 6), "jolt": np.full(N, 0.04), "torque": np.zeros(N)}
+    for path, found in (("config/can.yaml", True), ("config/ethercat.yaml", False)):
+        config = load(path, overrides=STRICT)[0]
+        verdict = judged(config, seen(said=stop, mille=np.zeros(N, np.int64), **given))[0]
+        assert (verdict is not None) is found
+        some = judged(config, seen(said=stop, mille=at(2, 1.0), **given))[0]
+        assert some is not None
+        assert some.requirement is Requirement.FROZEN

@@ -17,7 +17,8 @@ from tonus.config import Config, load
 from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
 from tonus.runtime.states import State
-from tonus.runtime.supervisor.judge import Violation
+from tonus.runtime.supervisor.judge import Judge, Violation
+from tonus.runtime.supervisor.observation import Observation
 from tonus.runtime.supervisor.supervisor import Supervisor, _error, _watched, told
 from tonus.runtime.supervisor.wiring import Wiring
 
@@ -51,6 +52,33 @@ def test_the_heartbeat_begins_when_nothing_was_enabled_for_a_while(watchdog: Wat
 def test_where_frames_are_read_it_needs_no_record_to_begin(watchdog: Watchdog) -> None:
     assert all(sent == [] for sent in watchdog.steps(0, 300, enabled=False, tick=False))
     assert watchdog.step(300, enabled=False, tick=False) == BEAT
+
+
+def test_a_channel_whose_torques_come_late_gets_none(
+    watchdog: Watchdog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its drives stop by themselves; the others are judged, and the daemon's stop has them."""
+    judged: list[list[int]] = []
+
+    def judge(_: Judge, seen: Observation) -> Violation | None:
+        judged.append(np.flatnonzero(seen.enabled).tolist())
+        wanted = Violation(Requirement.COMMAND_LOGGED, 5, 1.0, alone=True)
+        return wanted if len(judged) == 2 else None
+
+    monkeypatch.setattr(Judge, "__call__", judge)
+    list(watchdog.steps(0, 310, enabled=False))
+    names = [name for _, name, _ in watchdog.wiring.channels]
+    place = {axis.number: names.index(axis.channel) for axis in watchdog.wiring.axes}
+    before = [len(bus.sent) for bus in watchdog.buses]
+    for now in range(310, 320, 2):
+        watchdog.step(now, enabled=True, everywhere=True)
+    sent = [len(bus.sent) - count for bus, count in zip(watchdog.buses, before, strict=True)]
+    assert sent == [1 if number == place[5] else 5 for number in range(4)]
+    assert {message.arbitration_id for bus in watchdog.buses for message in bus.sent} == {0x77E}
+    left = [number for number in range(8) if place[number] != place[5]]
+    assert judged == [list(range(8))] * 2 + [left] * 3
+    assert watchdog.supervisor.violation is None
+    assert watchdog.supervisor.beating
 
 
 def test_a_supervisor_that_finds_the_robot_armed_stays_silent(watchdog: Watchdog) -> None:

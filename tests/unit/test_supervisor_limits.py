@@ -91,6 +91,39 @@ def test_a_torque_that_is_not_logged_where_nothing_may_last(config: Config) -> N
         assert found.requirement is Requirement.COMMAND_LOGGED
 
 
+def test_torques_of_one_channel_that_come_late(config: Config) -> None:
+    """The channel's drives have to stop, not the others: those are sent what is recorded."""
+    rows = np.arange(N)
+    one, two, none = rows < 1, rows < 2, rows < 0
+    for unlogged, late, same, enabled, alone, where in (
+        (two, two, none, ~none, True, 0),
+        (two, ~none, none, ~none, True, 0),
+        (rows < 7, rows < 7, none, ~none, True, 0),
+        (two, one, none, ~none, False, 1),
+        (two, two, one, ~none, False, 0),
+        (two, two, two & ~one, ~none, False, 1),
+        (~none, ~none, none, ~none, False, 0),
+        (two, two, none, two, False, 0),
+    ):
+        look = {"unlogged": unlogged, "late": late, "enabled": enabled}
+        look["same"] = np.where(same, 6, 5)
+        assert lasting(config, 2.9, State.SAFE_STOP, **look) is None
+        found = lasting(config, 3.0, State.SAFE_STOP, **look)
+        assert found is not None
+        assert (found.requirement, found.alone, found.where) == (
+            Requirement.COMMAND_LOGGED,
+            alone,
+            where,
+        )
+
+
+def test_what_is_wrong_with_all_comes_before_a_channel(config: Config) -> None:
+    late = {"unlogged": np.arange(N) == 2, "late": np.arange(N) == 2}
+    found = lasting(config, 60.0, State.FAULT, **late)
+    assert found is not None
+    assert (found.requirement, found.alone) == (Requirement.DISARMED, False)
+
+
 def test_a_condition_that_wanders_from_axis_to_axis(config: Config) -> None:
     looks = [seen(100.0 + 2 * k, unlogged=np.arange(N) == k) for k in range(3)]
     found = judged(config, *looks)

@@ -22,7 +22,7 @@ from tests.unit.supervisor_setup import (
 from tonus.config import Config, load
 from tonus.runtime.supervisor.listener import Heard
 from tonus.runtime.supervisor.observation import Observer
-from tonus.runtime.supervisor.wiring import Value
+from tonus.runtime.supervisor.wiring import Value, limit_of
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +157,22 @@ def test_drives_that_were_without_power_between_two_looks(config: Config) -> Non
     assert not stage.observe(4 * MS, stage.heard, [claim()]).rested
 
 
+@pytest.mark.parametrize(
+    ("mille", "limited"), [(1999, False), (2000, True), (-1999, False), (-2000, True), (0, False)]
+)
+def test_a_torque_at_the_motors_limit(config: Config, mille: int, limited: bool) -> None:
+    """16 A of 8 A; an axis with another motor has another limit."""
+    stage = Stage(config)
+    assert {axis.limit for axis in stage.wiring.axes} == {2000}
+    motor = config.robot.motor.model_copy(update={"current_limit": 12.345})
+    assert limit_of(motor) == 1543
+    axis = stage.wiring.axes[3]
+    stage.tick(0, newton=45.0, metre=0.0, force=45.0)
+    stage.heard[axis.channel, axis.sent].take([(mille & 0xFFFF) << axis.torque.shift], MS)
+    found = stage.observe(MS, stage.heard, [claim()])
+    assert found.limited.tolist() == [number == 3 and limited for number in range(N)]
+
+
 def test_positions_that_stop_to_arrive(config: Config) -> None:
     """No division by nothing: the drum is taken to rest once an answer is missing."""
     stage = Stage(config)
@@ -167,6 +183,37 @@ def test_positions_that_stop_to_arrive(config: Config) -> None:
     for tick in range(20, 30, 2):
         found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
     assert found.rate.tolist() == [0.0] * N
+
+
+@pytest.mark.parametrize("gap", [2, 3, 4, 5, 12])
+def test_answers_that_are_missing_explain_nothing_and_contradict_nothing(
+    config: Config, gap: int
+) -> None:
+    """A drum goes on at 0.3 m/s: as long as it does not answer nobody knows, and then it is known
+    over the whole gap. Only for the platform's least speed it is at rest meanwhile."""
+    stage, silent = Stage(config), range(40, 40 + gap)
+    axis = stage.wiring.axes[3]
+    received = (axis.channel, axis.received)
+    for tick in range(80):
+        before = stage.heard[received]
+        if tick in silent:
+            stage.heard[received] = Heard((axis.position,), axis.statusword)
+        stage.tick(tick * MS, newton=45.0, metre=0.3e-3 * tick, force=45.0)
+        stage.heard[received] = before
+        if tick % 2:
+            continue
+        found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+        if tick < 20:
+            continue
+        others = np.arange(N) != 3
+        assert found.rate[others] == pytest.approx(0.3, rel=0.02)
+        assert np.abs(found.unexplained[others]).max() < 12.0
+        missing = tick in silent and tick - 1 in silent
+        assert found.rate[3] == pytest.approx(0.0 if missing else 0.3, rel=0.02)
+        assert np.isnan(found.unexplained[3]) or abs(found.unexplained[3]) < 12.0
+        assert np.isnan(found.unexplained[3]) >= missing
+        assert found.jolt[3] < 0.01
+    assert not np.isnan(found.unexplained).any()
 
 
 def test_how_far_a_force_and_a_drum_go_while_the_torques_stay(config: Config) -> None:

@@ -559,8 +559,11 @@ def test_drives_that_all_stop_answering_while_nothing_is_enabled_release_the_rel
     assert list(held.steps(1, disarmed)) == [[BEAT, HELD]]
 
 
-def test_a_stop_in_which_no_drive_answers_is_let_be(held: Held) -> None:
-    """They are sent no torque, and would have none without the relay either."""
+@pytest.mark.parametrize("quiet_s", [0.3, 2.0])
+def test_a_stop_in_which_no_drive_answers_is_let_be_for_a_while(quiet_s: float) -> None:
+    """They are sent no torque, and would have none without the relay either: then nothing speaks
+    for it any more. It is no mistake of the daemon."""
+    held = Held(load("config/ethercat.yaml", overrides={**ROBOT, "supervisor.quiet_s": quiet_s})[0])
     count = 0
 
     def silent(record: Any) -> None:
@@ -570,8 +573,13 @@ def test_a_stop_in_which_no_drive_answers_is_let_be(held: Held) -> None:
         record["drives"]["age"] = count
         record["drives"]["torque_command"] = 0.0
 
+    list(held.steps(round(quiet_s * 500.0), disarmed))
     held.armed()
-    assert all(sent == [BEAT, HELD] for sent in held.steps(100, silent))
+    assert all(sent == [BEAT, HELD] for sent in held.steps(round(quiet_s * 500.0), silent))
+    assert held.step(silent) == [RELEASED]
+    assert held.supervisor.violation is None
+    assert all(sent == [] for sent in held.steps(100, silent))
+    held.supervisor.close()
 
 
 def test_a_silent_drive_of_which_no_heartbeat_is_read_is_off(held: Held) -> None:

@@ -109,7 +109,7 @@ class Logged:
     """One look a tick; what axis 2 is sent and what is recorded of it, per mille."""
 
     def __init__(self, stage: Stage) -> None:
-        self.stage, self.tick = stage, BASE
+        self.stage, self.tick, self.late = stage, BASE, False
 
     def look(self, sent: list[int], recorded: list[int]) -> bool:
         self.tick += 1
@@ -126,7 +126,10 @@ class Logged:
             for mille in recorded
         ]
         found = stage.observe(self.tick * MS, stage.heard, records)
-        assert not found.unlogged[np.arange(N) != 2].any()
+        others = np.arange(N) != 2
+        assert not found.unlogged[others].any()
+        assert not found.late[others].any()
+        self.late = bool(found.late[2])
         return bool(found.unlogged[2])
 
 
@@ -141,6 +144,23 @@ def test_how_far_back_a_torque_may_have_been_recorded(
     for look in range(1, late + 1):
         assert not logged.look([500 if look == late else 100], [100])
     assert logged.look([100], [100]) is (more > 0)
+
+
+@pytest.mark.parametrize(("before", "late"), [(22, True), (23, False)])
+@pytest.mark.parametrize("off", [0, 1, 2])
+def test_a_torque_of_a_record_of_long_ago_is_late(
+    config: Config, stage: Stage, before: int, late: bool, off: int
+) -> None:
+    """As long before those that are compared as a drive waits for the heartbeat."""
+    assert config.supervisor is not None
+    assert config.supervisor.timeout_ms == 22
+    logged, looks = Logged(stage), config.supervisor.logged_ticks + before
+    assert not logged.look([500], [500])
+    for look in range(1, looks + 1):
+        assert not logged.look([500 + off if look == looks else 100], [100])
+        assert not logged.late
+    assert logged.look([100], [100])
+    assert logged.late is (late and off < 2)
 
 
 @pytest.mark.parametrize(("off", "broken"), [(-2, True), (-1, False), (1, False), (2, True)])
