@@ -57,7 +57,8 @@ class Judge:
         # The daemon's own envelope ends the control of a slack cable after so many ticks.
         slack_ticks = control.envelope.over_tension_ticks
         self._opposed_ns = round(settings.opposed_ms * 1e6)
-        self._slack_ns = round(settings.patience_ms * 1e6) + slack_ticks * control.rates.period_ns
+        self._pulling_ns = round(settings.patience_ms * 1e6)
+        self._slack_ns = self._pulling_ns + slack_ticks * control.rates.period_ns
         self._twists = _twists(config, settings.spread)
         self._tick_ns = control.rates.period_ns
         self._brakes = config.relay is None
@@ -93,6 +94,8 @@ class Judge:
         """N, of the look before"""
         self._ordered: int = Operator.NONE
         """the last order to stop that was recorded"""
+        self._faulted = False
+        """a fault was"""
 
     def __call__(self, seen: Observation) -> Violation | None:
         """The first requirement that has been broken for longer than it may be; one of a channel
@@ -127,6 +130,11 @@ class Judge:
         ):
             yield each, self._patience_ns[each.requirement]
         yield from self._against(seen)
+        if seen.claim is not None and seen.claim.state not in _ARMED:
+            # A drive takes its time to switch off, but it is sent no torque meanwhile.
+            pulling = seen.enabled & (seen.mille != 0)
+            for each in _at(Requirement.DISARMED, seen, seen.torque, None, pulling):
+                yield each, self._pulling_ns
         long_ns = round(self._settings.stopping_ms * 1e6)
         for each in self._always(seen, speeds):
             yield each, long_ns
@@ -153,14 +161,13 @@ class Judge:
         yield from self._follows(seen.claims, claim)
 
     def _follows(self, claims: list[Claim], newest: Claim) -> Iterator[Violation]:
-        """Power that is off ends an order, whoever gave it."""
+        """Only power that is off ends an order or a fault, whatever the daemon records."""
         for claim in claims:
-            if claim.state not in _ARMED:
-                self._ordered = Operator.NONE
-            elif claim.operator in (Operator.STOP, Operator.ESTOP):
+            self._faulted |= claim.fault != 0
+            if claim.operator in (Operator.STOP, Operator.ESTOP):
                 self._ordered = max(self._ordered, claim.operator)
         ignored = self._ordered == Operator.ESTOP and newest.state in _ARMED
-        stop = self._ordered == Operator.STOP or newest.fault
+        stop = self._ordered == Operator.STOP or self._faulted
         if ignored or (stop and newest.state in CONTROLLED):
             yield Violation(Requirement.ORDERS, NOWHERE, newest.state)
 
@@ -208,11 +215,14 @@ class Judge:
         for each in _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, late):
             yield replace(each, alone=True)
         # Those of a channel without a heartbeat stop by themselves, whatever comes back with it.
-        sent = enabled & (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
+        # One that was not enabled when it answered last may be by now.
+        sent = seen.beating & (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)
         # Nobody could judge, whatever the torques are. Drives that lose the heartbeat brake; those
-        # that lose the relay have no torque, which is what they are sent.
-        newest = float(seen.measured_age.min())
+        # that lose the relay have no torque, which is what they are sent. One that is disabled
+        # answers for none; where nothing should be enabled that is SUP-12.
+        armed = seen.claim is not None and seen.claim.state in _ARMED
+        newest = float((seen.measured_age[enabled] if armed else seen.measured_age).min())
         if self._brakes and newest > settings.stale_ms:
             yield Violation(Requirement.STALE, NOWHERE, newest)
 
@@ -256,7 +266,8 @@ class Judge:
         if abs(seen.contact) > self._most_contact:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
         oldest = max(settings.stale_ms, settings.patience_ms)
-        yield from _at(Requirement.STALE, seen, seen.cell_age, oldest, enabled)
+        for age in (seen.measured_age, seen.cell_age):
+            yield from _at(Requirement.STALE, seen, age, oldest, enabled)
         if seen.contact_age > oldest:
             yield Violation(Requirement.STALE, NOWHERE, seen.contact_age)
         yield from _faster(speeds, (self._most_speed, settings.rotation))

@@ -77,6 +77,8 @@ class Observation:
     """a torque that the drive was sent is in none of the newest records"""
     late: NDArray[np.bool_]
     """but in one of before, as long as a drive waits for the heartbeat"""
+    beating: NDArray[np.bool_]
+    """its channel has the heartbeat"""
 
 
 @dataclass
@@ -181,6 +183,7 @@ class Observer:
             claims,
             self._claim,
             *self._compared(sent, mille, len(claims)),
+            np.ones(len(enabled), bool),
         )
 
     def _compared(

@@ -94,8 +94,9 @@ class Supervisor:
         places = [0 if relay is not None else names.index(axis.channel) for axis in wiring.axes]
         self._channel_of = np.array(places, np.int64)
         self._answers = [_answers(wiring, channel) for _, channel, _ in wiring.channels]
+        """identifiers under which the drives of each send, and all of its devices"""
         if relay is not None:
-            self._answers = [[_HEARTBEAT + relay.node_id]]
+            self._answers = [([_HEARTBEAT + relay.node_id],) * 2]
         self._heard: Listened = {
             (channel, identifier): heard
             for (_, channel, _), listener in zip(wiring.channels, self._listeners, strict=True)
@@ -144,7 +145,8 @@ class Supervisor:
             self._beating = [True] * len(self._listeners)
             self.violation = None
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
-        seen.enabled &= np.array(self._beating)[self._channel_of]
+        seen.beating = np.array(self._beating)[self._channel_of]
+        seen.enabled &= seen.beating
         if seen.enabled.any():
             found = self._late(now_ns) or self._judge(seen)
             if found is not None and found.alone:
@@ -247,10 +249,13 @@ class Supervisor:
 
     def _fall_silent_where_deaf(self, now_ns: int, armed: bool) -> None:
         """While nothing is enabled the daemon may begin anew, which takes no answers; while a drive
-        is, that no channel answers is SUP-14 to judge."""
+        is, its answers alone count, and that no channel answers is SUP-14 to judge."""
         newest_ns = [
-            max((listener.heard[each].at_ns for each in answers), default=now_ns)
-            for answers, listener in zip(self._answers, self._listeners, strict=True)
+            max(
+                (listener.heard[each].at_ns for each in (drives if armed else devices)),
+                default=now_ns,
+            )
+            for (drives, devices), listener in zip(self._answers, self._listeners, strict=True)
         ]
         end_ns, longest_ms = now_ns, self.settings.quiet_s * 1e3
         if armed:
@@ -290,10 +295,11 @@ def _error(violation: Violation) -> bytes:
     return _ERROR.pack(_ERROR_CODE + violation.requirement, _REGISTER, place, value)
 
 
-def _answers(wiring: Wiring, channel: str) -> list[int]:
-    """Identifiers under which the devices of a channel send."""
-    axes = [axis.received for axis in wiring.axes if axis.channel == channel]
-    return axes + [cell.received for cell in wiring.cells if cell.channel == channel]
+def _answers(wiring: Wiring, channel: str) -> tuple[list[int], list[int]]:
+    """Identifiers under which the drives of a channel send, and all of its devices."""
+    drives = [axis.received for axis in wiring.axes if axis.channel == channel]
+    cells = [cell.received for cell in wiring.cells if cell.channel == channel]
+    return drives, drives + cells
 
 
 def _watched(wiring: Wiring, channel: str) -> list[Watched]:

@@ -7,9 +7,11 @@ finds no fault by itself where it could.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from typing import Any
 
+import can
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from tests.supervised import BRIEF, DRIVES, Run, configured
 from tests.wrong_daemons import Change, after, blind, both, instead
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import Loss
+from tonus.config.schema.robot_faults import CellOffset
 from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.exchange import Exchange
 from tonus.drivers.process_image import AxisState
@@ -185,3 +188,34 @@ def test_an_order_to_stop_that_is_ignored(monkeypatch: pytest.MonkeyPatch) -> No
     run, seen = played(ignoring(Event.STOP), monkeypatch, told_to_stop)
     stopped_for(run, seen, Requirement.ORDERS, PATIENCE_MS)
     assert State.SAFE_STOP not in seen.state[seen.cycle_ns < run.said[0][1] * 1e9]
+
+
+def test_frames_that_are_longer_than_a_drive_maps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another node sends them after the daemon's own, and the drive acts by them (CiA 301)."""
+    data = b"\x0f\0" + (330).to_bytes(2, "little") + bytes(4)
+
+    async def sent(bus: can.BusABC) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            await asyncio.sleep(1e-3 - loop.time() % 1e-3 + 7e-4)
+            bus.send(can.Message(arbitration_id=0x203, is_extended_id=False, data=data))
+
+    def foreign(_: Run) -> None:
+        bus = can.Bus(interface="tonus", channel="can1")
+        asyncio.get_running_loop().create_task(sent(bus))
+
+    run, seen = played(lambda _: None, monkeypatch, foreign)
+    stopped_for(run, seen, Requirement.COMMAND_LOGGED, PATIENCE_MS)
+
+
+def test_a_contact_while_the_robot_is_referenced_is_no_mistake_of_the_daemon() -> None:
+    """It records the force that its control has use for only where that is on."""
+
+    def pushed() -> None:
+        assert run._playing.lab is not None
+        run._playing.lab.inject(CellOffset(kind="cell_offset", cell=8, force=20.0))
+
+    config, _ = configured(**BRIEF)
+    run = Run(config, load_scenario("hold"), pushed, state=State.REFERENCING, at=0.1)
+    run.play(0.1)
+    assert (run.said, run.stopped_ns) == ([], {})

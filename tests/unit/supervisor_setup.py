@@ -12,7 +12,7 @@ import numpy as np
 
 from tonus.config import Config
 from tonus.runtime.signals import cycle_dtype
-from tonus.runtime.states import State
+from tonus.runtime.states import ARMED, State
 from tonus.runtime.supervisor.judge import Judge, Violation
 from tonus.runtime.supervisor.listener import Errors, Heard
 from tonus.runtime.supervisor.observation import Observation, Observer
@@ -53,7 +53,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         measured_age=np.zeros(N),
         torque_age=np.zeros(N),
         same=np.zeros(N, np.int64),
-        mille=np.full(N, 100),
+        mille=np.full(N, 100 * (said.state in ARMED)),
         limited=np.zeros(N, bool),
         torque=np.full(N, 45.0),
         rate=np.zeros(N),
@@ -71,6 +71,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         claim=said,
         unlogged=np.zeros(N, bool),
         late=np.zeros(N, bool),
+        beating=np.ones(N, bool),
     )
     return replace(found, **given)
 

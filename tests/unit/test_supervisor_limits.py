@@ -22,7 +22,7 @@ from tests.unit.supervisor_setup import (
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
-from tonus.runtime.supervisor.judge import NOWHERE, Judge
+from tonus.runtime.supervisor.judge import CONTROLLED, NOWHERE, Judge
 from tonus.runtime.supervisor.observation import Observation
 from tonus.runtime.supervisor.record import Claim
 
@@ -177,10 +177,21 @@ def test_what_is_sent_to_a_drive_without_measurements(config: Config, mille: int
     found = judged(config, seen(**old, **sent))[0]
     assert found is not None
     assert (found.requirement, found.where) == (Requirement.STALE, 5)
+    stop = claim(State.SAFE_STOP)
     none = {"mille": at(5, 0, 100)}
-    assert judged(config, seen(**old, **none)) == [None]
+    assert judged(config, seen(100.0, stop, **old, **none)) == [None]
     for age in (20.0, 21.0):
-        assert judged(config, seen(**old, **sent, torque_age=at(5, age))) == [None]
+        assert judged(config, seen(100.0, stop, **old, **sent, torque_age=at(5, age))) == [None]
+
+
+@pytest.mark.parametrize("state", [*CONTROLLED, State.SAFE_STOP])
+def test_control_without_an_enabled_drives_measurements(config: Config, state: State) -> None:
+    """Whatever that drive is sent: a daemon that is right has stopped by then."""
+    for age, enabled, broken in ((20.0, True, False), (21.0, True, True), (21.0, False, False)):
+        given = {"enabled": at(5, float(enabled), 1.0) > 0.0, "mille": at(5, 0, 100)}
+        (found,) = judged(config, seen(100.0, claim(state), measured_age=at(5, age), **given))
+        assert (found is not None) is (broken and state in CONTROLLED)
+        assert found is None or (found.requirement, found.where) == (Requirement.STALE, 5)
 
 
 def test_a_cell_that_is_not_heard_any_more(config: Config) -> None:
@@ -214,13 +225,13 @@ def test_a_torque_against_the_reference(
     assert found is None or found.requirement is Requirement.OPPOSED
 
 
-@pytest.mark.parametrize("enabled", [True, False])
-def test_a_torque_to_a_drive_that_does_not_answer(config: Config, enabled: bool) -> None:
-    """Where the drive counts as disabled, such as on a channel without a heartbeat, it stops by
-    itself."""
-    given = {"measured_age": at(5, 21.0), "enabled": at(5, float(enabled), 1.0) > 0.0}
+@pytest.mark.parametrize("beating", [True, False])
+def test_a_torque_to_a_drive_that_does_not_answer(config: Config, beating: bool) -> None:
+    """Enabled or not when it answered last. On a channel without a heartbeat it stops by itself."""
+    disabled = at(5, 0.0, 1.0) > 0.0
+    given = {"measured_age": at(5, 21.0), "enabled": disabled, "beating": at(5, beating, 1.0) > 0.0}
     (found,) = judged(config, seen(**given))
-    assert (found is not None) is enabled
+    assert (found is not None) is beating
     assert found is None or (found.requirement, found.where) == (Requirement.STALE, 5)
 
 

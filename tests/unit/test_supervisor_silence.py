@@ -50,15 +50,19 @@ def test_torques_that_no_sync_makes_act(watchdog: Watchdog) -> None:
 
 @pytest.mark.parametrize(("age_ms", "stopped"), [(20.0, False), (20.1, True)])
 def test_no_drive_answers_whatever_it_is_sent(config: Config, age_ms: float, stopped: bool) -> None:
-    """Nothing that is measured would contradict the daemon. One that answers is another matter."""
+    """Nothing that is measured would contradict the daemon. In a stop an enabled one that answers
+    is another matter."""
     assert config.supervisor is not None
     for state in (State.ACTIVE, State.SAFE_STOP):
         silent = {"mille": np.zeros(8, np.int64), "measured_age": np.full(8, age_ms)}
         look = seen(100.0, claim(state), **silent)
         found = Judge(config, config.supervisor)(look)
         assert (found is not None and found.requirement is Requirement.STALE) is stopped
-        look.measured_age[5] = 0.0
-        assert Judge(config, config.supervisor)(look) is None
+        if state is State.SAFE_STOP:
+            look.measured_age[5] = 0.0
+            assert Judge(config, config.supervisor)(look) is None
+            look.enabled[5] = False
+            assert (Judge(config, config.supervisor)(look) is not None) is stopped
 
 
 def test_drives_that_are_all_silent_in_a_stop(watchdog: Watchdog) -> None:

@@ -106,7 +106,28 @@ def test_an_order_between_two_looks(config: Config) -> None:
     assert found.requirement is Requirement.ORDERS
     off = claim(State.FAULT, 99.5)
     looks[0] = seen(100.0, newest, claims=[first, off, newest])
-    assert judged(config, *looks)[-1] is None, "power that was off ends it"
+    assert judged(config, *looks)[-1] is not None, "the drives say when power is off"
+
+
+def test_a_fault_that_is_recorded_once_and_no_more(config: Config) -> None:
+    first = told(State.ACTIVE, 100.0, fault=Fault.DRIVE_LOST)
+    looks = [first, *(told(State.ACTIVE, at_ms) for at_ms in (102.0, 104.9, 105.0))]
+    found = [each and each.requirement for each in judged(config, *looks)]
+    assert found == [None, None, None, Requirement.ORDERS]
+
+
+def test_a_torque_that_a_disarmed_daemon_sends(config: Config) -> None:
+    """For its time to switch off a drive is sent none."""
+    for state in (State.STANDBY, State.FAULT):
+        for at_ms, broken in ((4.9, False), (5.0, True)):
+            pulled = lasting(config, at_ms, state, mille=at(2, -1.0).astype(np.int64))
+            assert (pulled is not None) is broken
+            assert pulled is None or (pulled.requirement, pulled.where) == (
+                Requirement.DISARMED,
+                2,
+            )
+        others = {"mille": at(2, -1.0).astype(np.int64), "enabled": at(2, 0.0, 1.0) > 0.0}
+        assert lasting(config, 49.0, state, **others) is None
 
 
 def test_an_order_is_over_once_no_drive_is_enabled(config: Config) -> None:

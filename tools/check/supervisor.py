@@ -167,6 +167,15 @@ def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
             )
             continue
         yield _patience(settings, profile.heartbeat_margin_ms, profile.name)
+        if not profile.scaling.torque == profile.scaling.position == "motor":
+            yield Finding(
+                "supervisor",
+                True,
+                f"{key}.scaling",
+                f"only {profile.name} knows its scale: SUP-4, 5, 8, 10, 26 and the rates of SUP-3 "
+                "do not judge it (docs/supervisor.md)",
+                "",
+            )
         if config.lab is None:
             yield from _reacts(key, profile)
             yield from _stays_in_fault(key, profile)
