@@ -220,9 +220,9 @@ class Judge:
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)
         # Nobody could judge, whatever the torques are. Drives that lose the heartbeat brake; those
         # that lose the relay have no torque, which is what they are sent. One that is disabled
-        # answers for none; where nothing should be enabled that is SUP-12.
-        armed = seen.claim is not None and seen.claim.state in _ARMED
-        newest = float((seen.measured_age[enabled] if armed else seen.measured_age).min())
+        # answers for none, unless most are: then a stop is at its end, and the rest is SUP-12's.
+        most = 2 * enabled.sum() > len(enabled)
+        newest = float((seen.measured_age[enabled] if most else seen.measured_age).min())
         if self._brakes and newest > settings.stale_ms:
             yield Violation(Requirement.STALE, NOWHERE, newest)
 
