@@ -59,6 +59,9 @@ class Judge:
         self._opposed_ns = round(settings.opposed_ms * 1e6)
         self._pulling_ns = round(settings.patience_ms * 1e6)
         self._slack_ns = self._pulling_ns + slack_ticks * control.rates.period_ns
+        # Twice what the daemon itself takes for a fault, for twice as long.
+        self._astray = 2.0 * control.isolation.tension_error
+        self._astray_ns = round(2e9 * control.isolation.tension_error_s)
         self._twists = _twists(config, settings.spread)
         self._tick_ns = control.rates.period_ns
         self._brakes = config.relay is None
@@ -281,8 +284,9 @@ class Judge:
 
     def _against(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
         """SUP-5, wherever tensions follow the references, so in a stop along the path too: a torque
-        against them; and a smaller one that lasts, such as one that is missing. Where a tension
-        goes against the torque it is the platform that moves, and its drum has to follow it."""
+        against them; a smaller one that lasts, such as one that is missing; and, whatever the
+        torque, a tension that stays away. Where a tension goes against the torque it is the
+        platform that moves, and its drum has to follow it."""
         claim, settings = seen.claim, self._settings
         before = seen.tension if self._tension is None else self._tension
         self._tension = seen.tension
@@ -305,6 +309,9 @@ class Judge:
             opposed &= against & (abs(error) > settings.opposed_long_error)
             for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
                 yield each, self._opposed_ns
+        if claim.state in _STIFF:
+            for each in _at(Requirement.OPPOSED, seen, abs(error), self._astray, seen.enabled):
+                yield each, self._astray_ns
 
     def _stopping(self, seen: Observation) -> Iterator[Violation]:
         """In SAFE_STOP, besides what holds in every state: SUP-7 and 26."""

@@ -143,6 +143,8 @@ def test_bounds_that_are_far_beyond_the_envelope(key: str, most: float) -> None:
     ("key", "most"),
     [
         ("control__stop__passive_tension", 45.0),
+        ("control__isolation__tension_error", 22.5),
+        ("control__isolation__tension_error_s", 0.25),
         ("control__envelope__over_tension_ticks", 20),
         ("control__tension__slack", 2.41),
         ("supervisor__stop_s", 80.0),

@@ -272,6 +272,29 @@ def test_a_small_torque_against_the_reference_that_lasts(
         assert (judged(config, *looks)[1] is not None) is expected
 
 
+@pytest.mark.parametrize("state", [*CONTROLLED, State.SAFE_STOP])
+@pytest.mark.parametrize("error", [30.5, -30.5, 29.5])
+def test_a_tension_that_stays_away_from_its_reference(
+    config: Config, state: State, error: float
+) -> None:
+    """By twice what the daemon takes for a fault, for twice as long, whatever the torque."""
+    tension = 70.0
+    said = claim(state, reference=np.full(N, tension + error), tension=np.full(N, tension))
+    given = {"torque": np.full(N, tension), "tension": np.full(N, tension)}
+    for last, late in ((199.0, False), (200.0, True)):
+        looks = [
+            seen(100.0 + k, replace(said, at_ns=round((100 + k) * MS)), **given)
+            for k in (0.0, last)
+        ]
+        found = judged(config, *looks)[1]
+        judges = state in (State.HOLD, State.ACTIVE) and abs(error) > 30.0
+        assert (found is not None) is (late and judges)
+        assert found is None or (found.requirement, found.value) == (
+            Requirement.OPPOSED,
+            abs(error),
+        )
+
+
 @pytest.mark.parametrize("mode", StopMode)
 def test_a_torque_against_the_reference_in_a_stop_along_the_path(
     config: Config, mode: StopMode

@@ -24,6 +24,8 @@ _NOTHING = 0
 _HEARTBEAT_LOST = 0x8130
 _COMPARED = (0x6040, 0x6071)
 """controlword and target torque: the statusword tells of the one, the record of the other"""
+_DRIFTING_S = 0.25
+"""for which a tension may be away from its reference. R"""
 _LEAST_SLACK = 0.2
 """of the tension while referencing. R"""
 
@@ -77,6 +79,7 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
     daemon that it judges by."""
     control = config.control
     envelope, stiffness, tension = control.envelope, control.stiffness, control.tension
+    isolation = control.isolation
     tare, rise = control.sequence.tare_limit, stiffness.rise_rate
     slack_ms = envelope.over_tension_ticks * control.rates.period * 1e3
     frame = np.array(config.robot.geometry.frame)
@@ -94,6 +97,8 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
         ("control.sequence.tare_limit", tare, envelope.contact_limit, 0.5),
         ("control.stiffness.rise_rate", rise, stiffness.maximum - stiffness.minimum, 10.0),
         ("control.stop.passive_tension", control.stop.passive_tension, tension.pre, 1.0),
+        ("control.isolation.tension_error", isolation.tension_error, tension.pre, 0.5),
+        ("control.isolation.tension_error_s", isolation.tension_error_s, _DRIFTING_S, 1.0),
         ("control.envelope.over_tension_ticks", slack_ms, settings.patience_ms, 4.0),
     ):
         if value > times * bound:
