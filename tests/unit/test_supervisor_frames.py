@@ -74,15 +74,20 @@ def test_a_listener_on_messages() -> None:
     assert (heard.count, heard.same) == (6, 2)
 
 
-@pytest.mark.parametrize(("command", "count"), [(False, 1), (True, 2)])
-def test_a_command_that_is_longer_than_it_need_be_acts_as_well(command: bool, count: int) -> None:
+def test_a_command_that_is_longer_than_it_need_be_acts_as_well() -> None:
     bus = FakeBus()
-    listener = Listener(bus, [Watched(0x201, 4, (Value(16, 16),), command=command)])
-    for data in (b"\x0f\0\5", b"\x0f\0\5\0", b"\x0f\0\7\0\0\0\0\0"):
-        bus.waiting.append(can.Message(arbitration_id=0x201, is_extended_id=False, data=data))
+    value = Value(16, 16)
+    answer, command = Watched(0x181, 4, (value,)), Watched(0x201, 4, (value,), command=True)
+    assert (answer.sizes, command.sizes) == (range(4, 5), range(4, 9))
+    listener = Listener(bus, [answer, command])
+    for identifier in (0x181, 0x201):
+        for data in (b"\x0f\0\5", b"\x0f\x81\5\0", b"\x0f\0\7\0\0\0\0\0"):
+            frame = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
+            bus.waiting.append(frame)
     listener.read(7)
-    heard = listener.heard[0x201]
-    assert (heard.count, heard.totals) == (count, [12.0 if command else 5.0])
+    short, long = listener.heard[0x181], listener.heard[0x201]
+    assert (short.count, short.word, short.totals) == (1, 0x5810F, [5.0])
+    assert (long.count, long.word, long.totals) == (2, 0x7000F, [12.0])
 
 
 def test_a_listener_on_arrays_of_frames() -> None:

@@ -306,6 +306,8 @@ def test_a_force_that_is_no_number_once_is_in_no_sum(force: float) -> None:
         heard.take([int.from_bytes(struct.pack("<f", each), "little")], 1)
     assert heard.totals == [4.0]
     assert heard.count == 3
+    heard.take([int.from_bytes(struct.pack("<f", 2.0**32), "little")], 1)
+    assert heard.totals == [4.0 + 2.0**32], "as large as an integer may be"
 
 
 def test_cells_on_another_bus(config: Config) -> None:
