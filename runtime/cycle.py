@@ -318,7 +318,7 @@ class ControlCycle:
         if sequence.descending:
             slack = sequence.sound & ~descent.taut
             self._isolation.reeled(self._kinematics.lengths, lengths, slack)
-            self._isolation.lengths(estimator.innovations, estimator.believed)
+            self._isolation.lengths(estimator.strays, estimator.believed)
         self._accepted = bool(tracker["fresh"]) and estimator.track(
             tracker["position"], tracker["quaternion"], float(tracker["delay"])
         )

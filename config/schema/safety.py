@@ -35,7 +35,12 @@ class Stop(Section):
     unrest: Positive
     """times the estimator's process noise in a descent"""
     length_sigma: Positive
-    """m, noise of a cable's length in a descent: its damping and the cell's lag are in it"""
+    """m, noise of a cable's length in a descent, from one tick to the next"""
+    offset_sigma: NonNegative = 2.0e-3
+    """m by which any length may be wrong when a descent begins: its damping, the cell's lag, and
+    slips that no event has named"""
+    offset_drift: NonNegative = 2.0e-4
+    """m per sqrt(s) by which that changes in a descent"""
     tracker_leap: Positive = 0.75
     """m/s by which the tracker may move faster than the estimate in a descent, from one pose to the
     next; a faster one was moved itself, and is not used until it is moved back"""
@@ -131,7 +136,7 @@ class Isolation(Section):
     """sigmas of a changing elongation, with the cable's compliance as well known as it is so far,
     that say nothing in it"""
     innovation_descent: Positive = 3.5e-3
-    """m, the same in a descent, of a cable that pulls"""
+    """m that the length of a cable that pulls becomes wrong by in a descent"""
     innovation_descent_s: Positive = 0.2
     """s that it lasts"""
     prominence: Positive

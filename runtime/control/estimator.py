@@ -77,6 +77,10 @@ class Doubts:
     """process noise, in times the usual one"""
     length_sigma: float = 1.0e-3
     """m"""
+    offset_sigma: float = 0.0
+    """m by which any length may be wrong from then on"""
+    offset_drift: float = 0.0
+    """m per sqrt(s) by which that changes"""
     leap: float = math.inf
     """m/s by which the tracker may move faster than the estimate, else it was moved itself"""
     load_unrest: float = 1.0
@@ -86,21 +90,27 @@ class Doubts:
     def of(cls, control: Control) -> Doubts:
         """As configured."""
         stop, jump = control.stop, control.isolation.length_jump
-        loose = (stop.unrest, stop.length_sigma, stop.tracker_leap, stop.load_unrest)
+        lengths = (stop.length_sigma, stop.offset_sigma, stop.offset_drift)
+        loose = (stop.unrest, *lengths, stop.tracker_leap, stop.load_unrest)
         return cls(stop.taut_tension, jump, *loose)
 
 
 def _noise(
-    settings: Settings, period: float, errors: int, unrest: float = 1.0, load_unrest: float = 1.0
+    settings: Settings,
+    period: float,
+    errors: int,
+    offset_drift: float,
+    doubts: Doubts | None = None,
 ) -> Array:
-    """Variances (``errors``,) that a tick adds to the error state; ``unrest``: times what the
-    accelerations usually miss; ``load_unrest``: times how fast a load's force usually changes."""
+    """Variances (``errors``,) that a tick adds to the error state; ``offset_drift``: m per sqrt(s);
+    ``doubts``: by how much more the accelerations and a load's force change than usually."""
+    unrest, load_unrest = (doubts.unrest, doubts.load_unrest) if doubts else (1.0, 1.0)
     density = np.zeros(errors)
     density[TWIST : TWIST + 3] = settings.acceleration_sigma * unrest
     density[TWIST + 3 : EXTERNAL] = settings.angular_acceleration_sigma * unrest
     density[EXTERNAL : EXTERNAL + 3] = settings.force_drift * load_unrest
     density[EXTERNAL + 3 : OFFSETS] = settings.moment_drift
-    density[OFFSETS : (OFFSETS + errors) // 2] = settings.offset_drift
+    density[OFFSETS : (OFFSETS + errors) // 2] = offset_drift
     return np.asarray(density**2 * period)
 
 
@@ -133,9 +143,10 @@ class PoseEstimator:
         creep = settings.compliance_drift**2 * period
         self._excesses = OFFSETS + cables
         """where the offsets end in the error state, and the excesses of compliance begin"""
-        self._usual_noise = (_noise(settings, period, errors), length, share, creep)
+        usual = _noise(settings, period, errors, settings.offset_drift)
+        self._usual_noise = (usual, length, share, creep)
         self._restless_noise = (
-            _noise(settings, period, errors, doubts.unrest, doubts.load_unrest),
+            _noise(settings, period, errors, doubts.offset_drift, doubts),
             doubts.length_sigma**2,
             share,
             creep,
@@ -185,7 +196,8 @@ class PoseEstimator:
         self.condition = 1.0
         """of the structure matrix"""
         self.disagreement = Disagreement(settings, tracker)
-        self._leap = doubts.leap
+        self._leap, self._offset_variance = doubts.leap, doubts.offset_sigma**2
+        self._offsets_before = np.zeros(cables)
         self._apart, self._moved = np.zeros(3), np.zeros(3)
         """m (3,): of the last pose from the loose estimate, and by how much the tracker is moved"""
         self._seen_at = 0
@@ -236,6 +248,11 @@ class PoseEstimator:
     def offsets(self) -> Array:
         """(n,) m, to be added to the cables' lengths."""
         return self._rest[OFFSETS - TWIST : self._excesses - TWIST]
+
+    @property
+    def strays(self) -> Array:
+        """(n,) m, what the lengths have become wrong by since the estimate was loosened."""
+        return self.offsets - self._offsets_before
 
     @property
     def compliances(self) -> Array:
@@ -313,9 +330,14 @@ class PoseEstimator:
 
     def loosen(self) -> None:
         """From now on cables are gone and others go slack: the platform may move as it could not
-        before, too few lengths may say where it is, and the tracker corrects the pose itself."""
+        before, too few lengths may say where it is, and the tracker corrects the pose itself. Each
+        length may be wrong by millimetres, but those hardly change: taken for noise of every tick
+        they would leave it to the tracker to tell the velocity, late."""
         self._limits = (self._usual_limits[0], math.inf)
         self._noise = self._restless_noise
+        self._offsets_before[:] = self.offsets
+        offsets = range(OFFSETS, self._excesses)
+        self.covariance[offsets, offsets] += self._offset_variance
         self._moved[:] = self.disagreement.shift[:3] if self.disagreement.poses else 0.0
         if self.disagreement.distance <= self._leap * self._tracker_period:
             self._moved[:] = 0.0

@@ -17,9 +17,9 @@ Residuals of each cable; they are small for an intact cable:
   What a changing elongation may be wrong by does not count, as long as its cable's compliance is
   not known: at the start of PRETENSION it is known to a seventh, of 2 mm; in HOLD to 0.3 %.
 
-In a descent the estimate is loose and innovations of 2 mm are usual. A cable whose mean innovation
-is beyond `innovation_descent` for long and stands out has a wrong length. That is reported only:
-its cell still measures its tension, and the estimate is loose enough not to follow one length.
+In a descent any length may be wrong by some millimetres, and the estimate has an offset for each. A
+cable whose mean offset has changed by more than `innovation_descent` for long and stands out has a
+wrong length. That is reported only: its cell still measures its tension.
 
 In a descent a slack cable's drum reels in towards the platform: if it has reeled in more than the
 distance to the platform, the cable is torn. A load cell whose reading repeats to the last bit while
@@ -236,14 +236,14 @@ class Isolation:
         self._stray[:] = 0.0
         self._strayed = 0
 
-    def lengths(self, innovation: Array, believed: NDArray[np.bool_]) -> None:
-        """From innovations (n,) m of a descent, and whose lengths corrected the estimate (n,)."""
-        told = believed & np.isfinite(innovation)
-        self._stray[told] += self._share * (innovation[told] - self._stray[told])
-        stray = np.abs(self._stray)
-        cable, limit = int(stray.argmax()), self._settings.innovation_descent
-        second = np.sort(stray)[-2]
-        wrong = stray[cable] > max(limit, self._settings.prominence * second)
+    def lengths(self, stray: Array, believed: NDArray[np.bool_]) -> None:
+        """From what lengths have become wrong by (n,) m in a descent, and whose lengths corrected
+        the estimate (n,)."""
+        self._stray[believed] += self._share * (stray[believed] - self._stray[believed])
+        mean = np.abs(self._stray)
+        cable, limit = int(mean.argmax()), self._settings.innovation_descent
+        second = np.sort(mean)[-2]
+        wrong = mean[cable] > max(limit, self._settings.prominence * second)
         self._strayed = self._strayed + 1 if wrong and cable == self._straying else int(wrong)
         self._straying = cable
 

@@ -68,10 +68,10 @@ class Residuals:
             assert found == NOTHING
         raise AssertionError("it is never found")
 
-    def descent(self, innovation: Array, ticks: int) -> int:
+    def descent(self, stray: Array, ticks: int) -> int:
         """The cable whose length is wrong, after ticks of a descent."""
         for _ in range(ticks):
-            self.isolation.lengths(innovation, self.watched)
+            self.isolation.lengths(stray, self.watched)
         return self.isolation.misread
 
     @property
