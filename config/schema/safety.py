@@ -51,9 +51,9 @@ class Stop(Section):
     proportional: NonNegative
     """of the tension loop in a descent: faster than where a person is to be met softly"""
     calm: NonNegative = 20.0
-    """the same once nothing throws the platform any more"""
+    """the same once nothing throws the platform any more, or more than one cable is lost"""
     throw_s: Positive = 0.3
-    """s after each loss of a cable in which it may; the gain then changes within `ease_s`"""
+    """s after the loss of a cable in which it may; the gain then changes within `ease_s`"""
     ease_s: Positive
     """s in which the tensions ease off from what they were when it began"""
     tension_rate: Positive

@@ -122,15 +122,17 @@ class Descent:
 
     def felt(self, reference: Array, tension: Array, failed: Mask) -> Array:
         """Tensions (n,) for the loop, which answers a deviation from its ``reference`` (n,) with
-        all its gain while a loss throws the platform. Some time after the last of the cables that
-        ``failed`` (n,) this fades: drums that yield to every newton yield to a push as well, and
-        sway."""
+        all its gain while a loss throws the platform. Some time after the one cable that ``failed``
+        (n,) this fades: drums that yield to every newton yield to a push as well, and sway. Once
+        another has failed it is over at once: what is left of the cables does not hold the
+        platform's turn, and only drums that resist their own motion damp that."""
         self._thrown += self._period
         if self._thrown > self._stop.throw_s:
             self._eager *= self._calming
         if (failed != self._gone).any():
             self._gone[:] = failed
-            self._eager, self._thrown = 1.0, 0.0
+            several = np.count_nonzero(failed) > 1
+            self._eager, self._thrown = 0.0 if several else 1.0, 0.0
         share = self._calm + (1.0 - self._calm) * self._eager
         self._felt[:] = reference + share * (tension - reference)
         return self._felt

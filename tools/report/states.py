@@ -92,7 +92,7 @@ every motion; no position is held, and the platform comes down. The values are i
 - Each drum brakes above the speeds `reel_in` and `reel_out`, and adds no more energy than its
   `tank` holds.
 - The tension loop has the gain `proportional` while a loss throws the platform, and `calm` later
-  (`throw_s`).
+  (`throw_s`), or once more than one cable is lost.
 - A descent takes as long as a stop on the path, without the wait. Then, if the platform is no more
   than `landed` above the cradle, whatever load is measured, each drum damps by itself while its
   tension goes to zero within `stop_s`, and the drives are disabled when all drums are at rest, at
