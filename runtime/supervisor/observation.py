@@ -157,8 +157,6 @@ class Observer:
         tension = np.array([_force(cell, heard, tared) for cell in cells])
         self._sample(now_ns, received, sent, cells, heard, tension)
         rate, unexplained, mean = self._moved(tared)
-        # For the platform's least speed a drum whose answers are missing is at rest.
-        rests = np.isnan(rate) & (len(self._samples) > 2) & np.isfinite(self._samples[-1].length)
         return Observation(
             now_ns,
             self._numbers,
@@ -170,7 +168,7 @@ class Observer:
             mille,
             abs(mille) >= self._limit,
             mille * self._newton,
-            np.where(rests, 0.0, rate),
+            rate,
             tension,
             _force(self._contact, heard, tared),
             np.array([_cell_age(now_ns, cell, heard) for cell in cells]),
@@ -179,7 +177,7 @@ class Observer:
             _defective(self._contact, heard),
             unexplained,
             mean,
-            *self._since.spans(changed, tension, rate),
+            *self._since.spans(changed, tension, self._samples[-1].rate),
             claims,
             self._claim,
             *self._compared(sent, mille, len(claims)),
@@ -247,19 +245,19 @@ class Observer:
             samples.popleft()
 
     def _moved(self, tared: Floats | None) -> tuple[Floats, Floats, Floats]:
-        """Rates since the look before; over the window, what of the mean torque neither the mean
-        tension nor the drum's change of motion explains, and that mean. Not a number where answers
-        are missing: how a drum moves meanwhile nobody knows."""
+        """Rates since the look before, of a drum whose answers are missing 0; over the window, what
+        of the mean torque neither the mean tension nor the drum's change of motion explains, which
+        is not known of such a drum, and that mean."""
         samples = self._samples
         nothing = np.full(len(self._axes), np.nan)
         if len(samples) < 3:
             return nothing, nothing, nothing
         first, second, before, last = samples[0], samples[1], samples[-2], samples[-1]
-        rate = last.rate
+        rate = np.where(np.isnan(last.rate) & np.isfinite(last.length), 0.0, last.rate)
         if last.at_ns - first.at_ns < self._settings.window_ms * 1e6:
             return rate, nothing, nothing
         apart_s = (last.at_ns + before.at_ns - second.at_ns - first.at_ns) * 0.5e-9
-        change = (rate - second.rate) / apart_s
+        change = (last.rate - second.rate) / apart_s
         with np.errstate(divide="ignore", invalid="ignore"):
             means = (last.sums - first.sums) / (last.counts - first.counts)
         torque = means[0] * self._newton

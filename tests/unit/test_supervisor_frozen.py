@@ -105,6 +105,15 @@ def test_how_many_torques_have_been_equal(config: Config) -> None:
         (600.0, -100.0, -0.5, True),
         (-600.0, 100.0, 0.5, True),
         (-600.0, 100.0, 0.0, False),
+        (600.0, -100.0, -0.001, True),
+        (-600.0, 100.0, 0.001, True),
+        (0.5, 100.0, 0.0, True),
+        (0.5, -100.0, 0.0, False),
+        (-0.5, -100.0, 0.0, True),
+        (0.0, 100.0, 0.0, False),
+        (600.0, 0.5, 0.0, True),
+        (600.0, -0.5, 0.0, False),
+        (600.0, 0.0, 0.0, False),
     ],
 )
 def test_a_motor_at_its_limit_in_a_stop(

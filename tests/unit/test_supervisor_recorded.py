@@ -582,6 +582,23 @@ def test_a_stop_in_which_no_drive_answers_is_let_be_for_a_while(quiet_s: float) 
     held.supervisor.close()
 
 
+def test_a_record_that_ends_after_one_drive_has_been_silent_for_long(held: Held) -> None:
+    """The others answer: that it ends is the daemon's mistake, and told."""
+    count = 0
+
+    def silent(record: Any) -> None:
+        nonlocal count
+        count += 1
+        record["state"]["state"] = State.SAFE_STOP
+        record["drives"]["age"][3] = count
+        record["drives"]["torque_command"][3] = 0.0
+
+    held.armed()
+    assert all(sent == [BEAT, HELD] for sent in held.steps(200, silent))
+    held.recorded = False
+    assert held.stopped_for(silent) is Requirement.TICK
+
+
 def test_a_silent_drive_of_which_no_heartbeat_is_read_is_off(held: Held) -> None:
     """Once the daemon and all others are disarmed: it was pulled, or has no power."""
     count = 0
