@@ -16,7 +16,7 @@ from tonus.config.schema.bus import EthercatBus
 from tonus.config.schema.faults import FAULT
 from tonus.config.timeouts import watchdog_ms
 from tonus.runtime.recording.taps import Level
-from tonus.runtime.states import Fault, Operator, State, StopMode
+from tonus.runtime.states import ARMED, Fault, Operator, State, StopMode
 from tonus.tools.campaign.invariants import INVARIANTS, Limits, within_bounds
 from tonus.tools.campaign.observed import End, Observed
 from tonus.tools.campaign.strikes import NS, Strike, strikes
@@ -270,6 +270,15 @@ def test_a_stop_by_the_supervisor_needs_a_bound_that_is_broken_before() -> None:
     later = stopped(good())
     later.truth["tension"][active(later) + 2, 6] = 241.0
     assert set(names(later)) == {"tension", "supervisor"}
+
+
+@pytest.mark.parametrize("state", State)
+def test_a_stop_by_the_supervisor_counts_where_the_daemon_has_the_robot(state: State) -> None:
+    """Of a robot that is disarmed it only takes what the daemon took."""
+    run = stopped(good())
+    row = int(np.searchsorted(run.cycle_ns, run.events[0].time_ns)) - 1
+    run.cycle["state"]["state"][row] = state
+    assert ("supervisor" in names(run)) is (state in ARMED)
 
 
 def test_a_stop_by_the_supervisor_may_drop_the_platform() -> None:

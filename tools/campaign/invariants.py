@@ -269,9 +269,12 @@ def _named(run: Observed, bounds: Bounds) -> Iterator[Violation]:
 
 
 def _wrongly_stopped(run: Observed, broken: list[Violation]) -> Iterator[Violation]:
-    """The supervisor stops a robot by itself only where a bound is broken by then, whatever else
-    is wrong with it: the daemon is right, and its own stop is the better one."""
+    """The supervisor stops an armed robot by itself only where a bound is broken by then, whatever
+    else is wrong with it: the daemon is right, and its own stop is the better one. Where that has
+    taken the torque already, the supervisor takes it of drives that may not have heard of it."""
     for stop in stops(run):
+        if stop.state not in ARMED:
+            continue
         earlier = [each for each in broken if each.at_s <= stop.at_ns / NS]
         if not any(each.invariant in _OF_THE_ROBOT for each in earlier):
             text = f"the supervisor stopped the robot, no bound was broken by then: {stop.text}"
