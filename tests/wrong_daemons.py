@@ -209,12 +209,12 @@ LATER: dict[str, Later] = {
         both(blind, torque_in_control(opposite)), 40.0, Requirement.OPPOSED, 0.8, 100.0
     ),
     "no torque for an upper axis in control, no fault found": Later(
-        both(blind, torque_in_control(without(2))), 75.0, Requirement.OPPOSED, 0.35, 100.0
+        both(blind, torque_in_control(without(2))), 75.0, Requirement.OPPOSED, 0.45, 100.0
     ),
     "no torque for a lower axis in control, no fault found": Later(
-        both(blind, torque_in_control(without(5))), 80.0, Requirement.OPPOSED, 0.5, 100.0
+        both(blind, torque_in_control(without(5))), 80.0, Requirement.OPPOSED, 0.6, 100.0
     ),
     "two torques exchanged in control, no fault found": Later(
-        both(blind, torque_in_control(exchanged)), 45.0, Requirement.OPPOSED, 0.95, 170.0
+        both(blind, torque_in_control(exchanged)), 45.0, Requirement.OPPOSED, 0.75, 170.0
     ),
 }

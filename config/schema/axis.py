@@ -56,6 +56,9 @@ class Motor(Section):
     nominal_speed_rpm: Positive
     maximum_speed_rpm: Positive | None = None
     """above which its drive lets no torque drive it on (0x6080); null: the drive's own limit"""
+    quick_stop_rpm_s: Positive | None = None
+    """rpm/s with which its drive brakes by itself, at a quick stop, a fault or a lost connection
+    (0x6085); null: the drive's own, for an EPOS4 10000"""
     thermal_time_constant: Positive | None = None
     """s, of the winding, by which its drive bounds the current (0x3001:4); null: the drive's own"""
 
@@ -169,6 +172,7 @@ class MotorOverrides(_Overrides):
     encoder_pulses: Count | None = None
     nominal_speed_rpm: Positive | None = None
     maximum_speed_rpm: Positive | None = None
+    quick_stop_rpm_s: Positive | None = None
     thermal_time_constant: Positive | None = None
 
 

@@ -1,5 +1,6 @@
-"""What the supervisor makes of daemons without a part of what keeps the robot safe. With
-``--write`` the table goes into docs/supervisor.md."""
+"""What the supervisor makes of daemons without a part of what keeps the robot safe, on a robot
+without holding brakes and on one that has them. With ``--write`` the table goes into
+docs/supervisor.md."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import click
 import pytest
 
 from tests.bench.pages import Marks, today
-from tests.mutated_daemons import DAEMONS, Stopped, played
+from tests.mutated_daemons import BARE, BRAKED, DAEMONS, Stopped, played
 from tonus.config.loader import HERE
 
 _PAGE = HERE.parent / "docs" / "supervisor.md"
@@ -18,6 +19,7 @@ HEAD = [
     "| peak N | bounds broken | peak m/s after it | bounds broken |",
     "|---" * 9 + "|",
 ]
+ROBOTS = {BARE: "without brakes", BRAKED: "with a holding brake on every motor"}
 
 
 def row(name: str, found: Stopped) -> str:
@@ -33,22 +35,28 @@ def row(name: str, found: Stopped) -> str:
     )
 
 
-def rows() -> Iterator[str]:
+def table(robot: str) -> Iterator[str]:
+    """Its lines."""
+    yield f"{len(DAEMONS)} daemons, {ROBOTS[robot]}, {today()}."
+    yield ""
+    yield from HEAD
     for name in DAEMONS:
-        yield row(name, played(name, pytest.MonkeyPatch()))
+        yield row(name, played(name, pytest.MonkeyPatch(), robot))
 
 
 @click.command()
-@click.option("--write", "written", is_flag=True, help="Put the table into docs/supervisor.md.")
+@click.option("--write", "written", is_flag=True, help="Put the tables into docs/supervisor.md.")
 def main(written: bool) -> None:
-    """Play each daemon of tests/mutated_daemons.py."""
-    lines = list(HEAD)
-    for line in rows():
-        click.echo(line)
-        lines.append(line)
+    """Play each daemon of tests/mutated_daemons.py on each robot."""
+    tables: list[str] = []
+    for robot in ROBOTS:
+        lines: list[str] = []
+        for line in table(robot):
+            click.echo(line)
+            lines.append(line)
+        tables.append("\n".join(lines))
     if written:
-        text = f"{len(lines) - len(HEAD)} daemons, {today()}.\n\n" + "\n".join(lines)
-        Marks(_PAGE, "daemons").fill(text)
+        Marks(_PAGE, "daemons").fill("\n\n".join(tables))
 
 
 if __name__ == "__main__":

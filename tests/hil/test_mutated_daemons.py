@@ -5,17 +5,24 @@ from __future__ import annotations
 
 import pytest
 
-from tests.mutated_daemons import DAEMONS, played
+from tests.mutated_daemons import BARE, BRAKED, DAEMONS, played
 
 pytestmark = pytest.mark.wide
 
 
+@pytest.mark.parametrize("robot", [BARE, BRAKED])
 @pytest.mark.parametrize("name", DAEMONS)
-def test_the_supervisor_stops_it_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected, found = DAEMONS[name], played(name, monkeypatch)
+def test_the_supervisor_stops_it_alone(
+    name: str, robot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a robot without brakes and on one that has them."""
+    expected, found = DAEMONS[name], played(name, monkeypatch, robot)
     assert found.stopping is expected.stopping
     assert found.requirements == {expected.requirement}, found.error
     assert found.stopped_ms <= expected.longest_ms
     assert found.speed <= expected.speed
-    assert found.speed_after <= expected.speed_after
-    assert (found.broken, found.broken_after) == (expected.broken, expected.broken_after)
+    speed, broken = expected.speed_after, expected.broken_after
+    if robot == BRAKED:
+        speed, broken = expected.speed_braked, expected.broken_braked
+    assert found.speed_after <= speed
+    assert (found.broken, found.broken_after) == (expected.broken, broken)

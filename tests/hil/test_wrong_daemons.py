@@ -44,7 +44,7 @@ from tonus.tools.campaign.play import Playing
 
 pytestmark = pytest.mark.wide
 
-WITHIN_MS = 25.0
+WITHIN_MS, LOOK_MS = 25.0, 2.0
 ALSO = ("nothing is recorded", "torques frozen in control")
 """played by `make test-long`: another makes the same requirement act"""
 
@@ -142,7 +142,7 @@ def test_a_passive_stop_that_drives_its_drums(monkeypatch: pytest.MonkeyPatch) -
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert run.slowest_ms <= 80.0
     assert {number for number, _ in run.said} == {Requirement.BRAKED}
-    assert _fastest(run, seen) <= 1.15, "the brake beyond `passive_speed` is inverted too"
+    assert _fastest(run, seen) <= 0.8, "the brake beyond `passive_speed` is inverted too"
 
 
 def test_torques_that_are_kept_where_control_raises_and_has_no_fallback(
@@ -191,7 +191,8 @@ def test_a_channel_whose_devices_are_not_received() -> None:
 
 
 def test_a_contact_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the instant at which it is truly beyond the supervisor's bound."""
+    """From the instant at which it is truly beyond the supervisor's bound, which may be just after
+    the cell was asked for a look."""
     pushed = {**BRIEF, "control.envelope.enabled": False}
     run, seen = _run(
         monkeypatch, blind, scenario="contact_near", overrides=pushed, seconds=6.0, at=0.1
@@ -199,7 +200,7 @@ def test_a_contact_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> N
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert {number for number, _ in run.said} == {Requirement.CONTACT}
     beyond = seen.truth_ns[seen.truth["contact_force"] > 27.5][0]
-    assert (max(run.stopped_ns.values()) - beyond) * 1e-6 <= WITHIN_MS
+    assert (max(run.stopped_ns.values()) - beyond) * 1e-6 <= WITHIN_MS + LOOK_MS
 
 
 def test_a_daemon_in_order_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -209,7 +209,7 @@ class Robot:
             (0x6071, 0): b"\x05\x00",
         }
         objects |= {(0x3001, sub): u32(1) for sub in (1, 2, 5)}
-        objects |= {(0x3001, 4): b"\x01\x00", (0x6080, 0): u32(50000)}
+        objects |= {(0x3001, 4): b"\x01\x00", (0x6080, 0): u32(50000), (0x6085, 0): u32(10000)}
         objects |= {(index, 0): b"\x01\x00" for index in (0x6007, 0x605A, 0x605B, 0x605C, 0x605E)}
         objects |= {(0x1400 + n, 1): u32(0x200 + n * 0x100) for n in range(4)}
         return objects | {(0x1800 + n, 1): u32(0xC0000180 + n * 0x100) for n in range(4)}

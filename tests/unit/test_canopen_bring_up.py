@@ -52,6 +52,7 @@ def test_every_drive_is_configured_for_cyclic_synchronous_torque() -> None:
         assert number(node, 0x6071, 0) == 0
         assert [number(node, 0x3001, sub) for sub in (1, 2, 5)] == [8000, 16000, 71000]
         assert (number(node, 0x3001, 4), number(node, 0x6080, 0)) == (40, 5200)
+        assert number(node, 0x6085, 0) == 190000
         assert number(node, 0x3010, 1) == 1024
         assert number(node, 0x1016, 1) == 127 << 16 | 100
         assert number(node, 0x1017, 0) == 100

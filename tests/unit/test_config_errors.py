@@ -161,7 +161,7 @@ CASES = [
         "mass: 2.4", "robot.platform.mass", "given twice, first on line 5", "keep one of the two",
     ),
     Broken(
-        "bad syntax", Edit(ROBOT, "rest: [0.0, 0.0, -0.10]", "rest: [0.0, 0.0, -0.10"), ROBOT, 52,
+        "bad syntax", Edit(ROBOT, "rest: [0.0, 0.0, -0.10]", "rest: [0.0, 0.0, -0.10"), ROBOT, 53,
         "", "not valid YAML: expected ',' or ']'", "correct the syntax there",
     ),
     Broken(

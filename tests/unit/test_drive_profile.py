@@ -83,6 +83,7 @@ def test_an_epos4_is_told_the_same_objects_as_ever_in_the_same_order() -> None:
         (0x3001, 5, 71000, 4),
         (0x6076, 0, 568000, 4),
         (0x6080, 0, 5200, 4),
+        (0x6085, 0, 190000, 4),
         (0x3010, 1, 1024, 4),
         (0x6071, 0, 0, 2),
         (0x6060, 0, 10, 1),
@@ -98,12 +99,13 @@ def test_an_epos4_is_told_the_same_objects_as_ever_in_the_same_order() -> None:
 def test_what_an_axis_does_not_state_is_not_written() -> None:
     epos4 = load("config/can.yaml")[0].fieldbus.profile(0)
     brake = Brake(torque=0.4, opening_ms=40.0, closing_ms=19.6)
-    bare = TRAIN.motor.model_copy(update={"maximum_speed_rpm": None, "thermal_time_constant": None})
+    unstated = ("maximum_speed_rpm", "quick_stop_rpm_s", "thermal_time_constant")
+    bare = TRAIN.motor.model_copy(update=dict.fromkeys(unstated))
 
     def written(train: DriveTrain) -> dict[tuple[int, int], int]:
         return {(each.index, each.subindex): each.value for each in settings(train, epos4)}
 
-    own = {(0x3001, 4), (0x6080, 0)}
+    own = {(0x3001, 4), (0x6080, 0), (0x6085, 0)}
     assert own <= written(TRAIN).keys()
     assert not own & written(TRAIN.model_copy(update={"motor": bare})).keys()
     braked = written(TRAIN.model_copy(update={"brake": brake}))
