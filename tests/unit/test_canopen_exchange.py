@@ -75,12 +75,13 @@ def test_a_sync_behind_frames_that_are_still_on_the_wire_goes_out_at_an_uncertai
         bus.collect(0)
         robot.put_all()
         bus.collect(1)
-        assert (doubt == 0).all()
+        heartbeat_us = 55  # the last of the bring-up may just have been sent
+        assert (doubt <= heartbeat_us * 1000).all()
         bus.publish(1)
         robot.put_all()
         bus.collect(2)
-        frames_us = 47 + 5 * 111  # SYNC, and at most five answers
-        assert (doubt > 0).all()
+        frames_us = heartbeat_us + 47 + 5 * 111  # SYNC, and at most five answers
+        assert (doubt > heartbeat_us * 1000).all()
         assert (doubt <= frames_us * 1000).all()
         robot.put_all()
         before = doubt.copy()

@@ -233,6 +233,15 @@ def test_how_far_a_force_and_a_drum_go_while_the_torques_stay(config: Config) ->
     assert jolts[31:] == pytest.approx(0.002 * np.arange(1, 30), abs=0.003), "an encoder's count"
 
 
+def test_a_drum_that_changes_its_rate_shows_in_the_next_look(config: Config) -> None:
+    stage, metre = Stage(config), 0.0
+    for tick in range(50):
+        metre += 0.1e-3 if tick <= 40 else 0.2e-3
+        stage.tick(tick * MS, newton=45.0, metre=metre, force=45.0)
+        found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+        assert (found.jolt.min() > 0.09, found.jolt.max() < 0.01) == (tick > 40, tick <= 40)
+
+
 def test_a_drive_that_alone_knows_its_scale(config: Config) -> None:
     """Neither its torque nor its drum's rate is judged."""
     stage = Stage(config)
