@@ -122,18 +122,6 @@ def exchanged(torques: Any) -> Any:
     return torques
 
 
-class SomeFrozen:
-    """Keeps the first values of half of the axes."""
-
-    def __init__(self) -> None:
-        self.value: Any = None
-
-    def __call__(self, torques: Any) -> Any:
-        self.value = torques.copy() if self.value is None else self.value
-        torques[:4] = self.value[:4]
-        return torques
-
-
 def stiff(_: float, limiter: Limiter, *__: Any) -> float:
     limiter.value = 6000.0
     return limiter.value
