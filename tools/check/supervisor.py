@@ -8,7 +8,6 @@ import numpy as np
 
 from tonus.config import Config
 from tonus.config.schema.bus import CanopenBus
-from tonus.config.schema.bus.base import numbers
 from tonus.config.schema.drive import DriveError, DriveProfile
 from tonus.config.schema.supervisor import (
     LARGEST,
@@ -16,6 +15,7 @@ from tonus.config.schema.supervisor import (
     LARGEST_SPREAD,
     Supervisor,
 )
+from tonus.runtime.supervisor.wiring import Wiring
 from tonus.tools.check.finding import Finding
 
 _KEY = "supervisor"
@@ -48,11 +48,9 @@ def check_supervisor(config: Config) -> Iterator[Finding]:
         yield from _narrow(config, settings)
     if config.lab is not None or settings.policy != "require" or config.relay is not None:
         return
-    parts = [
-        numbers(list(bus.nodes())) for bus in config.fieldbus.parts if isinstance(bus, CanopenBus)
-    ]
-    others = sorted(set(range(config.robot.cables)) - {each for axes, _ in parts for each in axes})
-    unread = sorted(set(range(config.robot.cells)) - {each for _, cells in parts for each in cells})
+    read = Wiring(config)
+    others = sorted(set(range(config.robot.cables)) - {axis.number for axis in read.axes})
+    unread = sorted(set(range(config.robot.cells)) - {cell.number for cell in read.cells})
     if unread and not others:
         yield Finding(
             "supervisor",
