@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tonus.config.schema.bus import DirectBus
 from tonus.config.schema.root import Config
 from tonus.drivers.cia301.setting import apply
@@ -15,13 +18,16 @@ from tonus.drivers.exchange import Exchange
 from tonus.drivers.fieldbus import BusEvent, Progress
 from tonus.drivers.process_image import ProcessImage
 
+Integers = NDArray[np.int64]
+Words = Sequence[int] | Integers
+
 
 class DirectPort(Protocol):
     """The far side: every device at once, in device units."""
 
     def exchange(
-        self, at_ns: int, controlwords: Sequence[int], torques: Sequence[int]
-    ) -> tuple[list[int], list[int], list[int], list[int]]:
+        self, at_ns: int, controlwords: Words, torques: Words
+    ) -> tuple[Integers, Integers, Integers, Integers]:
         """At ``at_ns`` every device samples, then applies its controlword and per mille of torque:
         what a SYNC does on CAN. Returns statuswords, increments, per mille, process values."""
 
@@ -60,14 +66,15 @@ class DirectFieldbus:
             self._events,
             [f"direct/{axis}" for axis in range(self._cables)],
         )
-        self._commands = ([0] * self._cables, [0] * self._cables)
-        self._sampled: tuple[int, int, list[int], list[int], list[int], list[int]] | None = None
+        self._off = np.zeros(self._cables, np.int64)
+        self._commands = (self._off, self._off)
+        self._sampled: tuple[int, int, Integers, Integers, Integers, Integers] | None = None
         """tick and time of the last exchange, and its samples"""
 
     async def start(self, progress: Progress) -> None:
         """Raises `BringUpError`, one line that names every axis that failed and why."""
         self._exchange.forget()
-        self._commands = ([0] * self._cables, [0] * self._cables)
+        self._commands = (self._off, self._off)
         failed = []
         for axis in range(self._cables):
             try:
@@ -87,13 +94,13 @@ class DirectFieldbus:
         exchange = self._exchange
         if self._sampled is not None:
             sampled, sampled_ns, statuswords, positions, torques, cells = self._sampled
-            exchange.sampled_ns[:] = [sampled_ns] * len(exchange.sampled_ns)
+            exchange.sampled_ns.fill(sampled_ns)
             exchange.statuswords[:] = statuswords
             exchange.positions[:] = positions
             exchange.torques[:] = torques
             exchange.cells[:] = cells
-            exchange.axis_tick[:] = [sampled] * len(exchange.axis_tick)
-            exchange.cell_tick[:] = [sampled] * len(exchange.cell_tick)
+            exchange.axis_tick.fill(sampled)
+            exchange.cell_tick.fill(sampled)
         exchange.fill(tick)
         now_ns = self._clock()
         samples = self._port.exchange(now_ns + self._offset_ns, *self._commands)
@@ -101,7 +108,7 @@ class DirectFieldbus:
 
     def publish(self, tick: int) -> None:
         del tick  # the exchange of the next collect takes them, whenever that is
-        self._commands = self._exchange.commands()
+        self._commands = self._exchange.outputs()
 
     def take_events(self) -> list[BusEvent]:
         return self._events.take()
@@ -119,8 +126,7 @@ class DirectFieldbus:
         """Power off with one last exchange."""
         if self._sampled is not None:
             self._sampled = None
-            off = [0] * self._cables
-            self._port.exchange(self._clock() + self._offset_ns, off, off)
+            self._port.exchange(self._clock() + self._offset_ns, self._off, self._off)
 
 
 class _Objects:

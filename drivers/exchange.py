@@ -207,7 +207,12 @@ class Exchange:
         )
 
     def commands(self) -> tuple[list[int], list[int]]:
-        """Controlword and target torque (per mille) of every axis.
+        """`outputs`, as lists."""
+        words, torques = self.outputs()
+        return words.tolist(), torques.tolist()
+
+    def outputs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Controlword and target torque (per mille) of every axis, (n,) each, until the next call.
 
         A torque goes out only to an axis that is enabled and is meant to be; every other axis gets
         0, so that nothing stale acts when it is enabled. A torque that is not finite becomes 0.
@@ -217,7 +222,7 @@ class Exchange:
         )
         if self._reported or not finite:
             self._report(np.isfinite(self._commands["torque"]).tolist())
-        return self._words.tolist(), self._torques.tolist()
+        return self._words, self._torques
 
     def _report(self, finite: list[bool]) -> None:
         """Begin or end the episode of each axis whose torque is no number."""

@@ -83,14 +83,14 @@ class Channel:
         return float(self._samples.force[self.cell])
 
     def int32(self) -> int:
-        return self._samples.words[self._samples.cell + self.cell]
+        return self._samples.values.item(self._samples.cell + self.cell)
 
     def int16(self) -> int:
         return min(max(self.int32(), -_INT16 - 1), _INT16)
 
     def status(self) -> int:
         """0, or why the process value is not valid."""
-        return self._samples.words[self._samples.validity + self.cell]
+        return self._samples.values.item(self._samples.validity + self.cell)
 
     # -- scaling ---------------------------------------------------------------------------------
 
@@ -276,7 +276,7 @@ class ForceCell:
         if index == 0x9130:
             samples = self._samples
             place = samples.cell + channel.cell
-            return lambda: samples.words[place]
+            return lambda: samples.values.item(place)
         readers: dict[int, Reader] = {
             0x6130: channel.newton,
             0x7130: channel.int16,

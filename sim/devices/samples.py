@@ -100,8 +100,7 @@ class Samples:
     ``values``: positions (n), torques (n), integer process values and statuses of the cells (n + 1)
     of the last instant asked for with `at`, then the present statuswords and error codes (n), which
     the drives write; all but the first begin at `torque`, `cell`, `validity`, `status` and `error`.
-    ``words``: the same but what the drives write, as a list. Cell noise depends on seed and time
-    alone, so who asks and how often changes nothing.
+    Cell noise depends on seed and time alone, so who asks and how often changes nothing.
     """
 
     def __init__(self, plant: Measured, robot: Robot, noise: CellNoise, seed: int) -> None:
@@ -118,8 +117,6 @@ class Samples:
         self._sigma = noise.sigma
         self._begin_ns = plant.now_ns
         self.values = np.zeros(self.error + cables, np.int64)
-        self._words = self.values[: self.status]
-        self.words: list[int] = self._words.tolist()
         self._at_ns = plant.now_ns - 1
         self._noise = np.zeros((_BLOCK, cells))
         self._block = -1
@@ -135,8 +132,8 @@ class Samples:
         self._cells[_OFFSET] = noise.offset_sigma * offsets
         self._offsets = self._cells[_OFFSET].copy()
 
-    def at(self, now_ns: int) -> list[int]:
-        """Bring the plant to this time and sample."""
+    def at(self, now_ns: int) -> NDArray[np.int64]:
+        """Bring the plant to this time and sample: `values`."""
         if now_ns != self._at_ns:
             plant = self.plant
             plant.advance(now_ns)
@@ -155,9 +152,8 @@ class Samples:
                 self.values,
                 self.force,
             )
-            self.words = self._words.tolist()
             self._at_ns = now_ns
-        return self.words
+        return self.values
 
     def _draw(self, block: int) -> None:
         sequence = np.random.SeedSequence(self._seed, spawn_key=(int(Stream.CELLS), 1 + block))

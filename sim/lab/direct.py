@@ -6,10 +6,14 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tonus.sim.devices.cia402.drive import Cia402Drive
 from tonus.sim.devices.force_cell import ForceCell
 from tonus.sim.devices.samples import Samples
+
+Integers = NDArray[np.int64]
+Words = Sequence[int] | Integers
 
 
 class Devices(Protocol):
@@ -41,12 +45,12 @@ class DirectPort:
         self._axes = np.arange(len(lab.drives))
 
     def exchange(
-        self, at_ns: int, controlwords: Sequence[int], torques: Sequence[int]
-    ) -> tuple[list[int], list[int], list[int], list[int]]:
+        self, at_ns: int, controlwords: Words, torques: Words
+    ) -> tuple[Integers, Integers, Integers, Integers]:
         """At ``at_ns`` every device samples, then applies its controlword and torque (per mille).
 
         What a SYNC does on CAN. Returns statuswords, positions (increments) and torques (per
-        mille) of all axes, and the process values of all cells.
+        mille) of all axes, and the process values of all cells, (n,) and (n + 1,).
         """
         lab = self._lab
         if not self._ready:
@@ -57,11 +61,11 @@ class DirectPort:
         lab.advance(at_ns)
         samples = lab.samples
         samples.at(at_ns)
-        values = samples.values.tolist()
-        words, mille = np.array(controlwords), np.array(torques)
+        values = samples.values.copy()
+        words, mille = np.asarray(controlwords), np.asarray(torques)
         for axis in samples.axes.apply(self._axes, words, mille):
-            lab.drives[axis].target_torque(torques[axis])
-            lab.drives[axis].controlword(controlwords[axis])
+            lab.drives[axis].target_torque(int(torques[axis]))
+            lab.drives[axis].controlword(int(controlwords[axis]))
         return (
             values[samples.status : samples.error],
             values[: samples.torque],

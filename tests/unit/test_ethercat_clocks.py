@@ -151,7 +151,7 @@ def test_a_drive_takes_and_acts_at_sync0_and_not_when_the_frame_passes() -> None
     pulse = bench.slaves[0].sync.next
     at = bench.slaves[0].clock.when(pulse, bench.now)
     bench.wait((at - bench.now) / MS - 0.5)
-    words = bench.lab.samples.words[0]
+    words = bench.lab.samples.values.item(0)
     bench.cycle([(0x06, 0)])
     assert drive.statusword() & 0x6F == 0x40, "the controlword waits"
     bench.lab.advance(at - 50)

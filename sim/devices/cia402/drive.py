@@ -142,10 +142,10 @@ class Cia402Drive:
         if index == 0x6041:
             return self.statusword
         if index == 0x6064:
-            return lambda: samples.words[axis]
+            return lambda: samples.values.item(axis)
         if index == 0x6077:
             place = samples.torque + axis
-            return lambda: samples.words[place]
+            return lambda: samples.values.item(place)
         return self.objects.find(index, subindex).measure
 
     def place(self, index: int, subindex: int) -> int | None:

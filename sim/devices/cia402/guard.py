@@ -119,7 +119,7 @@ class Guard:
         if self.power_stage.hot:
             most = min(most, self._stage.continuous_current)
         low, high = -most, most
-        speed = float(self._plant.motor_rate[self._axis])
+        speed = self._plant.motor_rate.item(self._axis)
         top = self._top.number * self._servo.motor_speed_unit
         if abs(speed) > _BAND * top:
             # As its speed loop would: so much current as the distance to the limit is worth.
@@ -153,7 +153,7 @@ class Guard:
 
     def _again(self, now_ns: int, run: int) -> None:
         top = self._top.number * self._servo.motor_speed_unit
-        fast = abs(float(self._plant.motor_rate[self._axis])) > _NEAR * top
+        fast = abs(self._plant.motor_rate.item(self._axis)) > _NEAR * top
         # The slow watch of all drives falls on the same instants, so that the lab wakes once.
         at_ns = now_ns + PERIOD_NS if fast else (now_ns // _SLOW_NS + 1) * _SLOW_NS
         self._timers.call_at(at_ns, lambda at_ns: self._step(at_ns, run))

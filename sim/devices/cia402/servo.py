@@ -64,7 +64,7 @@ class Servo:
     @property
     def current(self) -> float:
         """A"""
-        return float(self._plant.motor_current[self._axis])
+        return self._plant.motor_current.item(self._axis)
 
     @property
     def encoder(self) -> int:
@@ -85,7 +85,7 @@ class Servo:
 
     def measure(self) -> None:
         self.position = self._samples.position(self._axis)
-        self.speed = float(self._plant.motor_rate[self._axis]) * self.per_radian
+        self.speed = self._plant.motor_rate.item(self._axis) * self.per_radian
 
     def follow_speed(self, speed: float, acceleration: float = 0.0, extra: float = 0.0) -> None:
         """``extra`` ampere are added, as 0x60B2 asks."""

@@ -243,7 +243,7 @@ class EdsDrive(Cia402Drive):
         plant, servo, core = samples.plant, output.servo, self._core
 
         def word(place: int) -> Callable[[], Value]:
-            return lambda: samples.at(timers.now_ns)[place + axis]
+            return lambda: samples.at(timers.now_ns).item(place + axis)
 
         def speed() -> Value:
             plant.advance(timers.now_ns)

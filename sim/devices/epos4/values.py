@@ -52,10 +52,10 @@ def connect(
         plant.advance(timers.now_ns)
 
     def position() -> int:
-        return samples.at(timers.now_ns)[axis]
+        return samples.at(timers.now_ns).item(axis)
 
     def torque() -> int:
-        return samples.at(timers.now_ns)[samples.torque + axis]
+        return samples.at(timers.now_ns).item(samples.torque + axis)
 
     def speed() -> int:
         present()
