@@ -220,13 +220,13 @@ class Daemon:
         while self._services and not self._halted:
             self._due_ns = now_ns()
             self._serve_all()
-            if self._guard.commander(lambda: self._commander.urgent):
+            if self._guard.commander.call(lambda: self._commander.urgent):
                 self._halt(starting)
             await asyncio.sleep(_SERVICE_PERIOD_S)
 
     def _halt(self, starting: asyncio.Task[Any]) -> None:
         guard, sequence = self._guard, self.cycle.sequence
-        command = guard.commander(self._commander.next, sequence)
+        command = guard.commander.call(self._commander.next, sequence)
         self._orders.who = self._commander.who
         if command is Operator.ESTOP:
             sequence.stop_before_ticks()
@@ -237,7 +237,7 @@ class Daemon:
 
     def _serve_all(self) -> None:
         for part, action in self._services:
-            part(action, self._due_ns)
+            part.call(action, self._due_ns)
 
     def _schedule(self, pacing: Pacing, start_ns: int) -> Scheduler:
         """The first tick is due on a whole period, at least one from now."""
@@ -275,32 +275,30 @@ class Daemon:
         used = self._stopwatch.processor_ns() - used
         self._judge(tick)
         guard = self._guard
-        record = guard.record(cycle.write, fieldbus.image, tick, command, select, change)
+        record = guard.record.call(cycle.write, fieldbus.image, tick, command, select, change)
         if record is not None:
             marks = Marks(began, collected, computed, published)
-            guard.record(self._write_timing, record, scheduler, marks, used)
-            guard.ring(self._ring.publish, record.data, due_ns)
+            guard.record.call(self._write_timing, record, scheduler, marks, used)
+            guard.ring.call(self._ring.publish, record.data, due_ns)
         if self._keeper is not None:
-            guard.keyframe(self._keeper, due_ns, tick)
+            guard.keyframe.call(self._keeper, due_ns, tick)
         self._report(tick, command)
-        guard.self_test(self._look, tick)
+        guard.self_test.call(self._look, tick)
         self._serve_all()
         self._after_ns = wall() - published
 
     def _write_timing(
         self, record: CycleRecord, scheduler: Scheduler, marks: Marks, used_ns: int
     ) -> None:
-        record.timing.bus_us[...] = self._fieldbus.image.bus_ns * 1e-3
-        record.timing.after_us[...] = self._after_ns * 1e-3
-        record.timing.processor_us[...] = used_ns * 1e-3
+        others = (self._fieldbus.image.bus_ns, used_ns, self._after_ns)
         measured = self._stopwatch.running
-        self.latencies.write(record, scheduler, marks, self._due_ns, measured=measured)
+        self.latencies.write(record, scheduler, marks, self._due_ns, others, measured=measured)
 
     def _collect_tracker(self) -> None:
         """Without one the pose is as old as the last that came."""
         tracker, part = self._fieldbus.image.tracker, self._guard.tracker
         failures = part.failures
-        part(self._tracker.collect, self._now_ns())
+        part.call(self._tracker.collect, self._now_ns())
         if part.failures > failures:
             tracker["fresh"] = 0
             tracker["delay"] += self._config.control.rates.period
@@ -355,7 +353,7 @@ class Daemon:
     def _command(self, tick: int, scheduler: Scheduler) -> Operator:
         """This tick's command; a controlled stop where what gives commands keeps failing."""
         part = self._guard.commander
-        command = part(self._orders.next, tick, scheduler)
+        command = part.call(self._orders.next, tick, scheduler)
         if command is not None:
             return command
         self._orders.who, state = "", self.cycle.sequence.state
@@ -371,9 +369,9 @@ class Daemon:
         if self._orders.change.number:
             self._report_change(tick, self._orders.change)
         guard = self._guard
-        guard.reporter(self._reporter.look, self._due_ns, tick)
+        guard.reporter.call(self._reporter.look, self._due_ns, tick)
         for part, source in ((guard.bus_events, self._fieldbus), (guard.tracker, self._tracker)):
-            for event in part(source.take_events) or ():
+            for event in part.call(source.take_events) or ():
                 self._emit(tick, Level.WARNING, event.name, event.where, event.text)
         for event in self.firewall.take_events():
             self._emit(tick, Level.ERROR, event.name, event.where, event.text)
@@ -394,4 +392,4 @@ class Daemon:
     def _send(
         self, stamp_ns: int, tick: int, level: Level, name: str, where: str, text: str
     ) -> None:
-        self._guard.events(self._events, stamp_ns, tick, level, name, where, text)
+        self._guard.events.call(self._events, stamp_ns, tick, level, name, where, text)

@@ -1,5 +1,6 @@
-"""Compiled writers of the cycle record: two calls a tick, `write_tick` and, while the platform is
-regulated, `write_results`, where assigning array by array costs three to five times as much.
+"""Compiled writers of the cycle record: `write_tick` and `write_timing` in each tick and, while the
+platform is regulated, `write_results`, where assigning array by array costs three to five times as
+much.
 
 They write the same named fields that `tonus.runtime.signals` lists. An enumeration comes as a plain
 integer, since its type would be another one.
@@ -249,6 +250,42 @@ def write_law(
     energy.tank = tank
     energy.k_rate = rate
     energy.rise_bound = rise_bound
+
+
+@njit(cache=True)
+def write_timing(
+    record: Table,
+    due_ns: int,
+    missed_own: int,
+    missed_host: int,
+    page_faults: int,
+    switches: int,
+    began: int,
+    collected: int,
+    computed: int,
+    published: int,
+    wakeup_ns: int,
+    bus_ns: int,
+    processor_ns: int,
+    after_ns: int,
+    slack_ns: int,
+) -> None:
+    """When the tick ran: ticks missed, page faults and context switches so far, the borders between
+    the tick's stages, and lengths of time."""
+    timing = record[0].timing
+    timing.due_ns = due_ns
+    timing.missed_own = missed_own
+    timing.missed_host = missed_host
+    timing.page_faults = page_faults
+    timing.switches = switches
+    timing.wakeup_us = wakeup_ns * 1e-3
+    timing.bus_us = bus_ns * 1e-3
+    timing.collect_us = (collected - began) * 1e-3
+    timing.compute_us = (computed - collected) * 1e-3
+    timing.publish_us = (published - computed) * 1e-3
+    timing.processor_us = processor_ns * 1e-3
+    timing.slack_us = slack_ns * 1e-3
+    timing.after_us = after_ns * 1e-3
 
 
 @njit(cache=True)

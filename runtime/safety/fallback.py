@@ -40,7 +40,7 @@ class Fallback:
         """Commands of one tick; ``disable``: at once, by an emergency stop."""
         commands = image.commands
         failures = self._part.failures
-        self._part(self._cycle.fall_back, image, tick)
+        self._part.call(self._cycle.fall_back, image, tick)
         if self._part.failures > failures or not np.isfinite(commands["torque"]).all():
             commands["torque"] = 0.0
         if self._disabling is None and (disable or self._rests(image, tick)):

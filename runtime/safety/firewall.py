@@ -54,9 +54,8 @@ class Part:
         self._events: list[BusEvent] = []
         self._told = told
 
-    def __call__(
-        self, action: Callable[[*Arguments], Result], *arguments: *Arguments
-    ) -> Result | None:
+    def call(self, action: Callable[[*Arguments], Result], *arguments: *Arguments) -> Result | None:
+        """``action(*arguments)``. Not as ``part(...)``, which takes twice as long."""
         if self.off:
             return None
         try:

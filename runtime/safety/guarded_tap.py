@@ -20,13 +20,13 @@ class GuardedTap:
     def frame(
         self, stamp_ns: int, channel: int, identifier: int, data: bytes, *, sent: bool
     ) -> None:
-        self._part(lambda: self._tap.frame(stamp_ns, channel, identifier, data, sent=sent))
+        self._part.call(lambda: self._tap.frame(stamp_ns, channel, identifier, data, sent=sent))
 
     def sent(self, frames: Sequence[tuple[int, bytes]], channel: int, now_ns: int) -> None:
-        self._part(self._tap.sent, frames, channel, now_ns)
+        self._part.call(self._tap.sent, frames, channel, now_ns)
 
     def sent_together(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
-        self._part(self._tap.sent_together, frames, channel, now_ns)
+        self._part.call(self._tap.sent_together, frames, channel, now_ns)
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
-        self._part(self._tap.received, frames, channel, now_ns)
+        self._part.call(self._tap.received, frames, channel, now_ns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from tonus.runtime.recording.record_writers import write_timing
 from tonus.runtime.signals import CycleRecord
 from tonus.runtime.timing.histogram import Histogram
 from tonus.runtime.timing.scheduler import Scheduler
@@ -30,24 +31,28 @@ class Latencies:
         scheduler: Scheduler,
         marks: Marks,
         due_ns: int,
+        others: tuple[int, int, int],
         *,
         measured: bool,
     ) -> None:
-        """The record's timing, and, where times are ``measured``, the histograms."""
-        timing, misses, found = record.timing, scheduler.misses, scheduler.disturbances
+        """The record's timing, and, where times are ``measured``, the histograms. ``others``: ns of
+        the bus, of the processor, and from the last tick's publish to its end."""
+        misses, found = scheduler.misses, scheduler.disturbances
         began, collected, computed, published = marks
-        timing.due_ns[...] = due_ns
-        timing.missed_own[...] = misses.own
-        timing.missed_host[...] = misses.host
-        timing.page_faults[...] = found.page_faults
-        timing.switches[...] = found.switches
-        timing.wakeup_us[...] = scheduler.wakeup_ns * 1e-3
-        timing.collect_us[...] = (collected - began) * 1e-3
-        timing.compute_us[...] = (computed - collected) * 1e-3
-        timing.publish_us[...] = (published - computed) * 1e-3
+        slack = due_ns + scheduler.period_ns - published if measured else 0
+        write_timing(
+            record.data,
+            due_ns,
+            misses.own,
+            misses.host,
+            found.page_faults,
+            found.switches,
+            *marks,
+            scheduler.wakeup_ns,
+            *others,
+            slack,
+        )
         if measured:
-            slack = due_ns + scheduler.period_ns - published
-            timing.slack_us[...] = slack * 1e-3
             self.wakeup.add(scheduler.wakeup_ns)
             self.compute.add(computed - collected)
             self.cycle.add(published - began)

@@ -194,7 +194,7 @@ def test_what_is_meant_to_end_the_process_passes(error: type[BaseException]) -> 
         raise error
 
     with pytest.raises(error):
-        part(end)
+        part.call(end)
     assert part.failures == 0
 
 

@@ -23,15 +23,15 @@ def names(part: Part) -> list[str]:
 
 def test_a_part_that_works_gives_what_it_gives() -> None:
     part = Part("record", LIMIT)
-    assert part(good, 4) == 4
-    assert part(lambda: good(4, twice=True)) == 8
+    assert part.call(good, 4) == 4
+    assert part.call(lambda: good(4, twice=True)) == 8
     assert (part.failures, part.failing, part.off, part.first) == (0, False, False, None)
     assert part.take_events() == []
 
 
 def test_a_failure_is_counted_and_reported_and_gives_nothing() -> None:
     part = Part("record", LIMIT)
-    assert part(bad) is None
+    assert part.call(bad) is None
     (event,) = part.take_events()
     assert (event.name, event.where) == ("part_failed", "record")
     assert event.text == "OSError: no disk; failure 1, control goes on without it"
@@ -43,17 +43,17 @@ def test_a_failure_is_counted_and_reported_and_gives_nothing() -> None:
 def test_so_many_failures_in_a_row_switch_it_off() -> None:
     part = Part("record", LIMIT)
     for _ in range(LIMIT - 1):
-        part(bad)
+        part.call(bad)
         assert not part.off
         assert not part.failing
     part.take_events()
-    part(bad)
+    part.call(bad)
     assert part.off
     assert part.failing
     (event,) = part.take_events()
     assert (event.name, event.where) == ("part_off", "record")
     assert event.text == "switched off after 3 failures in a row: OSError: no disk"
-    assert part(good, 4) is None, "it is not called again"
+    assert part.call(good, 4) is None, "it is not called again"
     assert part.failures == LIMIT
 
 
@@ -61,23 +61,23 @@ def test_a_success_begins_the_count_anew() -> None:
     part = Part("record", LIMIT)
     for _ in range(10):
         for _ in range(LIMIT - 1):
-            part(bad)
-        assert part(good, 4) == 4
+            part.call(bad)
+        assert part.call(good, 4) == 4
     assert not part.off
     assert not part.failing
     assert part.failures == 10 * (LIMIT - 1)
     for _ in range(LIMIT):
-        part(bad)
+        part.call(bad)
     assert part.off
 
 
 def test_a_lasting_part_is_called_however_often_it_fails() -> None:
     part = Part("fallback", LIMIT, lasting=True)
     for _ in range(LIMIT + 1):
-        part(bad)
+        part.call(bad)
     assert part.failing
     assert not part.off
-    assert part(good, 4) == 4
+    assert part.call(good, 4) == 4
     assert "part_off" not in names(part)
 
 
@@ -85,15 +85,15 @@ def test_ever_fewer_failures_are_reported() -> None:
     part = Part("fallback", LIMIT, lasting=True)
     told = []
     for count in range(1, 20):
-        part(bad)
+        part.call(bad)
         told += [count] * len(names(part))
     assert told == [1, 2, 4, 8, 16]
 
 
 def test_the_first_error_is_kept() -> None:
     part = Part("fallback", LIMIT, lasting=True)
-    part(bad, "one")
-    part(bad, "two")
+    part.call(bad, "one")
+    part.call(bad, "two")
     assert str(part.first) == "one"
 
 
@@ -103,7 +103,7 @@ def test_a_firewall_has_the_events_and_tracebacks_of_its_parts() -> None:
     assert (firewall.take_events(), firewall.tracebacks()) == ([], "")
     for part in (parts[0], parts[2]):
         for _ in range(LIMIT):
-            part(bad)
+            part.call(bad)
     assert [part.off for part in parts] == [True, False, False]
     assert [event.where for event in firewall.take_events()] == ["one"] * 3 + ["three"] * 2
     assert firewall.take_events() == []

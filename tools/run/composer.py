@@ -187,7 +187,7 @@ class _Stage:
                 pacing = fieldbuses.steering(order.config, fieldbus, order.pacing or self._pacing)
                 # In this loop in virtual time only: a process of its own otherwise.
                 part = self._firewall.part("recorder")
-                draining = every(DRAIN_S, lambda: part(drain))
+                draining = every(DRAIN_S, lambda: part.call(drain))
                 try:
                     return await daemon.run(pacing, order.say, self._begin, start_ns=order.start_ns)
                 finally:
