@@ -179,7 +179,8 @@ class Together:
             self._lab.extend_load(scenario.lab.load)
 
     def _true(self, record: NDArray[Any], stamp_ns: int) -> None:
-        self._contact_peak = max(self._contact_peak, float(record["contact_force"][0]))
+        assert self._lab is not None
+        self._contact_peak = max(self._contact_peak, self._lab.plant.contact_force.item())
         self._truths.publish(record, stamp_ns)
 
     def _event(
@@ -193,20 +194,20 @@ class Together:
         stamps, here, there = np.intersect1d(
             self._cycles.stamps, self._truths.stamps, assume_unique=True, return_indices=True
         )
-        cycles, truths = self._cycles.rows[here], self._truths.rows[there]
+        cycles, truths = self._cycles.rows, self._truths.rows
         seconds = (stamps - stamps[0]) * 1e-9 if len(stamps) else np.zeros(0)
         return Trial(
             run=self.left[0],
             config=self._config,
             time=seconds,
             cycle={
-                f"{topic}.{field}": np.ascontiguousarray(cycles[topic][field])
+                f"{topic}.{field}": cycles[topic][field][here]
                 for topic in cycles.dtype.names or ()
                 for field in cycles.dtype[topic].names or ()
                 if cycle is None or f"{topic}.{field}" in cycle
             },
             truth={
-                name: np.ascontiguousarray(truths[name])
+                name: truths[name][there]
                 for name in truths.dtype.names or ()
                 if truth is None or name in truth
             },

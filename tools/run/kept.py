@@ -7,40 +7,57 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+_FIRST_BYTES = 1 << 22
+"""from this size on numpy asks for large pages: with small ones the faults, one or two a tick, take
+as long as a stage of control"""
+
 
 class Kept:
-    """Records of one type. Each is kept as its bytes: numpy copies a record field by field, which
+    """Records of one type. Each is copied as its bytes: numpy copies a record field by field, which
     takes a hundred times as long."""
 
     def __init__(self, dtype: np.dtype[Any], stride_ns: int = 1) -> None:
         """``stride_ns``: only what is published at a multiple of it is kept."""
         self._dtype, self._stride_ns = dtype, stride_ns
-        self._rows: list[bytes] = []
+        self._room = np.empty(_FIRST_BYTES, np.uint8).data
+        self._end = 0
+        """bytes in use"""
         self._stamps: list[int] = []
 
     def publish(self, payload: NDArray[Any], stamp_ns: int) -> None:
         """Keep ``payload``, an array of one."""
+        if stamp_ns % self._stride_ns:
+            return
         data = payload.tobytes()
-        if stamp_ns % self._stride_ns == 0 and self._wanted(data):
-            self._rows.append(data)
-            self._stamps.append(stamp_ns)
+        if not self._wanted(data):
+            return
+        end = self._end + len(data)
+        if end > len(self._room):
+            self._grow()
+        self._room[self._end : end] = data
+        self._end = end
+        self._stamps.append(stamp_ns)
 
     def _wanted(self, data: bytes) -> bool:
         """Whether a record is one of those to be kept: all are."""
         del data
         return True
 
+    def _grow(self) -> None:
+        room = np.empty(2 * len(self._room), np.uint8).data
+        room[: self._end] = self._room[: self._end]
+        self._room = room
+
     @property
     def rows(self) -> NDArray[Any]:
         """(n,), read-only"""
-        return np.frombuffer(b"".join(self._rows), self._dtype)
+        return np.frombuffer(self._room[: self._end].toreadonly(), self._dtype)
 
     @property
     def last(self) -> np.void | None:
         """The newest record."""
-        newest: np.void | None = (
-            np.frombuffer(self._rows[-1], self._dtype)[0] if self._rows else None
-        )
+        rows = self.rows
+        newest: np.void | None = rows[-1] if len(rows) else None
         return newest
 
     @property
