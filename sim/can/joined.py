@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.sim.can.registry import Advancing
-from tonus.sim.can.wire.channel import Port
+from tonus.sim.can.wire.port import Port
 from tonus.sim.can.wire.regular import Integers, WireTable
 
 

@@ -28,8 +28,9 @@ from tonus.sim.can.packet import (
     socket_path,
     sound,
 )
-from tonus.sim.can.wire.channel import Channel, Port
+from tonus.sim.can.wire.channel import Channel
 from tonus.sim.can.wire.frame import Frame
+from tonus.sim.can.wire.port import Port
 from tonus.sim.errors import LabError
 from tonus.sim.ethercat.port import SegmentPort
 from tonus.sim.ethercat.veth import close_pair, open_pair

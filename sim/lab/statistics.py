@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import deque
 from typing import TypedDict
 
-from tonus.sim.can.wire.channel import Port
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.can.wire.frame import EXTENDED, EXTENDED_ID, REMOTE
 from tonus.sim.can.wire.latency import Summary
+from tonus.sim.can.wire.port import Port
 
 PERIOD_NS = 100_000_000
 """How often the load is noted."""

@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tonus.config.schema.faults import Corruption, Delay
-from tonus.sim.can.wire.channel import NEVER, Notice, Port
+from tonus.sim.can.wire.channel import NEVER
 from tonus.sim.can.wire.confinement import ErrorState
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.can.wire.frame import ERROR, Frame
 from tonus.sim.can.wire.frame_faults import FrameFault
+from tonus.sim.can.wire.port import Notice, Port
 
 US = 1000
 END_US = 400_000

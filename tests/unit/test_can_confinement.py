@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tonus.config.schema.faults import Corruption, Duplicate, Loss
-from tonus.sim.can.wire.channel import Notice, Port
 from tonus.sim.can.wire.confinement import Counters, ErrorState
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.can.wire.frame import ERROR, Frame
 from tonus.sim.can.wire.frame_faults import FrameFault
+from tonus.sim.can.wire.port import Notice, Port
 from tonus.sim.can.wire.timing import frame_bits
 
 US = 1000

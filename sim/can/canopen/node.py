@@ -17,9 +17,10 @@ from tonus.sim.can.canopen.pdo import (
     TransmitPdo,
 )
 from tonus.sim.can.canopen.sdo_server import SdoServer
-from tonus.sim.can.wire.channel import Narrow, Notice, Wide
+from tonus.sim.can.wire.channel import Narrow, Wide
 from tonus.sim.can.wire.faulty import FaultyChannel
 from tonus.sim.can.wire.frame import REMOTE, Frame
+from tonus.sim.can.wire.port import Notice
 from tonus.sim.devices.cia402.errors import CAN_PASSIVE, HEARTBEAT_LOST, PDO_LENGTH
 from tonus.sim.devices.device import Device
 from tonus.sim.devices.objects import Entry, Kind

@@ -16,16 +16,15 @@ from __future__ import annotations
 from bisect import insort
 from collections import deque
 from collections.abc import Callable, Iterable
-from enum import Enum
 from heapq import heappop, heappush
 from math import ceil
-from typing import Protocol
 
 from tonus.sim.can.wire import regular
-from tonus.sim.can.wire.confinement import Counters
 from tonus.sim.can.wire.frame import Frame
 from tonus.sim.can.wire.inbox import Inbox, pack
 from tonus.sim.can.wire.latency import Latency
+from tonus.sim.can.wire.plan import Planner, SyncPlan
+from tonus.sim.can.wire.port import Notice, Port
 from tonus.sim.can.wire.regular import NEVER, RegularWire
 from tonus.sim.can.wire.timing import (
     INTERFRAME_BITS,
@@ -42,93 +41,11 @@ _KEPT = 256
 _SECOND_NS = 1_000_000_000
 
 
-class SyncPlan(Protocol):
-    """How the devices of a channel answer a SYNC while all is as usual."""
-
-    identifier: int
-    """of the SYNC"""
-    answers: int
-    """frames that it brings"""
-
-    def begin(self, wire: RegularWire) -> None:
-        """Tell the wire its identifiers, and hand over what waits for the SYNC."""
-
-    def end(self, wire: RegularWire) -> None:
-        """Take back what waits for the SYNC."""
-
-    def react(self, wire: RegularWire, now_ns: int) -> None:
-        """Deliver the SYNC that has ended now, and do what every device does at it."""
-
-    def follow(self, wire: RegularWire, left: list[int], now_ns: int) -> None:
-        """Have drives apply the set-points that were left to them."""
-
-
-Planner = Callable[[], SyncPlan | None]
-"""Makes a channel's plan, or says that there is none for it as it is."""
 Narrow = Callable[[Frame], bool]
 """Takes a frame whose effect stays within its receiver; False: it needs the order of time."""
 Wide = Callable[[Frame], None]
-
-
-class Notice(Enum):
-    """What a controller tells its device, in the order of time."""
-
-    OVERFLOW = "overflow"
-    """a frame was lost at the full queue; said again only when the queue was empty since"""
-    PASSIVE = "passive"
-    BUS_OFF = "bus_off"
-    RECOVERED = "recovered"
-    """from bus-off"""
-
-
-Told = Callable[[Notice, int], None]
-"""Takes a notice and its time."""
-Detour = Callable[["Port", Frame, int], bool]
+Detour = Callable[[Port, Frame, int], bool]
 """May keep a frame from its queue; True if it does."""
-
-
-class Port:
-    """One controller on a channel, with its transmit queue.
-
-    ``received`` is where frames of others arrive, or None for a device, which subscribes instead.
-    """
-
-    def __init__(
-        self, channel: Channel, number: int, depth: int, listens: bool, inbox: int | None = None
-    ) -> None:
-        self.channel = channel
-        self.name = f"host {number}" if listens else f"controller {number}"
-        self.number = number
-        self.depth = depth
-        self.errors = Counters()
-        self.told: Told | None = None
-        self.held = False
-        """kept from the arbitration: bus-off, suspended, or the bus is stuck"""
-        self.queue: deque[Frame] = deque()
-        self.received = Inbox(inbox) if listens else None
-        self.echo = False
-        """whether the controller receives what it sent itself"""
-        self.reports = False
-        """whether ``received`` gets error frames as well"""
-        self.overflows = 0
-        """frames refused because the queue was full"""
-        self.overflowing = False
-        """since a refusal the queue has not been empty"""
-        self.retransmissions = 0
-
-    @property
-    def missed(self) -> int:
-        """Frames that somebody did not take in time."""
-        return self.received.missed if self.received is not None else 0
-
-    @property
-    def waiting(self) -> int:
-        """Frames in the queue."""
-        return len(self.queue) + self.channel.waiting(self)
-
-    @property
-    def room(self) -> int:
-        return self.depth - self.waiting
 
 
 class Channel:

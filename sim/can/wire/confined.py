@@ -12,11 +12,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tonus.sim.can.wire.channel import NEVER, Channel, Notice, Port
+from tonus.sim.can.wire.channel import NEVER, Channel
 from tonus.sim.can.wire.confinement import ErrorState
 from tonus.sim.can.wire.error_frames import Violation, report
 from tonus.sim.can.wire.frame import Frame
 from tonus.sim.can.wire.inbox import pack
+from tonus.sim.can.wire.port import Notice, Port
 from tonus.sim.can.wire.timing import INTERFRAME_BITS, frame_bits
 
 FLAG_BITS = 6

@@ -8,11 +8,12 @@ from collections import deque
 from collections.abc import Callable
 
 from tonus.config.schema.faults import Babble, Corruption, Delay, Duplicate, Level, Loss
-from tonus.sim.can.wire.channel import NEVER, Port
+from tonus.sim.can.wire.channel import NEVER
 from tonus.sim.can.wire.confined import FLAG_BITS, ConfinedChannel, Failure
 from tonus.sim.can.wire.error_frames import Violation
 from tonus.sim.can.wire.frame import Frame
 from tonus.sim.can.wire.frame_faults import Babbler, Copy, FrameFault
+from tonus.sim.can.wire.port import Port
 from tonus.sim.can.wire.timing import frame_bits
 
 _FIRST_DOMINANT_BITS = 14

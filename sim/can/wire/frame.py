@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tonus.sim.can.wire.channel import Port
+    from tonus.sim.can.wire.port import Port
 
 EXTENDED = 1 << 31
 REMOTE = 1 << 30

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 from tonus.config.schema.faults import Corruption, Delay, Duplicate, Loss
-from tonus.sim.can.wire.channel import Port
 from tonus.sim.can.wire.frame import REMOTE, Frame
+from tonus.sim.can.wire.port import Port
 
 
 class Draws(Protocol):
