@@ -49,7 +49,9 @@ class Disturbances:
 class Pacing(Protocol):
     """What a tick waits for."""
 
-    async def until(self, due_ns: int) -> None: ...
+    async def until(self, due_ns: int) -> int | None:
+        """Returns the processor time (ns) of the thread when it had nothing left to do but wait:
+        what passes from there on is the host's. None: not known."""
 
     def steer(self, due_ns: int) -> int:
         """ns by which the tick that is due then, and all after it, are moved."""
@@ -99,20 +101,25 @@ class TimerPacing:
         self._until = ctypes.create_string_buffer(_TIMESPEC.size)
         self._early_ns, self._spin_ns = early_ns, spin_ns
         self._now_ns = loop_clock()
+        self._processor_ns = Stopwatch(running=True).processor_ns
         asyncio.get_running_loop().add_reader(self._descriptor, self._expired)
 
-    async def until(self, due_ns: int) -> None:
+    async def until(self, due_ns: int) -> int | None:
         self._waiting = asyncio.get_running_loop().create_future()
         _TIMERSPEC.pack_into(self._spec, 0, 0, 0, *divmod(due_ns - self._early_ns, _SECOND_NS))
         if self._libc.timerfd_settime(self._descriptor, _TIMER_ABSTIME, self._spec, None):
             raise SchedulingError(f"timerfd_settime: {os.strerror(ctypes.get_errno())}")
         await self._waiting
-        if self._early_ns:
+        if not self._early_ns:
+            return None
+        idle_ns = self._processor_ns()
+        if self._now_ns() < due_ns:
             _TIMESPEC.pack_into(self._until, 0, *divmod(due_ns - self._spin_ns, _SECOND_NS))
             # A signal may end it early: what is left is then spent awake.
             self._libc.clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, self._until, None)
             while self._now_ns() < due_ns:
                 pass
+        return idle_ns
 
     def steer(self, due_ns: int) -> int:
         del due_ns
@@ -164,8 +171,9 @@ class Scheduler:
         if moved:
             self._start_ns += moved
             due += moved
+        idle_ns = None
         if finished_ns < due:
-            await self._pacing.until(due)
+            idle_ns = await self._pacing.until(due)
         else:
             # However late we are, what else the loop has to do gets its turn.
             await asyncio.sleep(0)
@@ -175,9 +183,10 @@ class Scheduler:
         else:
             tick_ns = finished_processor_ns - self._began_processor_ns
         # What the loop did between the ticks may all have been after the due time: that counts
-        # against us, and no more than we are late.
+        # against us, and no more than we are late. The processor's clock runs on while a hypervisor
+        # keeps a thread that waits awake from running.
         late_ns = max(self._own_late_ns + tick_ns - self.period_ns, 0)
-        late_ns += processor_ns - finished_processor_ns
+        late_ns += (processor_ns if idle_ns is None else idle_ns) - finished_processor_ns
         self._own_late_ns = min(late_ns, max(now - due, 0))
         self.skipped = max(int((now - due) // self.period_ns), 0)
         if self.skipped:

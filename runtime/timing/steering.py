@@ -30,8 +30,8 @@ class SteeredPacing:
         self._slew_ns = clocks.slew_ns
         self._sum_ns = 0.0
 
-    async def until(self, due_ns: int) -> None:
-        await self._pacing.until(due_ns)
+    async def until(self, due_ns: int) -> int | None:
+        return await self._pacing.until(due_ns)
 
     def steer(self, due_ns: int) -> int:
         error = self._reference.phase_error_ns(due_ns)

@@ -29,9 +29,10 @@ class LateBy:
     def __init__(self, due_ns: int, late_ns: int) -> None:
         self._due, self._late = due_ns, late_ns
 
-    async def until(self, due_ns: int) -> None:
+    async def until(self, due_ns: int) -> int | None:
         late = self._late if due_ns == self._due else 0
         await asyncio.sleep((due_ns + late - now_ns()) * 1e-9)
+        return None
 
     def steer(self, due_ns: int) -> int:
         return 0
@@ -191,10 +192,11 @@ def test_a_tick_that_waits_by_its_own_doing_is_ours() -> None:
 
 def test_what_else_the_loop_does_between_ticks_is_ours() -> None:
     class Chatty(LateBy):
-        async def until(self, due_ns: int) -> None:
+        async def until(self, due_ns: int) -> int | None:
             late = due_ns == self._due
             await super().until(due_ns)
             thread.processor_ns += self._late * late
+            return None
 
     thread = Thread()
     pacing = Chatty(START + 2 * PERIOD, 4_400_000)
@@ -206,6 +208,36 @@ def test_what_else_the_loop_does_between_ticks_is_ours() -> None:
         return scheduler
 
     assert misses(run(main(), virtual=True)) == (4, 0)
+
+
+def test_a_stall_while_we_wait_awake_is_the_hosts() -> None:
+    """The processor's clock of a thread that spins runs on while the hypervisor has the processor;
+    what the loop did before is ours all the same."""
+
+    class Spinning(LateBy):
+        def __init__(self, loop_s: float) -> None:
+            super().__init__(START + 2 * PERIOD, 4_400_000)
+            self.thread, self._loop_ns = Thread(), round(loop_s * 1e9)
+
+        async def until(self, due_ns: int) -> int:
+            late = due_ns == self._due
+            self.thread.processor_ns += self._loop_ns * late
+            idle_ns = self.thread.processor_ns
+            await super().until(due_ns)
+            self.thread.processor_ns += (self._late - self._loop_ns) * late
+            return idle_ns
+
+    def found(pacing: Spinning) -> tuple[int, int]:
+        async def main() -> Scheduler:
+            scheduler = Scheduler(PERIOD, START, pacing, pacing.thread.stopwatch)
+            for _ in range(5):
+                await scheduler.next()
+            return scheduler
+
+        return misses(run(main(), virtual=True))
+
+    assert found(Spinning(0.0)) == (0, 4)
+    assert found(Spinning(0.0022)) == (2, 2)
 
 
 def test_a_late_wakeup_is_the_hosts_and_makes_no_burst() -> None:
