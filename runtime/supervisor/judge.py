@@ -208,8 +208,8 @@ class Judge:
             yield Violation(Requirement.TORQUE, NOWHERE, most_drives)
         yield from _at(Requirement.TORQUE, seen, seen.torque_age, settings.axis_torque_ms, enabled)
         yield from self._frozen(seen)
-        # Where nothing is sent and nothing answers the channel is gone: its heartbeat ends alone.
-        gone = np.minimum(seen.torque_age, seen.measured_age) > settings.patience_ms
+        # Where nothing is sent and no drive answers the channel is gone: its heartbeat ends alone.
+        gone = np.minimum(seen.torque_age, seen.channel_age) > settings.patience_ms
         wrong = enabled & seen.unlogged & ~gone
         # A daemon that is late is so on every channel, and one that repeats itself is not late.
         late = wrong & seen.late & (seen.same < settings.frozen_frames)

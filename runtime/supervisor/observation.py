@@ -37,6 +37,8 @@ class Observation:
     """every drive was without power at some time since the last look"""
     measured_age: Floats
     """ms since the drive's last PDO"""
+    channel_age: Floats
+    """ms since the last PDO of any drive on its channel"""
     torque_age: Floats
     """ms since the last PDO to it, or since the SYNC on which it acts, whichever is longer ago"""
     same: NDArray[np.int64]
@@ -113,6 +115,9 @@ class Observer:
         self._cell_of = {cell.number: cell for cell in wiring.cells}
         self._contact = self._cell_of.get(contact_cell)
         self._numbers = np.array([axis.number for axis in wiring.axes], np.int64)
+        channels = np.array([axis.channel for axis in wiring.axes])
+        self._together = channels == channels[:, None]
+        """drives on one channel (n, n)"""
         self._newton = np.array([np.nan if a.newton is None else a.newton for a in wiring.axes])
         self._limit = np.array([axis.limit for axis in wiring.axes], np.int64)
         self._mass = np.array([axis.mass for axis in wiring.axes])
@@ -157,12 +162,14 @@ class Observer:
         tension = np.array([_force(cell, heard, tared) for cell in cells])
         self._sample(now_ns, received, sent, cells, heard, tension)
         rate, unexplained, mean = self._moved(tared)
+        measured_age = _ages(now_ns, received)
         return Observation(
             now_ns,
             self._numbers,
             enabled,
             rested,
-            _ages(now_ns, received),
+            measured_age,
+            np.where(self._together, measured_age, np.inf).min(axis=1),
             np.maximum(_ages(now_ns, sent), _ages(now_ns, synced)),
             same,
             mille,

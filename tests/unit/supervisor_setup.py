@@ -51,6 +51,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         enabled=np.ones(N, bool),
         rested=False,
         measured_age=np.zeros(N),
+        channel_age=np.zeros(N),
         torque_age=np.zeros(N),
         same=np.zeros(N, np.int64),
         mille=np.full(N, 100 * (said.state in ARMED)),

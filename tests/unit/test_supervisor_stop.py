@@ -320,11 +320,12 @@ def test_a_torque_of_before_on_a_channel_that_is_gone(
     config: Config, sent_ms: float, answered_ms: float, found: bool
 ) -> None:
     """It is in no newer record, and no drive of the channel can be reached; the stop of the others
-    goes on. Where one of the two arrives it is wrong."""
+    goes on. Where one is sent anything, or another drive of its channel answers, it is wrong."""
     given = {
         "unlogged": np.arange(N) == 2,
         "torque_age": at(2, sent_ms),
-        "measured_age": at(2, answered_ms),
+        "measured_age": at(2, 50.0),
+        "channel_age": at(2, answered_ms),
     }
     verdict = lasting(config, 5.0, State.SAFE_STOP, **given)
     assert (verdict is not None and verdict.requirement is Requirement.COMMAND_LOGGED) is found

@@ -57,6 +57,24 @@ def test_ages_are_from_when_it_was_received(stage: Stage) -> None:
     assert found.contact_age == pytest.approx(3.0)
 
 
+@pytest.mark.parametrize("rows", [(2,), (2, 3)])
+def test_how_long_no_drive_of_a_channel_has_answered(stage: Stage, rows: tuple[int, ...]) -> None:
+    axes = stage.wiring.axes
+    assert {axis.channel for axis in axes[2:4]} == {axes[2].channel}
+    for k in (BASE, BASE + 3):
+        before = {each: stage.heard[axes[each].channel, axes[each].received] for each in rows}
+        kept = {each: (heard.at_ns, heard.count) for each, heard in before.items()}
+        stage.tick(k * MS, newton=45.0, metre=0.0, force=45.0)
+        if k > BASE:
+            for each, heard in before.items():
+                heard.at_ns, heard.count = kept[each]
+    found = stage.observe((BASE + 3) * MS, stage.heard, [claim()])
+    wanted = np.zeros(N)
+    wanted[list(rows)] = 3.0
+    assert found.measured_age == pytest.approx(wanted)
+    assert found.channel_age == pytest.approx(wanted if rows == (2, 3) else np.zeros(N))
+
+
 def test_the_newest_of_several_records_counts(stage: Stage) -> None:
     records = [claim(at_ms=1.0), claim(at_ms=2.0), claim(at_ms=3.0)]
     found = stage.observe(BASE * MS, stage.heard, records)
