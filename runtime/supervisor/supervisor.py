@@ -124,6 +124,10 @@ class Supervisor:
         armed_by_record = seen.claim is not None and seen.claim.state in ARMED
         seen.enabled &= present | self._alive(seen) | (not present.any()) | armed_by_record
         armed = bool(seen.enabled.any())
+        if not armed and now_ns - self._looked_ns > self.settings.timeout_ms * 1e6:
+            # Drives have lost the heartbeat, and are off for it: as after a start of its own.
+            self._beating = [False] * len(self._listeners)
+            self._quiet_ns = None
         if armed:
             self._quiet_ns = None
         elif self._quiet_ns is None:

@@ -292,6 +292,28 @@ def test_one_that_looks_too_late_itself(config: Config) -> None:
         watchdog.supervisor.close()
 
 
+@pytest.mark.parametrize(("late_ms", "stalled"), [(22.0, False), (22.0001, True)])
+@pytest.mark.parametrize("enabled", [False, True])
+def test_a_stall_of_its_own_that_drives_notice(
+    watchdog: Watchdog, late_ms: float, stalled: bool, enabled: bool
+) -> None:
+    """When it looks again all are off, for the heartbeat that they missed: it begins again as after
+    a restart. Where one is not, that is a violation, however long it was."""
+    list(watchdog.steps(0, 310, enabled=False))
+    list(watchdog.steps(310, 330, enabled=True))
+    end = 328.0 + late_ms
+    sent = watchdog.step(end, enabled=enabled)
+    if enabled:
+        assert [identifier for identifier, _ in sent] == [0x0FE]
+        return
+    assert (sent == BEAT) is not stalled
+    assert watchdog.supervisor.violation is None
+    if stalled:
+        later = np.arange(end + 2.0, end + 300.0, 2.0)
+        assert all(watchdog.step(now, enabled=False) == [] for now in later)
+        assert watchdog.step(end + 300.0, enabled=False) == BEAT
+
+
 @pytest.mark.parametrize(
     ("value", "sent"),
     [(3.0, 3.0), (3.4e38, np.inf), (1e39, np.inf), (-1e39, -np.inf), (np.inf, np.inf)],
