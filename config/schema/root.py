@@ -16,7 +16,7 @@ from tonus.config.schema.place import RelaxedKey, with_defaults
 from tonus.config.schema.realtime import RealTime
 from tonus.config.schema.robot import Response, Robot
 from tonus.config.schema.sto_relay import StoRelay
-from tonus.config.schema.supervisor import Supervisor
+from tonus.config.schema.supervisor import LARGEST_TENSION, Supervisor
 from tonus.config.schema.tolerance import Tolerance
 from tonus.config.schema.tracker import Tracker
 
@@ -74,6 +74,17 @@ class Config(Section):
             raise PlacedError(
                 ("control", "sequence", "tare"),
                 f"states {len(tare)} offsets, the robot has {robot.cells} cells; give one for each",
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _supervisor_fits_the_cables(self) -> Config:
+        most = LARGEST_TENSION * self.control.tension.max
+        if self.supervisor is not None and self.supervisor.tension_stopping > most:
+            raise PlacedError(
+                ("supervisor", "tension_stopping"),
+                f"is more than {LARGEST_TENSION:g} times control.tension.max: no cable reaches it; "
+                f"set it to at most {most:g}",
             )
         return self
 

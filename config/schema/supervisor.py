@@ -76,8 +76,11 @@ LARGEST = {
     "rotation": 3.0,
     "rotation_stopping": 20.0,
 }
-"""What a robot may state, in the keys' units; in a lab the keys' own bounds hold. All R: with more
-a mistake is found too late. `tonus.config.schema.place` has period, patience and timeout."""
+"""What a robot may state, in the keys' units, frames and ticks as of 1 ms; in a lab the keys' own
+bounds hold. All R: with more a mistake is found too late. `tonus.config.schema.place` has period,
+patience and timeout."""
+LARGEST_TENSION = 10.0
+"""times what a cable may carry: ``tension_stopping``, in a lab too. R"""
 LARGEST_SHARES = {
     "unexplained_force": 2.0,
     "opposed_force": 1.5,
@@ -148,7 +151,7 @@ class Supervisor(Section):
     opposed_ms: Annotated[Positive, Field(le=100)] = 20.0
     margin: Annotated[Number, Field(ge=1, le=1.5)]
     """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
-    tension_stopping: Annotated[Positive, Field(le=2000)]
+    tension_stopping: Positive
     """N, in every state"""
     contact_stopping: Annotated[Positive, Field(le=100)]
     """N, in every state"""
@@ -204,6 +207,7 @@ __all__ = [
     "LARGEST",
     "LARGEST_SHARES",
     "LARGEST_SPREAD",
+    "LARGEST_TENSION",
     "REQUIREMENT_TEXTS",
     "Requirement",
     "Supervisor",

@@ -10,6 +10,7 @@ import pytest
 
 from tonus.config import Config, ConfigError, load
 from tonus.config.schema.bus import CanopenBus
+from tonus.runtime.control.filters import ButterworthBank
 from tonus.tools.check.finding import Finding
 from tonus.tools.check.rules import check
 from tonus.tools.check.supervisor import check_supervisor
@@ -152,14 +153,60 @@ def test_bounds_that_are_far_beyond_the_envelope(key: str, most: float) -> None:
         ("supervisor__frozen_tension", 0.1),
         ("supervisor__rotation_stopping", 20.0),
         ("supervisor__margin", 1.2),
+        ("robot__response__force_cell_hz", 31.84),
     ],
 )
 def test_keys_with_which_a_requirement_would_never_say_anything(key: str, most: float) -> None:
-    more = most - 0.02 if key.endswith("slack") else most + (1 if isinstance(most, int) else 0.01)
+    below = key.endswith(("slack", "force_cell_hz"))
+    more = most - 0.02 if below else most + (1 if isinstance(most, int) else 0.01)
     named = key.replace("__", ".")
     assert named not in [each.where for each in refused("config/can.yaml", **{key: more})]
     assert named in [each.where for each in refused("config/can.yaml", lab=None, **{key: more})]
     assert named not in [each.where for each in refused("config/can.yaml", lab=None, **{key: most})]
+
+
+@pytest.mark.parametrize(("period_us", "share"), [(500, 1), (1000, 1), (2000, 2), (3000, 3)])
+def test_frames_and_ticks_that_are_longer_than_a_millisecond(period_us: int, share: int) -> None:
+    given = {"lab": None, "control__rates__period_us": period_us}
+    for key, most in (("frozen_frames", 20 // share), ("logged_ticks", 16 // share)):
+        for value, there in ((most + 1, True), (most, False)):
+            found = refused("config/can.yaml", **given, **{f"supervisor__{key}": value})
+            assert (f"supervisor.{key}" in [each.where for each in found]) is there
+
+
+@pytest.mark.parametrize(
+    ("patience_ms", "logged", "least_hz"),
+    [(5.0, 15.0, 42.3), (10.0, 15.0, 21.15), (5.0, 20.0, 29.9)],
+)
+def test_a_filter_that_records_a_contact_too_late(
+    patience_ms: float, logged: float, least_hz: float
+) -> None:
+    """Against the daemon's own filter: how long a contact of 27.5 N at once is recorded as less by
+    more than SUP-11 allows."""
+    for hertz in (0.95 * least_hz, 1.05 * least_hz):
+        bank = ButterworthBank(1, hertz, 1e5)
+        bank.reset(np.zeros(1))
+        steps = range(round(patience_ms * 100.0))
+        late = bool(27.5 - [bank.step(np.array([27.5]))[0] for _ in steps][-1] > logged)
+        given = {
+            "control__filters__force_cutoff_hz": hertz,
+            "supervisor__patience_ms": patience_ms,
+            "supervisor__logged_tension": logged,
+        }
+        assert "control.filters.force_cutoff_hz" not in {
+            each.where for each in refused("config/can.yaml", **given)
+        }
+        found = refused("config/can.yaml", lab=None, **given)
+        assert ("control.filters.force_cutoff_hz" in {each.where for each in found}) is late
+        assert late is (hertz < least_hz)
+
+
+def test_a_robot_whose_cables_carry_more() -> None:
+    """What the widest bound of tension may be follows from that, in a lab too."""
+    for most, tension, fine in ((200.0, 2000.0, True), (200.0, 2000.1, False), (201.0, 2001, True)):
+        given = {"control.tension.max": most, "supervisor.tension_stopping": tension}
+        with nullcontext() if fine else pytest.raises(ConfigError, match="at most 2000"):
+            load("config/can.yaml", overrides=given)
 
 
 def test_poses_that_a_small_robot_does_not_have() -> None:
@@ -227,7 +274,7 @@ def test_drives_that_wait_for_less_than_its_period_allows() -> None:
         ("unexplained_share", 0.51),
         ("opposed_force", 201),
         ("logged_tension", 51),
-        ("tension_stopping", 2001),
+        ("tension_stopping", 2000.1),
         ("contact_stopping", 101),
         ("speed_stopping", 5.1),
         ("contact_at_once", 201),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -28,6 +29,7 @@ _DRIFTING_S = 0.25
 """for which a tension may be away from its reference. R"""
 _LEAST_SLACK = 0.2
 """of the tension while referencing. R"""
+_IN_TICKS = ("frozen_frames", "logged_ticks")
 
 
 def check_supervisor(config: Config) -> Iterator[Finding]:
@@ -105,14 +107,28 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
             if key.endswith("_ticks"):
                 text, remedy = f"{text} (ms)", f"{remedy} ms in ticks"
             yield Finding("supervisor", False, key, text, remedy)
-    least = _LEAST_SLACK * tension.referencing
-    if tension.slack < least:
-        text = f"a cable counts as slack below {tension.slack:g} N, which no cell shows in time"
-        yield Finding(
-            "supervisor", False, "control.tension.slack", text, f"set it to at least {least:g}"
-        )
-    for name, most in LARGEST.items():
+    for key, value, least, why in (
+        (
+            "control.tension.slack",
+            tension.slack,
+            _LEAST_SLACK * tension.referencing,
+            "a cable counts as slack below {:g} N, which no cell shows in time",
+        ),
+        (
+            "robot.response.force_cell_hz",
+            config.response.force_cell_hz,
+            1e3 / (2.0 * math.pi * settings.patience_ms),
+            "cells of {:g} Hz show a force, by which it judges as well, after patience_ms only",
+        ),
+    ):
+        if value < least:
+            yield Finding(
+                "supervisor", False, key, why.format(value), f"set it to at least {least:g}"
+            )
+    tick_ms = max(1.0, control.rates.period * 1e3)
+    for name, largest in LARGEST.items():
         value = getattr(settings, name)
+        most = math.floor(largest / tick_ms) if name in _IN_TICKS else largest
         if value > most:
             text = f"{value:g} would find a mistake too late, a robot may state {most:g}"
             yield Finding(
@@ -151,6 +167,27 @@ def _narrow(config: Config, settings: Supervisor) -> Iterator[Finding]:
             yield Finding(
                 "supervisor", False, f"{_KEY}.{name}", text, f"set it to at least {least:g}"
             )
+    cutoff, least = control.filters.force_cutoff_hz, _least_cutoff(config, settings)
+    if cutoff < least:
+        yield Finding(
+            "supervisor",
+            False,
+            "control.filters.force_cutoff_hz",
+            f"with {cutoff:g} Hz a recorded contact is more than logged_tension behind the one on "
+            "the bus for longer than patience_ms: SUP-11 would stop a robot in order",
+            f"set it to at least {least:g}",
+        )
+
+
+def _least_cutoff(config: Config, settings: Supervisor) -> float:
+    """Hz with which a contact that comes at once, as large as SUP-7 lets it be, is recorded within
+    ``logged_tension`` after ``patience_ms``: of a step, a Butterworth filter of second order lacks
+    exp(-a) (cos a + sin a) after sqrt(2) a / (2 pi f)."""
+    contact = settings.margin * config.control.envelope.contact_limit
+    grid = np.linspace(0.0, math.pi, 1001)
+    lacking = np.exp(-grid) * (np.cos(grid) + np.sin(grid))
+    after = float(np.interp(-settings.logged_tension / contact, -lacking, grid))
+    return math.sqrt(2.0) * after / (2.0 * math.pi * settings.patience_ms * 1e-3)
 
 
 def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
