@@ -33,6 +33,7 @@ _ERROR = struct.Struct("<HBBf")
 _EMERGENCY_BYTES = 8
 """Error code, error register, axis or 0xFF, value; CiA 301 leaves the last five to the device."""
 _ERROR_CODE, _REGISTER, _NO_AXIS = 0xFF00, 0x81, 0xFF
+_NEVER = -1
 _LARGEST = 3.4e38
 """below the largest float of 32 bits"""
 
@@ -83,13 +84,17 @@ class Supervisor:
         self._agreed_ns = 0
         """when record and statuswords agreed last whether the robot is controlled"""
         self._listeners: list[Listener] = []
+        own = _HEARTBEAT + settings.node_id
         for interface, channel, bitrate in wiring.channels:
             bus = open_bus(interface, channel, bitrate)
             watched = _watched(wiring, channel)
             if relay is not None:
                 watched = [Watched(_HEARTBEAT + relay.node_id, 1, ())]
-            self._listeners.append(Listener(bus, watched))
+            self._listeners.append(Listener(bus, [*watched, Watched(own, 1, ())]))
         self._beating = [False] * len(self._listeners)
+        self._beat_ns = [_NEVER] * len(self._listeners)
+        """when each was sent a heartbeat last"""
+        self._echoes = [listener.heard[own] for listener in self._listeners]
         names = [name for _, name, _ in wiring.channels]
         places = [0 if relay is not None else names.index(axis.channel) for axis in wiring.axes]
         self._channel_of = np.array(places, np.int64)
@@ -147,6 +152,7 @@ class Supervisor:
             self._judge.forget()
         if quiet and not all(self._beating) and self._hears(seen) and self._sees(seen):
             self._beating = [True] * len(self._listeners)
+            self._beat_ns = [_NEVER] * len(self._listeners)
             self.violation = None
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
         seen.beating = np.array(self._beating)[self._channel_of]
@@ -157,9 +163,10 @@ class Supervisor:
                 self._beating[self._channel_of[seen.axes == found.where].item()] = False
             elif found is not None:
                 self.violation = found
-                self._send(_EMERGENCY, _error(found))
+                for place in np.flatnonzero(self._beating).tolist():
+                    self._send(place, _EMERGENCY, _error(found))
                 self._beating = [False] * len(self._listeners)
-        self._send(_HEARTBEAT, _OPERATIONAL)
+        self._beat(now_ns)
         self._hold_relay()
         self._looked_ns = now_ns
 
@@ -274,14 +281,26 @@ class Supervisor:
         for listener in self._listeners:
             listener.bus.shutdown()
 
-    def _send(self, function: int, data: bytes) -> None:
-        """On the channels that get a heartbeat."""
+    def _beat(self, now_ns: int) -> None:
+        """One heartbeat at a time, on an interface that tells what it has sent: those that wait in
+        a full queue would hold the drives when it has decided. Where one waits for so long that
+        they have lost it, none follows."""
+        for place, echo in enumerate(self._echoes):
+            if echo.count and echo.at_ns <= self._beat_ns[place]:
+                waited_ms = (now_ns - self._beat_ns[place]) * 1e-6
+                self._beating[place] &= waited_ms <= self.settings.timeout_ms
+            elif self._beating[place] and self._send(place, _HEARTBEAT, _OPERATIONAL):
+                self._beat_ns[place] = now_ns
+
+    def _send(self, place: int, function: int, data: bytes) -> bool:
+        """Whether the interface of that channel has taken it."""
         identifier = function + self.settings.node_id
         message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
-        for listener, beating in zip(self._listeners, self._beating, strict=True):
-            if beating:
-                with contextlib.suppress(can.CanError, OSError):
-                    listener.bus.send(message)
+        try:
+            self._listeners[place].bus.send(message)
+        except (can.CanError, OSError):
+            return False
+        return True
 
 
 def told(violation: Violation) -> str:

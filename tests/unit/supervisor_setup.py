@@ -122,6 +122,25 @@ class FakeBus(can.BusABC):
         self.sent.append(msg)
 
 
+class EchoBus(FakeBus):
+    """One that tells what it has sent, once the test lets it out of the queue."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.queue: list[can.Message] = []
+        self.full = False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        if self.full:
+            raise can.CanOperationError("no room")
+        super().send(msg, timeout)
+        self.queue.append(msg)
+
+    def let_out(self) -> None:
+        self.waiting += self.queue
+        self.queue.clear()
+
+
 class Stage:
     """The frames of every axis and cell, at times of the test's own."""
 
@@ -154,15 +173,16 @@ class Stage:
 class Watchdog:
     """A supervisor with a bus for each channel, and what it is given."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, bus: type[FakeBus] = FakeBus) -> None:
         self.buses: list[FakeBus] = []
+        self._bus = bus
         self.records: list[tuple[int, Any]] = []
         self.state = State.SAFE_STOP
         self.supervisor = Supervisor(config, self._new, self._open)
         self.wiring = Wiring(config)
 
     def _open(self, *_: Any) -> can.BusABC:
-        self.buses.append(FakeBus())
+        self.buses.append(self._bus())
         return self.buses[-1]
 
     def _new(self) -> New:

@@ -9,11 +9,12 @@ import can
 import numpy as np
 import pytest
 
-from tests.unit.supervisor_setup import STRICT, Watchdog, claim, seen
+from tests.unit.supervisor_setup import STRICT, EchoBus, Watchdog, claim, seen
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.judge import Judge
+from tonus.tools.run.supervision import open_bus
 
 BEAT = [(0x77E, b"\5")]
 BOOT_UP, OPERATIONAL = 0x00, 0x05
@@ -198,6 +199,74 @@ def test_a_silent_drive_whose_heartbeats_are_far_apart(
             break
     assert found + 22 == found_ms
     assert broken(watchdog) is Requirement.DISARMED
+
+
+@pytest.fixture
+def telling(config: Config) -> Iterator[tuple[Watchdog, EchoBus]]:
+    """A supervisor that has begun, and the first of its buses, which tell what they have sent."""
+    made = Watchdog(config, EchoBus)
+    first = made.buses[0]
+    assert isinstance(first, EchoBus)
+    for now in range(0, 312, 2):
+        made.step(now, enabled=now == 310)
+        for each in made.buses:
+            assert isinstance(each, EchoBus)
+            each.let_out()
+    yield made, first
+    made.supervisor.close()
+
+
+def test_a_heartbeat_that_waits_is_followed_by_none(telling: tuple[Watchdog, EchoBus]) -> None:
+    """In a full queue: nothing but that one goes out once it has decided."""
+    watchdog, bus = telling
+    assert watchdog.step(312, enabled=True) == BEAT
+    assert all(sent == [] for sent in watchdog.steps(314, 334, enabled=True))
+    assert len(bus.queue) == 1
+    bus.let_out()
+    assert watchdog.step(334, enabled=True) == BEAT
+    bus.let_out()
+    bus.full = True
+    assert watchdog.step(336, enabled=True) == []
+    bus.full = False
+    assert watchdog.step(338, enabled=True) == BEAT, "one that was not taken is not waited for"
+
+
+@pytest.mark.parametrize(("until_ms", "again"), [(334.0, True), (334.0001, False)])
+def test_a_heartbeat_that_waits_until_drives_have_lost_it(
+    telling: tuple[Watchdog, EchoBus], until_ms: float, again: bool
+) -> None:
+    """None follows it before everything is off, and those of other channels go on."""
+    watchdog, bus = telling
+    other = watchdog.buses[1]
+    assert isinstance(other, EchoBus)
+    for now in [*range(312, 334, 2), until_ms]:
+        watchdog.step(now, enabled=True)
+        other.let_out()
+    bus.let_out()
+    assert watchdog.step(335, enabled=True) == (BEAT if again else [])
+    assert len(other.queue) == 1
+    if not again:
+        bus.queue.clear()
+        assert all(sent == [] for sent in watchdog.steps(338, 638, enabled=False))
+        assert watchdog.step(638, enabled=False) == BEAT, "whatever became of the last one"
+        bus.let_out()
+        assert watchdog.step(640, enabled=False) == BEAT
+
+
+def test_the_heartbeats_of_another_interface_are_not_waited_for(watchdog: Watchdog) -> None:
+    """One that does not tell what it has sent."""
+    assert all(sent == BEAT for sent in [*watchdog.steps(0, 400, enabled=False)][151:])
+
+
+def test_its_own_bus_tells_what_it_has_sent() -> None:
+    bus = open_bus("virtual", "of the supervisor", 1_000_000)
+    try:
+        bus.send(can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\5"))
+        echo = bus.recv(timeout=0)
+        assert echo is not None
+        assert (echo.arbitration_id, bytes(echo.data)) == BEAT[0]
+    finally:
+        bus.shutdown()
 
 
 def test_which_records_are_new(watchdog: Watchdog) -> None:

@@ -58,9 +58,11 @@ def require_reach(config: Config) -> None:
 
 
 def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
-    """A bus of the supervisor's own on a channel."""
+    """A bus of the supervisor's own on a channel, which tells what it has sent."""
     lab: dict[str, Any] = {"gather_ms": _GATHER_MS} if interface == "tonus" else {}
-    return can.Bus(interface=interface, channel=channel, bitrate=bitrate, **lab)
+    return can.Bus(
+        interface=interface, channel=channel, bitrate=bitrate, receive_own_messages=True, **lab
+    )
 
 
 class Overheard:
