@@ -292,6 +292,32 @@ def test_one_that_looks_too_late_itself(config: Config) -> None:
         watchdog.supervisor.close()
 
 
+@pytest.mark.parametrize(
+    ("looks", "last_ms"),
+    [
+        ([319, 328, 337, 346, 355, 364, 368.999, 377], 58.999),
+        ([319, 328, 337, 346, 355, 364, 369], 54.0),
+        ([*range(312, 361, 2), 361.999, 363], 51.999),
+    ],
+)
+def test_how_late_the_last_heartbeat_is(
+    watchdog: Watchdog, looks: list[float], last_ms: float
+) -> None:
+    """Of a condition that may hold for 50 ms and begins right after a look: after less than two
+    periods, the patience and those 50, with looks that are as late as they may be."""
+    list(watchdog.steps(0, 310, enabled=False))
+    assert watchdog.step(310, enabled=True) == BEAT
+    watchdog.state = State.FAULT
+    *before, last = looks
+    assert all(watchdog.step(now, enabled=True) == BEAT for now in before)
+    assert watchdog.step(last, enabled=True) != BEAT
+    violation = watchdog.supervisor.violation
+    assert violation is not None
+    assert violation.requirement is Requirement.DISARMED
+    assert before[-1] - 310 == pytest.approx(last_ms)
+    assert last_ms < 2 * 2 + 5 + 50
+
+
 @pytest.mark.parametrize(("late_ms", "stalled"), [(22.0, False), (22.0001, True)])
 @pytest.mark.parametrize("enabled", [False, True])
 def test_a_stall_of_its_own_that_drives_notice(

@@ -225,12 +225,14 @@ def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
 def _times(settings: Supervisor) -> Finding:
     still_ms = settings.period_ms + settings.patience_ms + settings.timeout_ms
     longest_ms = settings.period_ms + settings.stopping_ms + settings.timeout_ms
+    late_ms = settings.period_ms + settings.patience_ms
     return Finding(
         "supervisor",
         True,
         f"{_KEY}.timeout_ms",
         f"drives begin to stop {still_ms:g} ms after a mistake shows that may last patience_ms, "
-        f"{longest_ms:g} ms after one that may last stopping_ms",
+        f"{longest_ms:g} ms after one that may last stopping_ms; {late_ms:g} ms later if it looks "
+        "as late as SUP-24 lets it",
         "",
     )
 
