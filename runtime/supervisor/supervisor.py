@@ -33,7 +33,7 @@ _ERROR = struct.Struct("<HBBf")
 _EMERGENCY_BYTES = 8
 """Error code, error register, axis or 0xFF, value; CiA 301 leaves the last five to the device."""
 _ERROR_CODE, _REGISTER, _NO_AXIS = 0xFF00, 0x81, 0xFF
-_NEVER = -1
+_NEVER, _ONE_OF = -1, 16
 _LARGEST = 3.4e38
 """below the largest float of 32 bits"""
 
@@ -94,6 +94,8 @@ class Supervisor:
         self._beating = [False] * len(self._listeners)
         self._beat_ns = [_NEVER] * len(self._listeners)
         """when each was sent a heartbeat last"""
+        self._spare_at = [0] * len(self._listeners)
+        """how many have gone out when one may be lost again"""
         self._echoes = [listener.heard[own] for listener in self._listeners]
         names = [name for _, name, _ in wiring.channels]
         places = [0 if relay is not None else names.index(axis.channel) for axis in wiring.axes]
@@ -282,15 +284,18 @@ class Supervisor:
             listener.bus.shutdown()
 
     def _beat(self, now_ns: int) -> None:
-        """One heartbeat at a time, on an interface that tells what it has sent: those that wait in
-        a full queue would hold the drives when it has decided. Where one waits for so long that
-        they have lost it, none follows."""
+        """Two heartbeats at most wait, on an interface that tells what it has sent: those in a full
+        queue hold the drives when it has decided. The second since one may be lost, of `_ONE_OF`.
+        Where none goes out for so long that drives have lost it, none follows."""
         for place, echo in enumerate(self._echoes):
-            if echo.count and echo.at_ns <= self._beat_ns[place]:
+            waits = echo.count > 0 and echo.at_ns <= self._beat_ns[place]
+            if waits and echo.count < self._spare_at[place]:
                 waited_ms = (now_ns - self._beat_ns[place]) * 1e-6
                 self._beating[place] &= waited_ms <= self.settings.timeout_ms
             elif self._beating[place] and self._send(place, _HEARTBEAT, _OPERATIONAL):
                 self._beat_ns[place] = now_ns
+                if waits:
+                    self._spare_at[place] = echo.count + _ONE_OF
 
     def _send(self, place: int, function: int, data: bytes) -> bool:
         """Whether the interface of that channel has taken it."""

@@ -216,41 +216,58 @@ def telling(config: Config) -> Iterator[tuple[Watchdog, EchoBus]]:
     made.supervisor.close()
 
 
-def test_a_heartbeat_that_waits_is_followed_by_none(telling: tuple[Watchdog, EchoBus]) -> None:
-    """In a full queue: nothing but that one goes out once it has decided."""
+def test_two_heartbeats_at_most_wait(telling: tuple[Watchdog, EchoBus]) -> None:
+    """In a full queue: nothing but those goes out once it has decided. For each that goes out
+    another is sent."""
     watchdog, bus = telling
-    assert watchdog.step(312, enabled=True) == BEAT
-    assert all(sent == [] for sent in watchdog.steps(314, 334, enabled=True))
-    assert len(bus.queue) == 1
-    bus.let_out()
-    assert watchdog.step(334, enabled=True) == BEAT
+    assert watchdog.step(312, enabled=True) == watchdog.step(314, enabled=True) == BEAT
+    assert all(sent == [] for sent in watchdog.steps(316, 334, enabled=True))
+    assert len(bus.queue) == 2
+    for now in range(334, 364, 2):
+        bus.waiting.append(bus.queue.pop(0))
+        assert watchdog.step(now, enabled=True) == BEAT
+        assert watchdog.step(now + 1, enabled=True) == []
+        assert len(bus.queue) == 2
+    bus.waiting.append(bus.queue.pop(0))
+    assert watchdog.step(365, enabled=True) == watchdog.step(366, enabled=True) == BEAT
+    assert len(bus.queue) == 3, "sixteen have gone out since the second began to wait"
     bus.let_out()
     bus.full = True
-    assert watchdog.step(336, enabled=True) == []
+    assert watchdog.step(368, enabled=True) == []
     bus.full = False
-    assert watchdog.step(338, enabled=True) == BEAT, "one that was not taken is not waited for"
+    assert watchdog.step(370, enabled=True) == BEAT, "one that was not taken is not waited for"
 
 
-@pytest.mark.parametrize(("until_ms", "again"), [(334.0, True), (334.0001, False)])
-def test_a_heartbeat_that_waits_until_drives_have_lost_it(
+def test_one_heartbeat_of_sixteen_may_be_lost(telling: tuple[Watchdog, EchoBus]) -> None:
+    watchdog, bus = telling
+    for place, now in enumerate(range(312, 410, 2)):
+        assert watchdog.step(now, enabled=True) == BEAT
+        if place % 17 == 3:
+            bus.queue.clear()
+        bus.let_out()
+    bus.queue.clear()
+
+
+@pytest.mark.parametrize(("until_ms", "again"), [(336.0, True), (336.0001, False)])
+def test_heartbeats_that_wait_until_drives_have_lost_them(
     telling: tuple[Watchdog, EchoBus], until_ms: float, again: bool
 ) -> None:
-    """None follows it before everything is off, and those of other channels go on."""
+    """None follows before everything is off, and those of other channels go on."""
     watchdog, bus = telling
     other = watchdog.buses[1]
     assert isinstance(other, EchoBus)
-    for now in [*range(312, 334, 2), until_ms]:
+    for now in [*range(312, 336, 2), until_ms]:
         watchdog.step(now, enabled=True)
         other.let_out()
     bus.let_out()
-    assert watchdog.step(335, enabled=True) == (BEAT if again else [])
+    assert watchdog.step(337, enabled=True) == (BEAT if again else [])
     assert len(other.queue) == 1
     if not again:
         bus.queue.clear()
-        assert all(sent == [] for sent in watchdog.steps(338, 638, enabled=False))
-        assert watchdog.step(638, enabled=False) == BEAT, "whatever became of the last one"
+        assert all(sent == [] for sent in watchdog.steps(340, 640, enabled=False))
+        assert watchdog.step(640, enabled=False) == BEAT, "whatever became of the last ones"
         bus.let_out()
-        assert watchdog.step(640, enabled=False) == BEAT
+        assert watchdog.step(642, enabled=False) == BEAT
 
 
 def test_the_heartbeats_of_another_interface_are_not_waited_for(watchdog: Watchdog) -> None:
