@@ -205,10 +205,9 @@ DAEMONS: dict[str, Mutated] = {
     "the brake of a passive stop is inverted": Mutated(
         both(instead(ControlCycle, "act", raises), after(Guard, "passive", inverted)),
         Requirement.BRAKED,
-        78.0,
+        74.0,
         0.1,
-        0.75,
-        broken_after=frozenset({"free_fall"}),
+        0.35,
         speed_braked=0.2,
         stopping=True,
     ),

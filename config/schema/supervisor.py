@@ -37,6 +37,7 @@ class Requirement(IntEnum):
     LATE = 24
     ORDERS = 25
     BRAKED = 26
+    COMMANDED = 27
 
 
 REQUIREMENT_TEXTS: dict[Requirement, str] = {
@@ -57,6 +58,7 @@ REQUIREMENT_TEXTS: dict[Requirement, str] = {
     Requirement.LATE: "it looks in time itself",
     Requirement.ORDERS: "a stop follows an order to stop, and a fault, that are recorded",
     Requirement.BRAKED: "in a passive stop no torque drives its drum",
+    Requirement.COMMANDED: "no drive is reset, stopped or written to beside its process data",
 }
 
 
@@ -89,7 +91,7 @@ LARGEST_SHARES = {
     "opposed_long_force": 0.5,
     "opposed_long_error": 0.25,
     "answered_torque": 0.5,
-    "passive_torque": 0.5,
+    "passive_torque": 0.25,
 }
 """The same of the keys in N, as shares of the pretension, which is what a cable without torque
 lacks. All R."""
@@ -168,9 +170,9 @@ class Supervisor(Section):
     answered_torque: Annotated[Positive, Field(le=100)] = 10.0
     """N at the cable by which the torque that a drive reports may be outside of those that it was
     sent lately; judged where its frames are not read"""
-    passive_torque: Annotated[Positive, Field(le=100)] = 20.0
-    """N at the cable, in a passive stop, by which a torque may be beyond the passive tension in the
-    direction in which its drum turns"""
+    passive_torque: Annotated[Positive, Field(le=100)] = 5.0
+    """N at the cable, in a passive stop, by which a torque may exceed the passive tension while its
+    drum reels in, or pull the other way while it pays out"""
     logged_ticks: Annotated[int, Field(ge=1, le=64)]
     """records before the last two looks among which a torque on the bus may be too"""
     priority: Priority

@@ -321,9 +321,11 @@ class Judge:
         if not seen.contact_defective and abs(seen.contact) > settings.contact_at_once:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
         if claim.stop_mode == StopMode.PASSIVE:
-            driving = (seen.torque - self._passive_tension) * np.sign(seen.rate)
-            limit = self._passive_tension + settings.passive_torque
-            yield from _at(Requirement.BRAKED, seen, driving, limit, seen.enabled)
+            # Each drum has a share of the passive tension, and a damping against its motion.
+            reeling_in, paying_out = seen.torque - self._passive_tension, -seen.torque
+            driving = np.where(seen.rate > 0.0, reeling_in, paying_out)
+            turning = seen.enabled & (abs(seen.rate) > 0.0)
+            yield from _at(Requirement.BRAKED, seen, driving, settings.passive_torque, turning)
 
     def _always(self, seen: Observation, speeds: tuple[float, ...]) -> Iterator[Violation]:
         """Bounds of every state, wide enough for what a torn cable does to a good stop. While the

@@ -23,12 +23,19 @@ from tonus.runtime.supervisor.wiring import Value, Wiring
 
 OpenBus = Callable[[str, str, int], can.BusABC]
 """From interface, channel and bit rate."""
-_EMERGENCY, _RPDO, _HEARTBEAT = 0x080, 0x200, 0x700
+_EMERGENCY, _RPDO, _SDO, _HEARTBEAT = 0x080, 0x200, 0x600, 0x700
 _HELD, _RELEASED = b"\1", b"\0"
 """digital outputs of the relay's node: bit 0 is the coil"""
 _OPERATIONAL = b"\5"
 _STATE, _BOOT_UP = Value(0, 8), 0
 """of a heartbeat"""
+_NMT, _COMMAND, _START, _EVERY_NODE = 0x000, Value(0, 16), 0x01, 0
+_COMMAND_BYTES = 2
+_REQUEST, _REQUEST_BYTES = Value(0, 64), 8
+_WRITES = (0x20, 0xC0)
+"""upper three bits of a request that begins a download, or one in blocks (CiA 301)"""
+_POWER_OFF = 0x0060402B
+"""the request to write 0 to the controlword, with which the daemon ends"""
 _ERROR = struct.Struct("<HBBf")
 _EMERGENCY_BYTES = 8
 """Error code, error register, axis or 0xFF, value; CiA 301 leaves the last five to the device."""
@@ -111,6 +118,12 @@ class Supervisor:
         }
         if self._replayed is not None:
             self._heard = self._replayed.heard
+        self._told = [
+            (axis, self._heard[axis.channel, axis.request], self._heard[axis.channel, _NMT])
+            for axis in wiring.axes
+            if axis.request
+        ]
+        """SDO requests and NMT commands to each drive whose frames are read"""
         nodes = {(c.channel, c.heartbeat, c.emergency) for c in wiring.cells if c.heartbeat}
         self._amplifiers = [
             (self._heard[channel, heartbeat], self._heard[channel, emergency])
@@ -124,6 +137,7 @@ class Supervisor:
             with contextlib.suppress(can.CanError, OSError):
                 listener.read(now_ns)
         self._forget_errors()
+        commanded = self._commanded()
         seen = self._look(now_ns)
         # A drive that is silent is what it was, unless daemon and all others are disarmed and it
         # sends no heartbeat either: then it was pulled, or has no power.
@@ -160,7 +174,7 @@ class Supervisor:
         seen.beating = np.array(self._beating)[self._channel_of]
         seen.enabled &= seen.beating
         if seen.enabled.any():
-            found = self._late(now_ns) or self._judge(seen)
+            found = self._late(now_ns) or commanded or self._judge(seen)
             if found is not None and found.alone:
                 self._beating[self._channel_of[seen.axes == found.where].item()] = False
             elif found is not None:
@@ -233,6 +247,24 @@ class Supervisor:
         if since_ms <= 2 * settings.period_ms + settings.patience_ms:
             return None
         return Violation(Requirement.LATE, NOWHERE, since_ms)
+
+    def _commanded(self) -> Violation | None:
+        """What drives were told beside their process data since the last look, by a stranger or by
+        the daemon, which does so only while none is enabled: an NMT command but to start, or a
+        download but to switch the power off."""
+        found = None
+        for axis, requests, commands in self._told:
+            for word in map(int, requests.numbers):
+                if word & 0xE0 in _WRITES and word != _POWER_OFF:
+                    found = Violation(Requirement.COMMANDED, axis.number, word >> 8 & 0xFFFF)
+            for word in map(int, commands.numbers):
+                code, node = word & 0xFF, word >> 8 & 0xFF
+                if code != _START and node in (_EVERY_NODE, axis.request - _SDO):
+                    found = Violation(Requirement.COMMANDED, axis.number, code)
+        for _, requests, commands in self._told:
+            requests.numbers.clear()
+            commands.numbers.clear()
+        return found
 
     @property
     def beating(self) -> bool:
@@ -338,6 +370,8 @@ def _watched(wiring: Wiring, channel: str) -> list[Watched]:
             found.append(Watched(axis.sent, axis.sent_bytes, (axis.torque,), command=True))
             found.append(Watched(axis.received, axis.received_bytes, (), axis.statusword))
             found.append(Watched(axis.heartbeat, 1, (_STATE,)))
+            found.append(Watched(axis.request, _REQUEST_BYTES, (_REQUEST,)))
+    found.append(Watched(_NMT, _COMMAND_BYTES, (_COMMAND,), command=True))
     found += [Watched(each, 0, ()) for each in {axis.sync for axis in wiring.axes}]
     cells: dict[int, tuple[int, list[Value]]] = {}
     for cell in wiring.cells:

@@ -12,7 +12,7 @@ from tonus.config.schema.bus import CanopenBus
 from tonus.config.schema.root import Config
 
 _SYNC = 0x080
-_EMERGENCY, _TPDO, _RPDO, _HEARTBEAT = 0x080, 0x180, 0x200, 0x700
+_EMERGENCY, _TPDO, _RPDO, _REQUEST, _HEARTBEAT = 0x080, 0x180, 0x200, 0x600, 0x700
 _STATUSWORD, _POSITION, _TARGET_TORQUE = 0x6041, 0x6064, 0x6071
 _REAL_VALUE = 0x6130
 _PROCESS_VALUES = (_REAL_VALUE, 0x7130, 0x9130)
@@ -73,6 +73,8 @@ class Axis:
     """identifier of the drive's own; 0 where its frames are not read"""
     sync: int = 0
     """identifier of what makes it act by the torque it was sent, the same way"""
+    request: int = 0
+    """identifier under which its objects are read and written (SDO), the same way"""
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,7 @@ class Wiring:
                         train.drum.viscous_friction / radius**2,
                         _HEARTBEAT + drive.node_id,
                         _SYNC,
+                        _REQUEST + drive.node_id,
                     )
                 )
             for node in channel.force_cells:

@@ -1,5 +1,5 @@
 """Requirements of the supervisor that no daemon of `test_wrong_daemons.py` breaks, each broken over
-the bus: SUP-8, 11, 12, 13, 14, 24 and 25.
+the bus: SUP-8, 11, 12, 13, 14, 24, 25 and 27.
 
 As there: in virtual time, on CAN, until the last drive reports the end of the heartbeat; the daemon
 finds no fault by itself where it could.
@@ -206,6 +206,33 @@ def test_frames_that_are_longer_than_a_drive_maps(monkeypatch: pytest.MonkeyPatc
 
     run, seen = played(lambda _: None, monkeypatch, foreign)
     stopped_for(run, seen, Requirement.COMMAND_LOGGED, PATIENCE_MS)
+
+
+@pytest.mark.parametrize(
+    ("identifier", "data", "kept"),
+    [
+        (0x000, b"\x82\x03", 3),
+        (0x603, b"\x23\xb2\x60\0\x64\0\0\0", None),
+        (0x603, b"\x23\x16\x10\x02\0\0\0\0", 3),
+    ],
+    ids=["reset communication", "torque offset", "the watch itself"],
+)
+def test_another_node_commands_a_drive(
+    monkeypatch: pytest.MonkeyPatch, identifier: int, data: bytes, kept: int | None
+) -> None:
+    """A drive whose watch it takes away no silence stops any more: the seven others do."""
+
+    buses: list[can.BusABC] = []
+
+    def foreign(_: Run) -> None:
+        buses.append(bus := can.Bus(interface="tonus", channel="can1"))
+        bus.send(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
+
+    run, seen = played(lambda _: None, monkeypatch, foreign)
+    assert sorted(run.stopped_ns) == [each for each in DRIVES if each != kept], seen.error
+    assert {number for number, _ in run.said} == {Requirement.COMMANDED}
+    last_ms = (max(run.stopped_ns.values()) - run.changed_ns) * 1e-6
+    assert last_ms <= LOOK_MS + TIMEOUT_MS + SLACK_MS
 
 
 def test_a_contact_while_the_robot_is_referenced_is_no_mistake_of_the_daemon() -> None:

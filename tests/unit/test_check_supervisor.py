@@ -125,7 +125,7 @@ def test_a_run_that_requires_one_that_has_no_drive_to_act_on() -> None:
         ("contact_at_once", 75.0),
         ("opposed_long_force", 22.5),
         ("opposed_long_error", 11.25),
-        ("passive_torque", 22.5),
+        ("passive_torque", 11.25),
         ("speed_stopping", 2.5),
         ("unexplained_force", 90.0),
         ("opposed_force", 67.5),

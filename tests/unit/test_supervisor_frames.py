@@ -195,6 +195,7 @@ def test_wiring_of_an_axis_and_a_cell() -> None:
         node, sign = axis.number + 1, config.robot.signs[axis.number]
         assert (axis.sent, axis.received) == (0x200 + node, 0x180 + node)
         assert (axis.sent_bytes, axis.received_bytes) == (4, 8)
+        assert (axis.heartbeat, axis.sync, axis.request) == (0x700 + node, 0x080, 0x600 + node)
         turns = 1.0 / train.motor.increments_per_revolution / train.gearbox.ratio
         assert axis.metre == pytest.approx(sign * 3.14159265 * 2.0 * train.drum.radius * turns)
         motor = 1e-3 * train.motor.rated_torque

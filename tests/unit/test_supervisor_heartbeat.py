@@ -404,13 +404,14 @@ def test_how_long_it_may_be_deaf_while_nothing_is_enabled(
 
 
 def test_on_each_channel_it_listens_to_the_devices_of_that_channel(config: Config) -> None:
-    """To SYNC, a drive's PDOs, both ways, and its heartbeat, and a cell's PDO, emergency and
-    heartbeat."""
+    """To SYNC, NMT, a drive's PDOs, both ways, what is asked of it and its heartbeat, and a cell's
+    PDO, emergency and heartbeat."""
     assert isinstance(config.fieldbus, CanopenBus)
     for channel in config.fieldbus.channels:
         drives = [drive.node_id for drive in channel.drives]
         cells = [node.node_id for node in channel.force_cells]
-        wanted = [base + node for node in drives for base in (0x180, 0x200, 0x700)]
-        wanted += [base + node for node in cells for base in (0x080, 0x180, 0x700)] + [0x080]
+        wanted = [base + node for node in drives for base in (0x180, 0x200, 0x600, 0x700)]
+        wanted += [base + node for node in cells for base in (0x080, 0x180, 0x700)]
+        wanted += [0x000, 0x080]
         found = [each.identifier for each in _watched(Wiring(config), channel.name)]
         assert sorted(found) == sorted(wanted)

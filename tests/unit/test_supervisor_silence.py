@@ -201,6 +201,82 @@ def test_a_silent_drive_whose_heartbeats_are_far_apart(
     assert broken(watchdog) is Requirement.DISARMED
 
 
+OBJECTS = {
+    (0x23, 0x60B2): True,
+    (0x2B, 0x6040): True,
+    (0x2F, 0x6060): True,
+    (0x20, 0x6071): True,
+    (0x21, 0x1016): True,
+    (0xC2, 0x1016): True,
+    (0x40, 0x6041): False,
+    (0x60, 0x603F): False,
+    (0x80, 0x603F): False,
+    (0xA0, 0x1003): False,
+    (0x00, 0x1003): False,
+}
+
+
+@pytest.mark.parametrize(("request_", "stopped"), OBJECTS.items())
+@pytest.mark.parametrize("enabled", [True, False])
+def test_what_is_asked_of_a_drive_beside_its_process_data(
+    watchdog: Watchdog, request_: tuple[int, int], stopped: bool, enabled: bool
+) -> None:
+    """To read is allowed, and to write while none is enabled: a bring-up does."""
+    axis = watchdog.wiring.axes[1]
+    data = struct.pack("<BHBi", *request_, 0, 1)
+    found = commanded(watchdog, axis.request, data, enabled=enabled)
+    assert found == ((1, request_[1]) if stopped and enabled else None)
+
+
+def test_power_that_is_switched_off_beside_the_process_data(watchdog: Watchdog) -> None:
+    """With that the daemon ends: 0 to the controlword, and nothing else."""
+    request = watchdog.wiring.axes[1].request
+    for word, found in ((0, None), (0x0F, (1, 0x6040))):
+        data = struct.pack("<BHBi", 0x2B, 0x6040, 0, word)
+        assert commanded(watchdog, request, data, enabled=True) == found
+
+
+@pytest.mark.parametrize("more", [b"", b"\0"])
+@pytest.mark.parametrize(
+    ("code", "node", "found"),
+    [
+        (0x02, 2, (1, 0x02)),
+        (0x80, 2, (1, 0x80)),
+        (0x81, 0, (1, 0x81)),
+        (0x82, 1, (0, 0x82)),
+        (0x01, 2, None),
+        (0x82, 17, None),
+        (0x82, 3, None),
+    ],
+)
+def test_commands_of_the_network(
+    watchdog: Watchdog, code: int, node: int, found: tuple[int, int] | None, more: bytes
+) -> None:
+    """To start is no harm; a cell that is reset is missed by itself, and a drive of another channel
+    has not heard it."""
+    assert commanded(watchdog, 0x000, bytes((code, node)) + more, enabled=True) == found
+
+
+def test_a_command_of_before_is_over(watchdog: Watchdog) -> None:
+    assert commanded(watchdog, 0x000, b"\x82\0", enabled=False) is None
+    assert watchdog.step(312, enabled=True) == BEAT
+
+
+def commanded(
+    watchdog: Watchdog, identifier: int, data: bytes, *, enabled: bool
+) -> tuple[int, int] | None:
+    """Place and value of the violation when a frame of the first channel is read."""
+    list(watchdog.steps(0, 310, enabled=False))
+    message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
+    watchdog.buses[0].waiting.append(message)
+    sent = watchdog.step(310, enabled=enabled)
+    if sent == BEAT:
+        return None
+    code, _, place, value = struct.unpack("<HBBf", sent[0][1])
+    assert code == 0xFF1B
+    return place, int(value)
+
+
 @pytest.fixture
 def telling(config: Config) -> Iterator[tuple[Watchdog, EchoBus]]:
     """A supervisor that has begun, and the first of its buses, which tell what they have sent."""
