@@ -11,7 +11,6 @@ import pytest
 
 pytestmark = pytest.mark.wide
 
-TESTS = ("tests/unit/test_supervisor.py", "tests/unit/test_supervisor_recorded.py")
 ROOT = Path(__file__).parents[2]
 TESTS = sorted(map(str, Path(__file__).parent.glob("test_supervisor_[!c]*.py")))
 
