@@ -257,8 +257,10 @@ def test_commands_of_the_network(
     assert commanded(watchdog, 0x000, bytes((code, node)) + more, enabled=True) == found
 
 
-def test_a_command_of_before_is_over(watchdog: Watchdog) -> None:
-    assert commanded(watchdog, 0x000, b"\x82\0", enabled=False) is None
+@pytest.mark.parametrize("data", [b"\x82\0", b"\x23\xb2\x60\0\1\0\0\0"])
+def test_a_command_of_before_is_over(watchdog: Watchdog, data: bytes) -> None:
+    identifier = 0x000 if len(data) == 2 else watchdog.wiring.axes[1].request
+    assert commanded(watchdog, identifier, data, enabled=False) is None
     assert watchdog.step(312, enabled=True) == BEAT
 
 
@@ -314,6 +316,19 @@ def test_two_heartbeats_at_most_wait(telling: tuple[Watchdog, EchoBus]) -> None:
     assert watchdog.step(370, enabled=True) == BEAT, "one that was not taken is not waited for"
 
 
+def test_heartbeats_that_wait_from_the_second_on(config: Config) -> None:
+    """The first one told that the interface tells what it has sent."""
+    watchdog = Watchdog(config, EchoBus)
+    list(watchdog.steps(0, 300, enabled=False))
+    for now, sent in ((300, BEAT), (302, BEAT), (304, BEAT), (306, [])):
+        assert watchdog.step(now, enabled=False) == sent
+        for each in watchdog.buses:
+            assert isinstance(each, EchoBus)
+            if now == 300:
+                each.let_out()
+    watchdog.supervisor.close()
+
+
 def test_one_heartbeat_of_sixteen_may_be_lost(telling: tuple[Watchdog, EchoBus]) -> None:
     watchdog, bus = telling
     for place, now in enumerate(range(312, 410, 2)):
@@ -324,7 +339,7 @@ def test_one_heartbeat_of_sixteen_may_be_lost(telling: tuple[Watchdog, EchoBus])
     bus.queue.clear()
 
 
-@pytest.mark.parametrize(("until_ms", "again"), [(336.0, True), (336.0001, False)])
+@pytest.mark.parametrize(("until_ms", "again"), [(336.0, True), (336.00001, False)])
 def test_heartbeats_that_wait_until_drives_have_lost_them(
     telling: tuple[Watchdog, EchoBus], until_ms: float, again: bool
 ) -> None:
