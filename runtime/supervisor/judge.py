@@ -64,6 +64,7 @@ class Judge:
         self._astray_ns = round(2e9 * control.isolation.tension_error_s)
         self._twists = _twists(config, settings.spread)
         self._tick_ns = control.rates.period_ns
+        self._period_ns = round(settings.period_ms * 1e6)
         self._brakes = config.relay is None
         patience = dict.fromkeys(Requirement, settings.patience_ms)
         patience[Requirement.TICK] = patience[Requirement.TORQUE] = 0.0  # ages by themselves
@@ -114,10 +115,11 @@ class Judge:
         """Count what is broken, and forget what is not."""
         elapsed_ns = 0 if self._looked_ns is None else now_ns - self._looked_ns
         self._looked_ns = now_ns
+        least_ns = -min(elapsed_ns, self._period_ns)
         held = {
-            key: held_ns - elapsed_ns // _FORGETTING
+            key: max(held_ns - elapsed_ns // _FORGETTING, least_ns)
             for key, held_ns in self._held.items()
-            if key not in broken and held_ns > -elapsed_ns
+            if key not in broken and held_ns > least_ns
         }
         for key in broken:
             held[key] = self._held[key] + elapsed_ns if key in self._held else 0
@@ -322,7 +324,7 @@ class Judge:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
         if claim.stop_mode == StopMode.PASSIVE:
             # Each drum has a share of the passive tension, and a damping against its motion.
-            reeling_in, paying_out = seen.torque - self._passive_tension, -seen.torque
+            reeling_in, paying_out = seen.torques[1] - self._passive_tension, -seen.torques[0]
             driving = np.where(seen.rate > 0.0, reeling_in, paying_out)
             turning = seen.enabled & (abs(seen.rate) > 0.0)
             yield from _at(Requirement.BRAKED, seen, driving, settings.passive_torque, turning)

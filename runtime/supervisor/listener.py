@@ -54,10 +54,12 @@ class Watched(NamedTuple):
 
 class Heard:
     """What was received under one identifier: the newest data, when it was read, how many frames,
-    how many of them in a row equal to the one before, the sum of each number, the frames of a drive
-    that was not powered, and the first number of each frame since `numbers` was emptied last."""
+    how many of them in a row had the first number of the one before, or all its data where they
+    have none, the sum of each number, the frames of a drive that was not powered, and the first
+    number of each frame since `numbers` was emptied last."""
 
     __slots__ = (
+        "_newest",
         "at_ns",
         "count",
         "numbers",
@@ -72,6 +74,7 @@ class Heard:
     def __init__(self, values: tuple[Value, ...], statusword: Value | None = None) -> None:
         self.values, self.statusword = values, statusword
         self.word = self.at_ns = self.count = self.same = self.off = 0
+        self._newest: float | None = None
         self.totals = [0.0] * len(values)
         self.numbers: deque[float] = deque(maxlen=_MOST)
 
@@ -88,16 +91,15 @@ class Heard:
 
     def take(self, words: Sequence[int], now_ns: int) -> None:
         """The data of frames that were read at one time, in their order; at least one."""
-        same, newest = self.same, self.word if self.count else None
-        for word in words:
-            same = same + 1 if word == newest else 0
-            newest = word
-        self.same, self.word, self.at_ns = same, words[-1], now_ns
+        found = [value.numbers(words) for value in self.values]
+        for each in found[0] if found else words:
+            self.same = self.same + 1 if each == self._newest else 0
+            self._newest = each
+        self.word, self.at_ns = words[-1], now_ns
         self.count += len(words)
         if self.statusword is not None:
             shift, mask = self.statusword.shift, STATE
             self.off += [word >> shift & mask in _POWERED for word in words].count(False)
-        found = [value.numbers(words) for value in self.values]
         for place, numbers in enumerate(found):  # the sum is for ever
             known = (number for number in numbers if abs(number) <= _LARGEST_NUMBER)
             self.totals[place] = sum(known, self.totals[place])

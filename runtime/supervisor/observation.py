@@ -32,9 +32,7 @@ class Observation:
     axes: NDArray[np.int64]
     """numbers"""
     enabled: NDArray[np.bool_]
-    """powered, by the newest statusword"""
-    rested: bool
-    """every drive was without power at some time since the last look"""
+    """powered by any statusword since the last look, or by the newest; or told to be since"""
     measured_age: Floats
     """ms since the drive's last PDO"""
     channel_age: Floats
@@ -49,6 +47,8 @@ class Observation:
     """that torque is at the motor's limit"""
     torque: Floats
     """N at the cable"""
+    torques: Floats
+    """the least and the largest of them since the last look (2, n)"""
     rate: Floats
     """m/s, reeling in"""
     tension: Floats
@@ -136,7 +136,8 @@ class Observer:
         """to each axis in the look before, per mille"""
         self._samples: deque[_Sample] = deque()
         self._since = _Since(len(wiring.axes))
-        self._off = np.zeros(len(wiring.axes), np.int64)
+        self._frames = np.zeros((2, len(wiring.axes)), np.int64)
+        """of each axis in all looks, and those in which it had no power"""
 
     def __call__(self, now_ns: int, heard: Listened, claims: list[Claim]) -> Observation:
         if claims:
@@ -157,8 +158,18 @@ class Observer:
         same = np.array([each.same for each in sent], np.int64)
         changed = np.array([each.count for each in sent], np.int64) - same
         enabled = np.array([each.powered for each in received], bool)
-        off = np.array([each.off for each in received], np.int64)
-        rested, self._off = bool((off > self._off).all()), off
+        frames = np.array([[each.count, each.off] for each in received], np.int64).T
+        new, self._frames = frames - self._frames, frames
+        enabled |= new[0] > new[1]
+        enabled |= [
+            told.at_ns > answer.at_ns and axis.enables(told.word)
+            for axis, told, answer in zip(self._axes, sent, received, strict=True)
+        ]
+        lately = [
+            each.numbers or [each_mille]
+            for each, each_mille in zip(sent, mille.tolist(), strict=True)
+        ]
+        torques = np.array([(min(each), max(each)) for each in lately]).T * self._newton
         tension = np.array([_force(cell, heard, tared) for cell in cells])
         self._sample(now_ns, received, sent, cells, heard, tension)
         rate, unexplained, mean = self._moved(tared)
@@ -167,7 +178,6 @@ class Observer:
             now_ns,
             self._numbers,
             enabled,
-            rested,
             measured_age,
             np.where(self._together, measured_age, np.inf).min(axis=1),
             np.maximum(_ages(now_ns, sent), _ages(now_ns, synced)),
@@ -175,6 +185,7 @@ class Observer:
             mille,
             abs(mille) >= self._limit,
             mille * self._newton,
+            np.sort(torques, axis=0),
             rate,
             tension,
             _force(self._contact, heard, tared),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
 from tonus.runtime.states import ARMED
+from tonus.runtime.supervisor.commands import NMT, REQUEST, Commands, Own, Told, told_by
 from tonus.runtime.supervisor.judge import CONTROLLED, NOWHERE, Judge, Violation
 from tonus.runtime.supervisor.listener import Listener, Watched
 from tonus.runtime.supervisor.observation import Listened, Observation, Observer
@@ -23,24 +24,17 @@ from tonus.runtime.supervisor.wiring import Value, Wiring
 
 OpenBus = Callable[[str, str, int], can.BusABC]
 """From interface, channel and bit rate."""
-_EMERGENCY, _RPDO, _SDO, _HEARTBEAT = 0x080, 0x200, 0x600, 0x700
+_EMERGENCY, _RPDO, _HEARTBEAT = 0x080, 0x200, 0x700
 _HELD, _RELEASED = b"\1", b"\0"
 """digital outputs of the relay's node: bit 0 is the coil"""
 _OPERATIONAL = b"\5"
 _STATE, _BOOT_UP = Value(0, 8), 0
 """of a heartbeat"""
-_NMT, _COMMAND, _START, _EVERY_NODE = 0x000, Value(0, 16), 0x01, 0
-_COMMAND_BYTES = 2
-_REQUEST, _REQUEST_BYTES = Value(0, 64), 8
-_WRITES = (0x20, 0xC0)
-"""upper three bits of a request that begins a download, or one in blocks (CiA 301)"""
-_POWER_OFF = 0x0060402B
-"""the request to write 0 to the controlword, with which the daemon ends"""
 _ERROR = struct.Struct("<HBBf")
 _EMERGENCY_BYTES = 8
 """Error code, error register, axis or 0xFF, value; CiA 301 leaves the last five to the device."""
 _ERROR_CODE, _REGISTER, _NO_AXIS = 0xFF00, 0x81, 0xFF
-_NEVER, _ONE_OF = -1, 16
+_NEVER, _ONE_OF = -1, 256
 _LARGEST = 3.4e38
 """below the largest float of 32 bits"""
 
@@ -59,8 +53,15 @@ class Supervisor:
     and the heartbeat and the relay's output are what it holds.
     """
 
-    def __init__(self, config: Config, records: Records, open_bus: OpenBus) -> None:
-        """Raises `can.CanError` and OSError when a channel cannot be opened, and ValueError for a
+    def __init__(
+        self,
+        config: Config,
+        records: Records,
+        open_bus: OpenBus,
+        clock: Callable[[], int] | None = None,
+    ) -> None:
+        """``clock``: ns, as `step` is told them; None where no time passes within a step. Raises
+        `can.CanError` and OSError when a channel cannot be opened, and ValueError for a
         configuration without a supervisor."""
         settings = config.supervisor
         if settings is None or settings.policy == "off":
@@ -79,8 +80,8 @@ class Supervisor:
         self._relay = relay
         self._holds = False
         """whether it has set the relay's output"""
-        self._records = records
-        tick_ns = config.control.rates.period_ns
+        self._records, self._clock = records, clock
+        self._tick_ns = tick_ns = config.control.rates.period_ns
         self._observe = Observer(wiring, settings, config.robot.contact_cell, tick_ns)
         self._judge = Judge(config, settings)
         self._quiet_ns: int | None = None
@@ -96,14 +97,24 @@ class Supervisor:
             bus = open_bus(interface, channel, bitrate)
             watched = _watched(wiring, channel)
             if relay is not None:
-                watched = [Watched(_HEARTBEAT + relay.node_id, 1, ())]
+                watched = [
+                    Watched(_HEARTBEAT + relay.node_id, 1, ()),
+                    Watched(_RPDO + relay.node_id, 1, (), command=True),
+                    *told_by([relay.node_id]),
+                ]
             self._listeners.append(Listener(bus, [*watched, Watched(own, 1, ())]))
         self._beating = [False] * len(self._listeners)
         self._beat_ns = [_NEVER] * len(self._listeners)
         """when each was sent a heartbeat last"""
         self._spare_at = [0] * len(self._listeners)
         """how many have gone out when one may be lost again"""
-        self._echoes = [listener.heard[own] for listener in self._listeners]
+        self._unwatched_ns: list[int | None] = [None] * len(self._listeners)
+        """since when drives of each have power without a heartbeat"""
+        self._beats = [Own(listener.heard[own]) for listener in self._listeners]
+        self._outputs: Own | None = None
+        """what the relay's node is told"""
+        if relay is not None:
+            self._outputs = Own(self._listeners[0].heard[_RPDO + relay.node_id])
         names = [name for _, name, _ in wiring.channels]
         places = [0 if relay is not None else names.index(axis.channel) for axis in wiring.axes]
         self._channel_of = np.array(places, np.int64)
@@ -118,12 +129,8 @@ class Supervisor:
         }
         if self._replayed is not None:
             self._heard = self._replayed.heard
-        self._told = [
-            (axis, self._heard[axis.channel, axis.request], self._heard[axis.channel, _NMT])
-            for axis in wiring.axes
-            if axis.request
-        ]
-        """SDO requests and NMT commands to each drive whose frames are read"""
+        own_frames = self._beats if self._outputs is None else [*self._beats, self._outputs]
+        self._commands = Commands(self._told(wiring), own_frames)
         nodes = {(c.channel, c.heartbeat, c.emergency) for c in wiring.cells if c.heartbeat}
         self._amplifiers = [
             (self._heard[channel, heartbeat], self._heard[channel, emergency])
@@ -131,13 +138,26 @@ class Supervisor:
         ]
         """heartbeats and emergency frames of each"""
 
+    def _told(self, wiring: Wiring | RecordedWiring) -> list[Told]:
+        """Of each device whose frames are read."""
+        if self._relay is not None:
+            heard, node = self._listeners[0].heard, self._relay.node_id
+            return [Told(NOWHERE, node, heard[REQUEST + node], heard[NMT])]
+        amplifiers = {(cell.channel, cell.request) for cell in wiring.cells}
+        devices = [(NOWHERE, *each) for each in sorted(amplifiers)]
+        devices += [(axis.number, axis.channel, axis.request) for axis in wiring.axes]
+        return [
+            Told(where, request - REQUEST, self._heard[name, request], self._heard[name, NMT])
+            for where, name, request in devices
+        ]
+
     def step(self, now_ns: int) -> None:
         """Never raises for a bus: what cannot be received ages, what cannot be sent is missed."""
         for listener in self._listeners:
             with contextlib.suppress(can.CanError, OSError):
                 listener.read(now_ns)
         self._forget_errors()
-        commanded = self._commanded()
+        commanded = self._commands()
         seen = self._look(now_ns)
         # A drive that is silent is what it was, unless daemon and all others are disarmed and it
         # sends no heartbeat either: then it was pulled, or has no power.
@@ -153,7 +173,7 @@ class Supervisor:
             self._quiet_ns = None
         elif self._quiet_ns is None:
             self._quiet_ns = now_ns
-        if seen.rested or not armed:
+        if not armed:
             self._judge.rest(now_ns)
         if armed or seen.claim is None or seen.claim.state not in CONTROLLED:
             self._agreed_ns = now_ns
@@ -170,6 +190,8 @@ class Supervisor:
             self._beating = [True] * len(self._listeners)
             self._beat_ns = [_NEVER] * len(self._listeners)
             self.violation = None
+        if self.settings.policy == "require":
+            self._begin_watches(now_ns, seen)
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
         seen.beating = np.array(self._beating)[self._channel_of]
         seen.enabled &= seen.beating
@@ -199,7 +221,7 @@ class Supervisor:
     def _risen(self, now_ns: int, found: list[Claim]) -> list[Claim]:
         """Without those of the future, and those of no later tick than the one before: whoever
         writes the same again has recorded nothing."""
-        latest_ns = now_ns + self.settings.patience_ms * 1e6
+        latest_ns = now_ns + self._tick_ns
         risen: list[Claim] = []
         for claim in found:
             if claim.tick > self._tick and claim.at_ns <= latest_ns:
@@ -231,7 +253,7 @@ class Supervisor:
 
     def _hold_relay(self) -> None:
         """Its output is on as long as the heartbeat goes, and is off at once with its end."""
-        if self._relay is None or not (self.beating or self._holds):
+        if self._relay is None or self._outputs is None or not (self.beating or self._holds):
             return
         self._holds = self.beating
         data = _HELD if self._holds else _RELEASED
@@ -239,6 +261,19 @@ class Supervisor:
         message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
         with contextlib.suppress(can.CanError, OSError):
             self._listeners[0].bus.send(message)
+            self._outputs.sent += 1
+
+    def _begin_watches(self, now_ns: int, seen: Observation) -> None:
+        """Drives that keep power although they get no heartbeat have heard none since they were
+        started, or reset: a single one begins their watch (CiA 301), and none follows."""
+        for place, beating in enumerate(self._beating):
+            if beating or not seen.enabled[self._channel_of == place].any():
+                self._unwatched_ns[place] = None
+                continue
+            since_ns = self._unwatched_ns[place] = self._unwatched_ns[place] or now_ns
+            waited_ms = (now_ns - since_ns) * 1e-6
+            if 0.0 <= waited_ms - 2 * self.settings.timeout_ms < self.settings.period_ms:
+                self._beats[place].sent += self._send(place, _HEARTBEAT, _OPERATIONAL)
 
     def _late(self, now_ns: int) -> Violation | None:
         """Looks that come late keep the drives alive, and find everything late."""
@@ -247,24 +282,6 @@ class Supervisor:
         if since_ms <= 2 * settings.period_ms + settings.patience_ms:
             return None
         return Violation(Requirement.LATE, NOWHERE, since_ms)
-
-    def _commanded(self) -> Violation | None:
-        """What drives were told beside their process data since the last look, by a stranger or by
-        the daemon, which does so only while none is enabled: an NMT command but to start, or a
-        download but to switch the power off."""
-        found = None
-        for axis, requests, commands in self._told:
-            for word in map(int, requests.numbers):
-                if word & 0xE0 in _WRITES and word != _POWER_OFF:
-                    found = Violation(Requirement.COMMANDED, axis.number, word >> 8 & 0xFFFF)
-            for word in map(int, commands.numbers):
-                code, node = word & 0xFF, word >> 8 & 0xFF
-                if code != _START and node in (_EVERY_NODE, axis.request - _SDO):
-                    found = Violation(Requirement.COMMANDED, axis.number, code)
-        for _, requests, commands in self._told:
-            requests.numbers.clear()
-            commands.numbers.clear()
-        return found
 
     @property
     def beating(self) -> bool:
@@ -318,13 +335,18 @@ class Supervisor:
     def _beat(self, now_ns: int) -> None:
         """Two heartbeats at most wait, on an interface that tells what it has sent: those in a full
         queue hold the drives when it has decided. The second since one may be lost, of `_ONE_OF`.
-        Where none goes out for so long that drives have lost it, none follows."""
-        for place, echo in enumerate(self._echoes):
+        Where none goes out for so long that drives have lost it, none follows. A look during which
+        its processor was taken away sends none: what it has seen is too old."""
+        if self._clock is not None and self._clock() - now_ns > self.settings.period_ms * 1e6:
+            return
+        for place, own in enumerate(self._beats):
+            echo = own.heard
             waits = echo.count > 0 and echo.at_ns <= self._beat_ns[place]
             if waits and echo.count < self._spare_at[place]:
                 waited_ms = (now_ns - self._beat_ns[place]) * 1e-6
                 self._beating[place] &= waited_ms <= self.settings.timeout_ms
             elif self._beating[place] and self._send(place, _HEARTBEAT, _OPERATIONAL):
+                own.sent += 1
                 self._beat_ns[place] = now_ns
                 if waits:
                     self._spare_at[place] = echo.count + _ONE_OF
@@ -370,16 +392,17 @@ def _watched(wiring: Wiring, channel: str) -> list[Watched]:
             found.append(Watched(axis.sent, axis.sent_bytes, (axis.torque,), command=True))
             found.append(Watched(axis.received, axis.received_bytes, (), axis.statusword))
             found.append(Watched(axis.heartbeat, 1, (_STATE,)))
-            found.append(Watched(axis.request, _REQUEST_BYTES, (_REQUEST,)))
-    found.append(Watched(_NMT, _COMMAND_BYTES, (_COMMAND,), command=True))
+    requests = {axis.request for axis in wiring.axes if axis.channel == channel}
+    requests |= {cell.request for cell in wiring.cells if cell.channel == channel}
+    found += told_by(sorted(request - REQUEST for request in requests))
     found += [Watched(each, 0, ()) for each in {axis.sync for axis in wiring.axes}]
     cells: dict[int, tuple[int, list[Value]]] = {}
     for cell in wiring.cells:
         if cell.channel == channel:
             cells.setdefault(cell.received, (cell.received_bytes, []))[1].append(cell.force)
     found += [Watched(key, size, tuple(values)) for key, (size, values) in cells.items()]
-    nodes = {(each.emergency, each.heartbeat) for each in wiring.cells if each.channel == channel}
-    for emergency, heartbeat in sorted(nodes):
+    amplifiers = {(c.emergency, c.heartbeat) for c in wiring.cells if c.channel == channel}
+    for emergency, heartbeat in sorted(amplifiers):
         found.append(Watched(emergency, _EMERGENCY_BYTES, (), errors=True))
         found.append(Watched(heartbeat, 1, (_STATE,)))
     return found

@@ -13,7 +13,9 @@ from tonus.config.schema.root import Config
 
 _SYNC = 0x080
 _EMERGENCY, _TPDO, _RPDO, _REQUEST, _HEARTBEAT = 0x080, 0x180, 0x200, 0x600, 0x700
-_STATUSWORD, _POSITION, _TARGET_TORQUE = 0x6041, 0x6064, 0x6071
+_CONTROLWORD, _STATUSWORD, _POSITION, _TARGET_TORQUE = 0x6040, 0x6041, 0x6064, 0x6071
+_ENABLE = 0x0F
+"""of a controlword (CiA 402)"""
 _REAL_VALUE = 0x6130
 _PROCESS_VALUES = (_REAL_VALUE, 0x7130, 0x9130)
 _REAL = struct.Struct("<f")
@@ -75,6 +77,13 @@ class Axis:
     """identifier of what makes it act by the torque it was sent, the same way"""
     request: int = 0
     """identifier under which its objects are read and written (SDO), the same way"""
+    controlword: Value | None = None
+    """in what the drive is sent, the same way"""
+
+    def enables(self, word: int) -> bool:
+        """Whether the drive is told to have power."""
+        told = 0 if self.controlword is None else int(self.controlword.number(word))
+        return told & _ENABLE == _ENABLE
 
 
 @dataclass(frozen=True)
@@ -90,6 +99,8 @@ class Cell:
     """identifier under which its amplifier reports an error"""
     heartbeat: int = 0
     """identifier of the amplifier's; 0 where its frames are not read"""
+    request: int = 0
+    """identifier under which its objects are read and written (SDO), the same way"""
 
 
 class Wiring:
@@ -135,6 +146,7 @@ class Wiring:
                         _HEARTBEAT + drive.node_id,
                         _SYNC,
                         _REQUEST + drive.node_id,
+                        _value(profile.rpdo, _CONTROLWORD),
                     )
                 )
             for node in channel.force_cells:
@@ -151,6 +163,7 @@ class Wiring:
                             1.0 if real else 10.0**-bus.force_cell.decimal_digits,
                             _EMERGENCY + node.node_id,
                             _HEARTBEAT + node.node_id,
+                            _REQUEST + node.node_id,
                         )
                     )
 

@@ -30,7 +30,7 @@ STRICT = {
     "supervisor.period_ms": 2,
     "supervisor.timeout_ms": 22,
     "supervisor.patience_ms": 5,
-    "supervisor.policy": "require",
+    "supervisor.policy": "use",
 }
 
 
@@ -49,7 +49,6 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         now_ns=round(at_ms * MS),
         axes=np.arange(N),
         enabled=np.ones(N, bool),
-        rested=False,
         measured_age=np.zeros(N),
         channel_age=np.zeros(N),
         torque_age=np.zeros(N),
@@ -57,6 +56,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         mille=np.full(N, 100 * (said.state in ARMED)),
         limited=np.zeros(N, bool),
         torque=np.full(N, 45.0),
+        torques=np.full((2, N), 45.0),
         rate=np.zeros(N),
         tension=np.full(N, 45.0),
         contact=0.0,
@@ -74,6 +74,8 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         late=np.zeros(N, bool),
         beating=np.ones(N, bool),
     )
+    if "torque" in given:
+        given.setdefault("torques", np.tile(given["torque"], (2, 1)))
     return replace(found, **given)
 
 

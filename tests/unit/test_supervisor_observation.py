@@ -134,8 +134,8 @@ def test_a_drive_in_quick_stop_is_powered(config: Config, quick: bool) -> None:
     assert heard.off == 2 - quick
 
 
-def test_drives_that_were_without_power_between_two_looks(config: Config) -> None:
-    """However short: every one of them, and not only some."""
+def test_drives_that_had_power_between_two_looks(config: Config) -> None:
+    """However short: a daemon may switch them tick by tick."""
     stage = Stage(config)
 
     def send(word: int, axes: Any) -> None:
@@ -144,17 +144,31 @@ def test_drives_that_were_without_power_between_two_looks(config: Config) -> Non
             received.take([word << axis.statusword.shift], 1)
 
     axes = stage.wiring.axes
-    send(0x0237, axes)
-    assert not stage.observe(MS, stage.heard, [claim()]).rested
-    send(0x0240, axes[:7])
-    send(0x0237, axes)
-    assert not stage.observe(2 * MS, stage.heard, [claim()]).rested
     send(0x0240, axes)
+    assert not stage.observe(MS, stage.heard, [claim()]).enabled.any()
+    send(0x0237, axes[:3])
+    send(0x0240, axes)
+    found = stage.observe(2 * MS, stage.heard, [claim()])
+    assert found.enabled.tolist() == [True] * 3 + [False] * 5
+    assert not stage.observe(3 * MS, stage.heard, [claim()]).enabled.any()
     send(0x0237, axes)
-    found = stage.observe(3 * MS, stage.heard, [claim()])
-    assert found.rested
-    assert found.enabled.all()
-    assert not stage.observe(4 * MS, stage.heard, [claim()]).rested
+    assert stage.observe(4 * MS, stage.heard, [claim()]).enabled.all()
+    assert stage.observe(5 * MS, stage.heard, [claim()]).enabled.all(), "nothing new came"
+
+
+def test_drives_that_are_told_to_have_power_and_answer_no_more(config: Config) -> None:
+    """The last answer says that they are switched on; from the next SYNC on they have power."""
+    stage = Stage(config)
+    stage.tick(MS, newton=45.0, metre=1.0, force=45.0)
+    for axis in stage.wiring.axes:
+        stage.heard[axis.channel, axis.received].take([0x0233 << axis.statusword.shift], 2 * MS)
+    assert stage.observe(2 * MS, stage.heard, [claim()]).enabled.all(), "it was, in this look"
+    assert not stage.observe(3 * MS, stage.heard, [claim()]).enabled.any()
+    for controlword, enabled in ((0x07, False), (0x0F, True), (0x06, False)):
+        for axis in stage.wiring.axes:
+            stage.heard[axis.channel, axis.sent].take([controlword], 4 * MS)
+        found = stage.observe(4 * MS, stage.heard, [claim()])
+        assert found.enabled.all() == found.enabled.any() == enabled
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,8 @@ async def _until_left_alone(job: dict[str, Any]) -> None:
     """Judge until standard input closes."""
     config = Config.model_validate(job["config"])
     ring = RingReader.look(Path(job["ring"]))
-    supervisor = Supervisor(config, of_ring(ring, config.robot.cables), open_bus)
+    records = of_ring(ring, config.robot.cables)
+    supervisor = Supervisor(config, records, open_bus, clock.now_ns)
     settings, realtime = supervisor.settings, config.realtime
     prepare(
         priority=realtime.of(settings.priority),

@@ -1,0 +1,79 @@
+"""What devices are told beside their process data, and what others send in the supervisor's
+name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.supervisor.judge import NOWHERE, Violation
+from tonus.runtime.supervisor.listener import Heard, Watched
+from tonus.runtime.supervisor.wiring import Value
+
+REQUEST, NMT = 0x600, 0x000
+"""Identifiers (CiA 301): of SDO requests, with the node's number added, and of NMT commands"""
+_BYTES, _NMT_BYTES = 8, 2
+_WRITES = (0x00, 0x20, 0xC0)
+"""upper three bits of a request that begins a download, goes on with one, or begins one in blocks
+(CiA 301)"""
+_POWER_OFF = 0x0060402B
+"""the request to write 0 to the controlword, with which the daemon ends"""
+_START, _EVERY_NODE = 0x01, 0
+
+
+class Told(NamedTuple):
+    """A device by its node, and what came of SDO requests to it and of NMT commands."""
+
+    where: int
+    """axis, or `NOWHERE`"""
+    node: int
+    requests: Heard
+    commands: Heard
+
+
+class Own:
+    """Frames that only the supervisor sends, on an interface that tells what it has sent."""
+
+    def __init__(self, heard: Heard) -> None:
+        self.heard = heard
+        self.sent = 0
+
+    @property
+    def foreign(self) -> bool:
+        """More were heard than it has sent."""
+        return self.heard.count > self.sent
+
+
+def told_by(nodes: Iterable[int]) -> list[Watched]:
+    """What these nodes of a channel are told by."""
+    found = [Watched(REQUEST + node, _BYTES, (Value(0, 64),)) for node in nodes]
+    return [*found, Watched(NMT, _NMT_BYTES, (Value(0, 16),), command=True)]
+
+
+class Commands:
+    """Looks at what has come since it was called last."""
+
+    def __init__(self, told: list[Told], own: list[Own]) -> None:
+        self._told, self._own = told, own
+
+    def __call__(self) -> Violation | None:
+        """An NMT command but to start, or a download but to switch the power off, by a stranger or
+        by the daemon, which does so only while no drive is enabled; or a stranger's frame under an
+        identifier of the supervisor's own."""
+        found = None
+        for each in self._told:
+            for word in map(int, each.requests.numbers):
+                if word & 0xE0 in _WRITES and word != _POWER_OFF:
+                    index = word >> 8 & 0xFFFF
+                    found = Violation(Requirement.COMMANDED, each.where, index)
+            for word in map(int, each.commands.numbers):
+                code, node = word & 0xFF, word >> 8 & 0xFF
+                if code != _START and node in (_EVERY_NODE, each.node):
+                    found = Violation(Requirement.COMMANDED, each.where, code)
+        for each in self._told:
+            each.requests.numbers.clear()
+            each.commands.numbers.clear()
+        if any(each.foreign for each in self._own):
+            found = Violation(Requirement.COMMANDED, NOWHERE, 0.0)
+        return found
