@@ -361,6 +361,26 @@ def test_heartbeats_that_wait_until_drives_have_lost_them(
         assert watchdog.step(642, enabled=False) == BEAT
 
 
+def test_heartbeats_that_never_went_out(telling: tuple[Watchdog, EchoBus]) -> None:
+    """The interface dropped them: it begins again once everything is off."""
+    watchdog, bus = telling
+    other = watchdog.buses[1]
+    assert isinstance(other, EchoBus)
+    for now in range(312, 340, 2):
+        watchdog.step(now, enabled=True)
+        other.let_out()
+    bus.queue.clear()
+    assert all(sent == [] for sent in watchdog.steps(340, 640, enabled=False))
+    assert watchdog.step(640, enabled=False) == BEAT
+
+
+def test_a_heartbeat_of_its_number_before_it_begins(watchdog: Watchdog) -> None:
+    frame = can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\5")
+    watchdog.buses[0].waiting.append(frame)
+    assert all(sent == [] for sent in watchdog.steps(0, 300, enabled=False))
+    assert watchdog.step(300, enabled=False) == BEAT
+
+
 def test_the_heartbeats_of_another_interface_are_not_waited_for(watchdog: Watchdog) -> None:
     """One that does not tell what it has sent."""
     assert all(sent == BEAT for sent in [*watchdog.steps(0, 400, enabled=False)][151:])
