@@ -58,7 +58,7 @@ REQUIREMENT_TEXTS: dict[Requirement, str] = {
     Requirement.LATE: "it looks in time itself",
     Requirement.ORDERS: "a stop follows an order to stop, and a fault, that are recorded",
     Requirement.BRAKED: "in a passive stop no torque drives its drum",
-    Requirement.COMMANDED: "no drive is reset, stopped or written to beside its process data",
+    Requirement.COMMANDED: "no device is commanded beside its process data, nor in its name",
 }
 
 

@@ -246,3 +246,33 @@ def test_a_contact_while_the_robot_is_referenced_is_no_mistake_of_the_daemon() -
     run = Run(config, load_scenario("hold"), pushed, state=State.REFERENCING, at=0.1)
     run.play(0.1)
     assert (run.said, run.stopped_ns) == ([], {})
+
+
+class SwitchedOff:
+    """Every drive, in each tick but ``on`` of ``cycle``; with torques of its own that change."""
+
+    def __init__(self, on: int, cycle: int, first: int) -> None:
+        self._on, self._cycle, self._count = on, cycle, first
+
+    def __call__(self, result: tuple[Any, Any], *_: Any) -> tuple[Any, Any]:
+        self._count += 1
+        words, torques = result
+        enabled = self._count % self._cycle < self._on
+        wild = [round(1.5 * each) + self._count % 7 for each in torques]
+        return [0x0F if enabled else 0x07] * len(words), wild
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize(("on", "cycle"), [(1, 2), (2, 4)])
+def test_drives_that_are_switched_off_and_on_tick_by_tick(
+    on: int, cycle: int, first: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever of the two a look finds as the newest: a drive has power that had it at any time
+    since the look before."""
+    change = both(blind, after(Exchange, "commands", SwitchedOff(on, cycle, first)))
+    run, seen = played(change, monkeypatch, seconds=0.3)
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    until = seen.truth_ns <= max(run.stopped_ns.values())
+    assert np.linalg.norm(seen.truth["velocity"][until], axis=1).max() <= 0.8
+    assert seen.truth["tension"][until].max() <= 240.0
+    assert run.slowest_ms <= 2 * PATIENCE_MS + LOOK_MS + TIMEOUT_MS + SLACK_MS

@@ -3,7 +3,7 @@ frames of every axis and cell."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -175,12 +175,18 @@ class Stage:
 class Watchdog:
     """A supervisor with a bus for each channel, and what it is given."""
 
-    def __init__(self, config: Config, bus: type[FakeBus] = FakeBus) -> None:
+    def __init__(
+        self,
+        config: Config,
+        bus: type[FakeBus] = FakeBus,
+        clock: Callable[[], int] | None = None,
+    ) -> None:
         self.buses: list[FakeBus] = []
+        self.now_ms = 0.0
         self._bus = bus
         self.records: list[tuple[int, Any]] = []
         self.state = State.SAFE_STOP
-        self.supervisor = Supervisor(config, self._new, self._open)
+        self.supervisor = Supervisor(config, self._new, self._open, clock)
         self.wiring = Wiring(config)
 
     def _open(self, *_: Any) -> can.BusABC:
@@ -236,7 +242,7 @@ class Watchdog:
             record["state"]["state"] = self.state
             record["timing"]["tick"] = round(now_ms * 1000)
             self.records.append((round(now_ms * MS), record[0]))
-        before = len(self.buses[0].sent)
+        before, self.now_ms = len(self.buses[0].sent), now_ms
         self.supervisor.step(round(now_ms * MS))
         assert not any(message.is_extended_id for bus in self.buses for message in bus.sent)
         return [(m.arbitration_id, bytes(m.data)) for m in self.buses[0].sent[before:]]

@@ -396,3 +396,29 @@ def test_drives_that_act_by_more_than_the_supervisor_reads() -> None:
         found = findings(*load("config/can.yaml", overrides=ROBOT | stated))
         assert [each.where for each in found] == [f"{_DRIVE}.rpdo"]
         assert name in found[0].text
+
+
+@pytest.mark.parametrize(
+    ("ramp", "reaction", "refused_"),
+    [(47000, 3, False), (46000, 3, True), (None, 3, True), (1, 2, False)],
+)
+def test_a_ramp_on_which_a_drum_hardly_brakes(
+    ramp: int | None, reaction: int, refused_: bool
+) -> None:
+    """Its drive follows it after the heartbeat, with a torque of its own: 0.1 s from 0.8 m/s are
+    46,500 rpm/s. With its power off (2) there is no ramp."""
+    stated = {
+        "robot.motor.quick_stop_rpm_s": ramp,
+        f"{_DRIVE}.options.abort_connection": reaction,
+    }
+    assert findings(*load("config/can.yaml", overrides=stated)) == []
+    found = findings(*load("config/can.yaml", overrides=ROBOT | stated))
+    assert [each.where for each in found] == ["robot.motor.quick_stop_rpm_s"] * refused_
+
+
+def test_drives_whose_heartbeats_are_far_apart() -> None:
+    """A silent drive may then be a pulled one for as long."""
+    for period_ms, refused_ in ((200, False), (201, True)):
+        stated = {f"{_DRIVE}.heartbeat_ms": period_ms}
+        found = findings(*load("config/can.yaml", overrides=ROBOT | stated))
+        assert [each.where for each in found] == [f"{_DRIVE}.heartbeat_ms"] * refused_

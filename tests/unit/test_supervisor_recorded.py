@@ -684,3 +684,26 @@ def test_a_silent_drive_may_have_been_measured_never(held: Held) -> None:
         record["drives"]["age"][3] = 0xFFFF
 
     assert all(sent == [] for sent in held.steps(400, unknown)), "not all of it arrives"
+
+
+@pytest.mark.parametrize(
+    ("identifier", "data"),
+    [
+        (0x600 + NODE, b"\x2b\x16\x10\1\0\0\0\0"),
+        (0x600 + NODE, b"\x0d\0\0\0\0\0\0\0"),
+        (0x000, b"\x80" + bytes([NODE])),
+        (0x200 + NODE, b"\1"),
+        (0x77E, b"\5"),
+    ],
+)
+def test_what_another_sends_to_the_node_of_the_relay(
+    held: Held, identifier: int, data: bytes
+) -> None:
+    """Its settings, its state, its output, or the heartbeat that it waits for. The bus of this test
+    tells nothing of what was sent, so as many of a stranger's have to come."""
+    held.armed()
+    again = 1 if identifier in (0x000, 0x600 + NODE) else 200
+    for _ in range(again):
+        message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
+        held.bus.waiting.append(message)
+    assert held.stopped_for(lambda _: None, within=1) == Requirement.COMMANDED

@@ -201,6 +201,26 @@ def test_a_torque_that_drives_its_drum_in_a_passive_stop(
     assert judged(config, *disabled) == [None, None]
 
 
+def test_a_torque_between_two_looks_counts_in_a_passive_stop(config: Config) -> None:
+    """A look sees the newest torque; a daemon may send a wrong one in every second tick."""
+    said = claim(State.SAFE_STOP, 100.0, stop_mode=StopMode.PASSIVE)
+    right = np.full(N, 10.0)
+    for rate, torques, found in (
+        (0.1, (right, right), False),
+        (0.1, (right, at(3, 18.0, 10.0)), True),
+        (-0.1, (right, at(3, 18.0, 10.0)), False),
+        (-0.1, (at(3, -6.0, 10.0), right), True),
+    ):
+        given = {"torque": right, "torques": np.array(torques), "rate": np.full(N, rate)}
+        looks = [
+            seen(at_ms, replace(said, at_ns=round(at_ms * MS)), **given) for at_ms in (100.0, 105.0)
+        ]
+        verdict = judged(config, *looks)[-1]
+        assert (verdict is not None) is found
+        if verdict is not None:
+            assert (verdict.requirement, verdict.where) == (Requirement.BRAKED, 3)
+
+
 # --- a cable that hangs loose --------------------------------------------------------------------
 
 

@@ -20,11 +20,16 @@ from tonus.runtime.supervisor.wiring import Wiring
 from tonus.tools.check.finding import Finding
 
 _KEY = "supervisor"
-_NOTHING = 0
+_NOTHING, _POWER_OFF = 0, 2
 """of 0x6007"""
+_STANDING_MS = 100.0
+"""in which a drum stands that was at ``stop.reel_in`` when its drive lost the heartbeat. R"""
+_LONGEST_BEAT_MS = 200
+"""between heartbeats of a drive: those of one that is silent say that it was not pulled. R"""
 _HEARTBEAT_LOST = 0x8130
 _COMPARED = (0x6040, 0x6071)
 """controlword and target torque: the statusword tells of the one, the record of the other"""
+_RAMP = "motor.quick_stop_rpm_s"
 _DRIFTING_S = 0.25
 """for which a tension may be away from its reference. R"""
 _LEAST_SLACK = 0.2
@@ -84,6 +89,7 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
     slack_ms = envelope.over_tension_ticks * control.rates.period * 1e3
     frame = np.array(config.robot.geometry.frame)
     narrowest = float(np.ptp(frame, axis=0).min()) / 2.0
+    relay_ms = 0 if config.relay is None else config.relay.heartbeat_ms
     for key, value, bound, times in (
         *(
             (f"{_KEY}.{name}", getattr(settings, name), tension.pre, times)
@@ -100,6 +106,7 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
         ("control.isolation.tension_error", isolation.tension_error, tension.pre, 0.5),
         ("control.isolation.tension_error_s", isolation.tension_error_s, _DRIFTING_S, 1.0),
         ("control.envelope.over_tension_ticks", slack_ms, settings.patience_ms, 4.0),
+        ("sto_relay.heartbeat_ms", relay_ms, settings.timeout_ms, 2.0),
     ):
         if value > times * bound:
             text = f"{value:g} is more than {times:g} times the {bound:g} that it is judged beside"
@@ -217,9 +224,44 @@ def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
                 "",
             )
         if config.lab is None:
+            if profile.heartbeat_ms > _LONGEST_BEAT_MS:
+                yield Finding(
+                    "supervisor",
+                    False,
+                    f"{key}.heartbeat_ms",
+                    f"{profile.heartbeat_ms}: for so long a silent drive may be a pulled one",
+                    f"set it to at most {_LONGEST_BEAT_MS}",
+                )
             yield from _reacts(key, profile)
             yield from _stays_in_fault(key, profile)
             yield from _mapped(key, profile)
+
+
+def check_ramps(config: Config, bus: CanopenBus) -> Iterator[Finding]:
+    """Whether the drums of a bus stand soon where their drives brake on the ramp that is written to
+    them."""
+    settings, speed = config.supervisor, config.control.stop.reel_in
+    if settings is None or settings.policy == "off" or config.lab is not None:
+        return
+    for axis in sorted(bus.axis_places):
+        profile, train = bus.profile(axis), config.robot.drive_trains[axis]
+        written = any(each.quantity == _RAMP for each in profile.settings)
+        if not written or profile.options.abort_connection in (None, _NOTHING, _POWER_OFF):
+            continue
+        ramp, metre = train.motor.quick_stop_rpm_s, train.drum.radius / train.gearbox.ratio
+        least = speed / (_STANDING_MS * 1e-3) / metre * 60.0 / (2.0 * math.pi)
+        if ramp is not None and ramp >= least:
+            continue
+        said = "is not stated" if ramp is None else f"is {ramp:g} rpm/s"
+        yield Finding(
+            "supervisor",
+            False,
+            "robot.motor.quick_stop_rpm_s",
+            f"of axis {axis} {said}: after the heartbeat a drum at {speed:g} m/s takes more than "
+            f"{_STANDING_MS:g} ms to stand",
+            f"set it to at least {least:.0f}",
+        )
+        return
 
 
 def _times(settings: Supervisor) -> Finding:

@@ -14,7 +14,7 @@ from tonus.tools.check.canopen import check_canopen
 from tonus.tools.check.finding import Finding
 from tonus.tools.check.losses import check_heartbeats, check_interpolation
 from tonus.tools.check.mappings import check_mappings
-from tonus.tools.check.supervisor import check_watches
+from tonus.tools.check.supervisor import check_ramps, check_watches
 from tonus.tools.doctor.socketcan import examine
 from tonus.tools.fieldbus.kind import FieldbusKind
 
@@ -32,6 +32,7 @@ def _check(config: Config, bus: CanopenBus) -> Iterator[Finding]:
     yield from check_interpolation(bus)
     yield from check_heartbeats(config, bus)
     yield from check_watches(config, bus)
+    yield from check_ramps(config, bus)
 
 
 CANOPEN = FieldbusKind(CanopenBus, _build, check=_check, examine=examine)
