@@ -34,7 +34,7 @@ _ERROR = struct.Struct("<HBBf")
 _EMERGENCY_BYTES = 8
 """Error code, error register, axis or 0xFF, value; CiA 301 leaves the last five to the device."""
 _ERROR_CODE, _REGISTER, _NO_AXIS = 0xFF00, 0x81, 0xFF
-_NEVER, _ONE_OF = -1, 256
+_NEVER, _ONE_OF = -1, 16
 _LARGEST = 3.4e38
 """below the largest float of 32 bits"""
 
@@ -106,8 +106,8 @@ class Supervisor:
         self._beating = [False] * len(self._listeners)
         self._beat_ns = [_NEVER] * len(self._listeners)
         """when each was sent a heartbeat last"""
-        self._spare_at = [0] * len(self._listeners)
-        """how many have gone out when one may be lost again"""
+        self._prompt = [_ONE_OF] * len(self._listeners)
+        """looks in a row that found the last one gone out; since one may be lost, at least"""
         self._unwatched_ns: list[int | None] = [None] * len(self._listeners)
         """since when drives of each have power without a heartbeat"""
         self._beats = [Own(listener.heard[own]) for listener in self._listeners]
@@ -334,22 +334,27 @@ class Supervisor:
 
     def _beat(self, now_ns: int) -> None:
         """Two heartbeats at most wait, on an interface that tells what it has sent: those in a full
-        queue hold the drives when it has decided. The second since one may be lost, of `_ONE_OF`.
-        Where none goes out for so long that drives have lost it, none follows. A look during which
-        its processor was taken away sends none: what it has seen is too old."""
+        queue hold the drives when it has decided. The second since one may be lost, where `_ONE_OF`
+        before it went out at once. Where none goes out for so long that drives have lost it, none
+        follows. A look in which its processor was taken away sends none: what it saw is too old."""
         if self._clock is not None and self._clock() - now_ns > self.settings.period_ms * 1e6:
             return
         for place, own in enumerate(self._beats):
             echo = own.heard
             waits = echo.count > 0 and echo.at_ns <= self._beat_ns[place]
-            if waits and echo.count < self._spare_at[place]:
+            spare = self._prompt[place] >= _ONE_OF
+            if not waits:
+                self._prompt[place] += 1
+            elif not spare:
+                self._prompt[place] = 0
+            if waits and not spare:
                 waited_ms = (now_ns - self._beat_ns[place]) * 1e-6
                 self._beating[place] &= waited_ms <= self.settings.timeout_ms
             elif self._beating[place] and self._send(place, _HEARTBEAT, _OPERATIONAL):
                 own.sent += 1
                 self._beat_ns[place] = now_ns
                 if waits:
-                    self._spare_at[place] = echo.count + _ONE_OF
+                    self._prompt[place] = 0
 
     def _send(self, place: int, function: int, data: bytes) -> bool:
         """Whether the interface of that channel has taken it."""
