@@ -39,6 +39,10 @@ class Own:
         self.heard = heard
         self.sent = 0
 
+    def begin(self) -> None:
+        """What was heard so far is over: it may be of a process before this one."""
+        self.sent = self.heard.count
+
     @property
     def foreign(self) -> bool:
         """More were heard than it has sent."""

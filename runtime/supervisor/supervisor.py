@@ -129,8 +129,8 @@ class Supervisor:
         }
         if self._replayed is not None:
             self._heard = self._replayed.heard
-        own_frames = self._beats if self._outputs is None else [*self._beats, self._outputs]
-        self._commands = Commands(self._told(wiring), own_frames)
+        self._own = self._beats if self._outputs is None else [*self._beats, self._outputs]
+        self._commands = Commands(self._told(wiring), self._own)
         nodes = {(c.channel, c.heartbeat, c.emergency) for c in wiring.cells if c.heartbeat}
         self._amplifiers = [
             (self._heard[channel, heartbeat], self._heard[channel, emergency])
@@ -189,6 +189,8 @@ class Supervisor:
         if quiet and not all(self._beating) and self._hears(seen) and self._sees(seen):
             self._beating = [True] * len(self._listeners)
             self._beat_ns = [_NEVER] * len(self._listeners)
+            for own in self._own:
+                own.begin()
             self.violation = None
         if self.settings.policy == "require":
             self._begin_watches(now_ns, seen)

@@ -307,6 +307,12 @@ def test_heartbeats_of_another_in_its_name(telling: tuple[Watchdog, EchoBus]) ->
     assert (identifier, struct.unpack("<HBBf", data)) == (0x0FE, (0xFF1B, 0x81, 0xFF, 0.0))
     assert broken(watchdog) is Requirement.COMMANDED
     assert all(sent == [] for sent in watchdog.steps(316, 334, enabled=True))
+    for now in range(334, 652, 2):
+        sent = watchdog.step(now, enabled=now >= 640)
+        for each in watchdog.buses:
+            assert isinstance(each, EchoBus)
+            each.let_out()
+    assert sent == BEAT, "once it begins anew that is over"
 
 
 @pytest.mark.parametrize(("late_ns", "sent"), [(2 * MS, BEAT), (2 * MS + 1, [])])
