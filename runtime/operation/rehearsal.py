@@ -16,6 +16,7 @@ from tonus.runtime.safety.descent import Descent
 from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.faults import Faults
 from tonus.runtime.states import Fault, Operator, State
+from tonus.runtime.timing.latencies import Latencies
 
 TICKS_AFTER_START = 50
 _TRACKER_DIVISOR = 8
@@ -65,6 +66,7 @@ def _rehearse(config: Config, scenario: Scenario) -> bool:
     cycle = ControlCycle(config.robot, control, config.tracker, scenario.reference)
     image = ProcessImage(config.robot.cables)
     cycle.rehearse(image)
+    Latencies.rehearse(cycle.record)
     image.axes["age"] = image.cells["age"] = 0
     image.tracker["position"] = config.robot.rest
     image.tracker["delay"] = _DELAY_TICKS * config.control.rates.period

@@ -10,9 +10,12 @@ import pytest
 
 PLAY = """
 import sys
+from types import SimpleNamespace
 from numba.core.dispatcher import Dispatcher
 from tonus.runtime.operation.rehearsal import rehearse
+from tonus.runtime.signals import CycleRecord
 from tonus.runtime.states import State
+from tonus.runtime.timing.latencies import Latencies, Marks
 from tests.loop import QUICK, ClosedLoop, configured
 
 
@@ -36,6 +39,10 @@ lame = ClosedLoop(config, scenario)
 lame.until(State.ACTIVE)
 lame.silent_axes.add(3)
 assert lame.complete().state[-1] == State.FAULT
+record, marks = CycleRecord(config.robot.cables), Marks(0, 0, 0, 0)
+late = SimpleNamespace(own=0, host=0, page_faults=0, switches=0)
+scheduler = SimpleNamespace(misses=late, disturbances=late, wakeup_ns=0, period_ns=1_000_000)
+Latencies().write(record, scheduler, marks, 0, (0, 0, 0), measured=True)
 after = compiled()
 print({name: count for name, count in after.items() if count != before.get(name, 0)})
 """
