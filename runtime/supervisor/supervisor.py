@@ -109,7 +109,7 @@ class Supervisor:
         self._prompt = [_ONE_OF] * len(self._listeners)
         """looks in a row that found the last one gone out; since one may be lost, at least"""
         self._unwatched_ns: list[int | None] = [None] * len(self._listeners)
-        """since when drives of each have power without a heartbeat"""
+        """since when drives of each have power without a heartbeat; `_NEVER`: they got the one"""
         self._beats = [Own(listener.heard[own]) for listener in self._listeners]
         self._outputs: Own | None = None
         """what the relay's node is told"""
@@ -272,10 +272,14 @@ class Supervisor:
             if beating or not seen.enabled[self._channel_of == place].any():
                 self._unwatched_ns[place] = None
                 continue
-            since_ns = self._unwatched_ns[place] = self._unwatched_ns[place] or now_ns
-            waited_ms = (now_ns - since_ns) * 1e-6
-            if 0.0 <= waited_ms - 2 * self.settings.timeout_ms < self.settings.period_ms:
-                self._beats[place].sent += self._send(place, _HEARTBEAT, _OPERATIONAL)
+            since_ns = self._unwatched_ns[place]
+            if since_ns is None:
+                self._unwatched_ns[place] = now_ns
+                continue
+            due = since_ns != _NEVER and now_ns - since_ns >= 2e6 * self.settings.timeout_ms
+            if due and self._send(place, _HEARTBEAT, _OPERATIONAL):
+                self._beats[place].sent += 1
+                self._unwatched_ns[place] = _NEVER
 
     def _late(self, now_ns: int) -> Violation | None:
         """Looks that come late keep the drives alive, and find everything late."""

@@ -285,10 +285,14 @@ def test_drives_that_nobody_watches_hear_one_heartbeat(config: Config) -> None:
     required = config.model_copy(
         update={"supervisor": config.supervisor.model_copy(update={"policy": "require"})}  # type: ignore[union-attr]
     )
-    for used, beats in ((config, []), (required, [144, 544])):
+    for used, apart_ms, beats in (
+        (config, 2, []),
+        (required, 2, [144, 544]),
+        (required, 7, [149, 555]),
+    ):
         made = Watchdog(used)
         found = []
-        for now in range(2, 800, 2):
+        for now in range(2, 800, apart_ms):
             enabled = 100 <= now < 400 or now >= 500
             if made.step(now, enabled=enabled) == BEAT:
                 found.append(now)
