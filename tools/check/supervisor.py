@@ -257,8 +257,8 @@ def check_ramps(config: Config, bus: CanopenBus) -> Iterator[Finding]:
             "supervisor",
             False,
             "robot.motor.quick_stop_rpm_s",
-            f"of axis {axis} {said}: after the heartbeat a drum at {speed:g} m/s takes more than "
-            f"{_STANDING_MS:g} ms to stand",
+            f"the ramp of axis {axis} {said}: after the heartbeat a drum at {speed:g} m/s takes "
+            f"more than {_STANDING_MS:g} ms to stand",
             f"set it to at least {least:.0f}",
         )
         return
