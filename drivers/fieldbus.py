@@ -43,8 +43,9 @@ class FrameTap(Protocol):
         """The same of frames (n,) of `RAW_FRAME`, the first of whose channels is ``channel``."""
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
-        """Frames (n,) of `RAW_FRAME`, read until ``now_ns``, without those of this program; a
-        frame without a timestamp, or with a later one, counts as received at ``now_ns``."""
+        """Frames (n,) of `RAW_FRAME`, read until ``now_ns``, without those of this program, the
+        first of whose channels is ``channel``; a frame without a timestamp, or with a later one,
+        counts as received at ``now_ns``."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""One CAN channel: frames out, and frames in by a table from identifier to handler."""
+"""One CAN channel: frames out, and frames in, by a table from identifier to handler."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ from tonus.drivers.canopen.health import Health
 from tonus.drivers.canopen.identifiers import SYNC
 from tonus.drivers.canopen.reception import Reception
 from tonus.drivers.canopen.stamps import Stamps
-from tonus.drivers.canopen.syncs import FRAME_BITS, INTERFRAME_BITS, Arrival, Syncs
+from tonus.drivers.canopen.syncs import FRAME_BITS, INTERFRAME_BITS, Arrival
 from tonus.drivers.events import EventLog
-from tonus.drivers.fieldbus import FrameTap
+from tonus.drivers.fieldbus import RAW_FRAME, FrameTap
 
 Handler = Callable[[bytes], None]
 Clock = Callable[[], int]
 
 _SYNC = ((SYNC, b""),)
+_NO_FRAMES = np.zeros(0, RAW_FRAME)
 _EMPTY_BITS = FRAME_BITS + INTERFRAME_BITS
 
 
@@ -56,7 +57,7 @@ class Wires(Protocol):
 
 
 class Channel:
-    """Sends and drains one python-can bus; never waits."""
+    """Sends to one python-can bus and takes from it; never waits."""
 
     def __init__(
         self,
@@ -68,15 +69,16 @@ class Channel:
         clock: Clock,
         tap: FrameTap | None,
         events: EventLog,
+        reception: Reception,
     ) -> None:
+        """The ``number``-th of the channels of ``reception``."""
         self.name = config.channels[number].name
         self.handlers: dict[int, Handler] = {}
         self.arrivals: list[Arrival] = []
         """of every node on the channel"""
-        self.syncs = Syncs()
-        self.reception = Reception(self.syncs, config.master.late_ticks)
+        self.syncs = reception.syncs[number]
         self.health = Health(self.name, bus, events)
-        self._number = number
+        self.number = number
         self.bus = bus
         self._frames = frames_of(bus)
         self._together = self._frames if isinstance(self._frames, FramesTogether) else None
@@ -92,6 +94,8 @@ class Channel:
         self._flood_frames = config.master.flood_frames
         self._flood_ticks = config.master.flood_ticks
         self._floods = 0
+        self._foreign_frames = 0
+        """since frames were taken last"""
         self._answers = self._answers_ns = 0
         """to a SYNC, and their time on the wire"""
         self._stalled = False
@@ -156,7 +160,7 @@ class Channel:
     def _book_sent(self, frames: Sequence[tuple[int, bytes]], now: int) -> None:
         self.book(bits_of(frames), now)
         if self._tap is not None:
-            self._tap.sent(frames, self._number, now)
+            self._tap.sent(frames, self.number, now)
 
     def book(self, bits: int, now: int) -> None:
         """Frames of so many ``bits`` have been sent at ``now``."""
@@ -167,31 +171,32 @@ class Channel:
             self._free_ns = now
         self._free_ns += bits * self._bit_ns
 
-    def drain(self) -> None:
-        """Hand every frame that has arrived to its handler."""
+    def take(self) -> NDArray[np.void]:
+        """What has arrived, by our clock."""
         now = self._clock()
         try:
             frames = self._frames.receive_frames(self._frames_per_drain)
         except (can.CanError, OSError) as error:
             self._deaf = True
             self._events.begin("bus_deaf", self.name, f"cannot receive: {error}")
+            return _NO_FRAMES
+        self._heard_again()
+        if len(frames) and not self._stamps.exact:
+            frames = self._stamped(frames, now)
+        return frames
+
+    def _heard_again(self) -> None:
+        if self._deaf:
+            self._deaf = False
+            self._events.end("bus_deaf", self.name)
+
+    def taken(self, count: int) -> None:
+        """``count`` frames of the last `take` have been handled."""
+        foreign, self._foreign_frames = self._foreign_frames, 0
+        if self._deaf:
             return
-        count = len(frames)
-        foreign = self._flood_frames if count >= self._frames_per_drain else 0
-        if count:
-            if not self._stamps.exact:
-                frames = self._stamped(frames, now)
-            if self._tap is not None:
-                self._tap.received(frames, self._number, now)
-            receive, syncs, at = self.reception, self.syncs, 0
-            while True:
-                at, heard_ns = receive(frames, at, now)
-                if heard_ns:
-                    syncs.stamp_ns = heard_ns
-                if at == count:
-                    break
-                foreign += self._handle(frames[at], now)
-                at += 1
+        if count >= self._frames_per_drain:
+            foreign += self._flood_frames
         if foreign >= self._flood_frames:
             self._floods += 1
             if self._floods >= self._flood_ticks:
@@ -203,9 +208,6 @@ class Channel:
         elif self._floods:
             self._floods = 0
             self._events.end("bus_flooded", self.name)
-        if self._deaf:
-            self._deaf = False
-            self._events.end("bus_deaf", self.name)
 
     def discard_stale(self) -> None:
         """Where nobody has answered for longer than a measurement is fresh, drop what waits to be
@@ -234,11 +236,11 @@ class Channel:
                 stamps[i] = self._stamps.of(stamp, now)
         return frames
 
-    def _handle(self, frame: np.void, now: int) -> int:
-        """Give one frame to whoever it is for; 1 if that is nobody."""
+    def handle(self, frame: np.void, now: int) -> None:
+        """Give one frame of a `take` to whoever it is for."""
         stamp, identifier, dlc, own, _, word = frame.item()
         if own:
-            return 0
+            return
         self.syncs.stamp_ns = min(stamp, now) if stamp else now
         data = data_of(identifier, dlc, word)
         handler = self.handlers.get(identifier)  # a flag makes it an identifier of nobody
@@ -248,10 +250,9 @@ class Channel:
             self.health.error_frame(identifier & IDENTIFIER, data)
         else:
             self._foreign(identifier, dlc)
-            return 1
-        return 0
 
     def _foreign(self, identifier: int, dlc: int) -> None:
+        self._foreign_frames += 1
         kind = "remote request" if identifier & REMOTE else "frame"
         width = 8 if identifier & EXTENDED else 3
         number = f"0x{identifier & IDENTIFIER:0{width}X}"

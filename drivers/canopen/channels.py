@@ -1,5 +1,5 @@
-"""What goes out on all channels of a fieldbus at one instant: in one call where their buses can be
-joined, otherwise channel by channel."""
+"""What goes out on all channels of a fieldbus at one instant, in one call where their buses can be
+joined; and what came in on them, booked and recorded together."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tonus.drivers.canopen.channel import Channel, bits_of
 from tonus.drivers.canopen.frames import joined
 from tonus.drivers.canopen.identifiers import SYNC
+from tonus.drivers.canopen.reception import Reception
 from tonus.drivers.fieldbus import RAW_FRAME, FrameTap
 
 
@@ -45,13 +46,18 @@ class Batch:
 
 
 class Channels:
-    """``channels`` in their order; ``tap`` hears of every frame."""
+    """``channels`` in their order, all those of one ``reception``; ``tap`` hears of every frame."""
 
     def __init__(
-        self, channels: Sequence[Channel], clock: Callable[[], int], tap: FrameTap | None
+        self,
+        channels: Sequence[Channel],
+        clock: Callable[[], int],
+        tap: FrameTap | None,
+        reception: Reception,
     ) -> None:
         self._channels = channels
-        self._clock, self._tap = clock, tap
+        self._clock, self._tap, self._reception = clock, tap, reception
+        self._numbers = np.arange(len(channels), dtype=np.uint16)
         self._joined = joined([channel.bus for channel in channels])
         self._sync = Batch([(number, SYNC, 0) for number in range(len(channels))])
 
@@ -63,6 +69,27 @@ class Channels:
         else:
             for number in batch.bits:
                 self._channels[number].send_all(batch.of(number))
+
+    def drain(self) -> None:
+        """Hand every frame that has arrived to its handler, channel by channel."""
+        arrived = [channel.take() for channel in self._channels]
+        counts = [len(frames) for frames in arrived]
+        count = sum(counts)
+        if count:
+            now = self._clock()
+            # A twentieth of what numpy takes to concatenate records.
+            frames = np.frombuffer(bytearray().join(arrived), RAW_FRAME)
+            frames["channel"] = self._numbers.repeat(counts)
+            if self._tap is not None:
+                self._tap.received(frames, 0, now)
+            receive = self._reception
+            at = receive(frames, 0, now)
+            while at < count:
+                frame = frames[at]
+                self._channels[frame["channel"]].handle(frame, now)
+                at = receive(frames, at + 1, now)
+        for channel, of_channel in zip(self._channels, counts, strict=True):
+            channel.taken(of_channel)
 
     def sync(self, tick: int) -> None:
         """A SYNC on each."""

@@ -25,7 +25,7 @@ from tonus.drivers.canopen.process_data import (
     drive_encoder,
     drive_fields,
 )
-from tonus.drivers.canopen.reception import Field
+from tonus.drivers.canopen.reception import Field, Reception
 from tonus.drivers.canopen.recovery import Recovery
 from tonus.drivers.canopen.supervision import Supervision, Watched
 from tonus.drivers.canopen.supervisor_monitor import SupervisorMonitor
@@ -103,8 +103,9 @@ class CanopenFieldbus:
         self._buses: list[Channel] = []
         self._nodes: list[Node] = []
         self._drives: dict[int, Node] = {}
+        self._reception: Reception
         self._together: Channels
-        """there are some from `start` on"""
+        """from `start` on"""
         self._outputs: list[tuple[int, Encode]] = []
         """axis and encoder of each RPDO"""
         frames = []
@@ -138,8 +139,8 @@ class CanopenFieldbus:
     def collect(self, tick: int) -> None:
         if not self._ticking:
             self._begin_ticking(tick)
+        self._together.drain()
         for channel in self._buses:
-            channel.drain()
             channel.discard_stale()
         self.image.bus_ns = max(channel.syncs.answered_ns for channel in self._buses)
         # The SYNC goes out before the sums are done: its jitter is everybody's sampling jitter.
@@ -215,6 +216,7 @@ class CanopenFieldbus:
 
     def _open_channels(self) -> None:
         clock = self._clock or _loop_clock()
+        self._reception = Reception(len(self.channels), self._bus.master.late_ticks)
         for number, name in enumerate(self.channels):
             try:
                 bus = self._open_bus(name)
@@ -233,12 +235,13 @@ class CanopenFieldbus:
                 clock,
                 self._tap,
                 self._events,
+                self._reception,
             )
             self._buses.append(channel)
             self._supervisor.listen(channel)
             self._add_drives(channel, number)
             self._add_cells(channel, number)
-        self._together = Channels(self._buses, clock, self._tap)
+        self._together = Channels(self._buses, clock, self._tap, self._reception)
 
     def _add_drives(self, channel: Channel, number: int) -> None:
         for drive in self._bus.channels[number].drives:
@@ -292,8 +295,8 @@ class CanopenFieldbus:
     def _arrival(self, node: Node, mapping: Mapping, fields: list[Field]) -> Arrival:
         """The account of a node's answers, and the way of those into the exchange."""
         size, channel, identifier = mapping.layout.size, node.channel, TPDO1 + node.node_id
-        reception = channel.reception
-        answer = reception.add(identifier, size, fields, self._exchange)
+        reception, number = self._reception, channel.number
+        answer = reception.add(number, identifier, size, fields, self._exchange)
         arrival = Arrival(size, channel.syncs, self._bus.master, self._events, node.where, answer)
         channel.arrivals.append(arrival)
         refuse = Refusal(size, self._events, node.where)
@@ -302,7 +305,7 @@ class CanopenFieldbus:
             if len(data) != size:
                 refuse(len(data))
             elif (tick := arrival.book(data)) is not None:
-                reception.store(answer, data, tick)
+                reception.store(number, answer, data, tick)
 
         channel.handlers[identifier] = decode
         return arrival
@@ -349,8 +352,7 @@ class CanopenFieldbus:
             if loop.time() >= due:
                 due = loop.time() + heartbeat_s
                 self._send_heartbeat()
-            for channel in self._buses:
-                channel.drain()
+            self._together.drain()
             await asyncio.sleep(self._poll_s)
 
     def _stop_pump(self) -> None:

@@ -1,9 +1,9 @@
 """The regular answers of a tick, booked and taken apart by compiled code.
 
 A channel brings some five TPDOs a tick, and nearly every one as it should: whole, in its own
-period even if it is read later, from a node that owes no other. Those are booked here, frame by
-frame in the order they came. What is different in any way stops the kernel; `Channel` looks at
-that frame and goes on behind it.
+period even if it is read later, from a node that owes no other. Those of all channels are booked
+here in one call, frame by frame in the order they came. What is different in any way stops the
+kernel; its `Channel` looks at that frame, and the kernel goes on behind it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tonus.drivers.canopen.syncs import ANSWER, HISTORY, Syncs, word_of
+from tonus.drivers.canopen.syncs import ANSWER, HISTORY, Syncs, SyncTable, word_of
 from tonus.drivers.cia301.pdo import Kind, Mapping
 from tonus.drivers.exchange import NOT_YET, Exchange
 from tonus.drivers.fieldbus import RAW_FRAME
@@ -113,9 +113,10 @@ def _receive(
     frames: NDArray[np.void],
     at: int,
     now_ns: int,
-    newest: int,
     late: int,
-    bit_ns: int,
+    counts: NDArray[np.int64],
+    bits_ns: NDArray[np.int64],
+    stamps_ns: NDArray[np.int64],
     times_ns: NDArray[np.int64],
     doubts_ns: NDArray[np.int64],
     ticks: NDArray[np.int64],
@@ -124,82 +125,90 @@ def _receive(
     fields: NDArray[np.void],
     integers: NDArray[np.int64],
     reals: NDArray[np.float64],
-) -> tuple[int, int]:
-    """Book regular answers from frame ``at`` on: the first frame that is none, or their number, and
-    when the last one came (0: there was none)."""
-    heard_ns = 0
+) -> int:
+    """Book regular answers from frame ``at`` on: the first frame that is none, or their number. The
+    channel of a frame is the row of its SYNCs and slots."""
     for i in range(at, frames.shape[0]):
         frame = frames[i]
         if frame.own:
             continue
-        if frame.identifier >= slots.shape[0]:
-            return i, heard_ns
-        slot = slots[frame.identifier]
+        if frame.identifier >= slots.shape[1]:
+            return i
+        channel = frame.channel
+        slot = slots[channel, frame.identifier]
         if slot == _NOBODY:
-            return i, heard_ns
-        answer = answers[slot]
+            return i
+        answer, newest = answers[slot], counts[channel]
         stamp_ns = frame.stamp_ns if 0 < frame.stamp_ns < now_ns else now_ns
-        sent_ns = stamp_ns - answer.bits * bit_ns
+        sent_ns = stamp_ns - answer.bits * bits_ns[channel]
         due = answer.answered + 1
         if (
             frame.dlc != answer.size
             or answer.period >= due
             or answer.fresh
             or not newest - late <= due <= newest
-            or sent_ns < times_ns[due % HISTORY]
-            or (due < newest and sent_ns >= times_ns[(due + 1) % HISTORY])
+            or sent_ns < times_ns[channel, due % HISTORY]
+            or (due < newest and sent_ns >= times_ns[channel, (due + 1) % HISTORY])
         ):
-            return i, heard_ns
+            return i
         answer.answered = due
         answer.period = due
         answer.data = frame.data
         answer.stamp_ns = stamp_ns
-        heard_ns = stamp_ns
+        stamps_ns[channel] = stamp_ns
         place = due % HISTORY
-        sync = (ticks[place], times_ns[place], doubts_ns[place])
+        sync = (ticks[channel, place], times_ns[channel, place], doubts_ns[channel, place])
         _store(frame.data, sync, fields, answer.first, answer.fields, integers, reals)
-    return frames.shape[0], heard_ns
+    return frames.shape[0]
 
 
 class Reception:
-    """Who answers on a channel, and what is in the answers."""
+    """Who answers on the channels of a fieldbus, and what is in the answers."""
 
-    def __init__(self, syncs: Syncs, late_ticks: int) -> None:
-        self._syncs = syncs
+    def __init__(self, channels: int, late_ticks: int) -> None:
+        self._table = table = SyncTable(channels)
+        self.syncs = [Syncs(table, row) for row in range(channels)]
+        """of each channel"""
         self._late = late_ticks
-        self._slots = np.full(_IDENTIFIERS, _NOBODY, np.int16)
-        self._answers = np.zeros(_NODES, ANSWER)
+        self._slots = np.full((channels, _IDENTIFIERS), _NOBODY, np.int16)
+        self._answers = np.zeros(channels * _NODES, ANSWER)
         self._nodes = 0
         self._fields = np.zeros(0, FIELD)
         self._words = (np.zeros(0, np.int64), np.zeros(0))
 
     def add(
-        self, identifier: int, size: int, fields: Sequence[Field], exchange: Exchange
+        self,
+        channel: int,
+        identifier: int,
+        size: int,
+        fields: Sequence[Field],
+        exchange: Exchange,
     ) -> np.void:
-        """A node's PDO of ``size`` bytes; all of a channel go into one ``exchange``. Its account of
-        answers is for `Arrival`."""
+        """A node's PDO of ``size`` bytes; all go into one ``exchange``. Its account of answers is
+        for `Arrival`."""
         slot, self._nodes = self._nodes, self._nodes + 1
-        self._slots[identifier] = slot
+        self._slots[channel, identifier] = slot
         answer: np.void = self._answers[slot]
         answer["size"], answer["first"], answer["fields"] = size, len(self._fields), len(fields)
         self._fields = np.concatenate((self._fields, np.array(fields, FIELD)))
         self._words = (exchange.integers, exchange.reals)
         self(np.zeros(0, RAW_FRAME), 0, 0)  # compiles it before a tick needs it
-        self.store(answer, bytes(size), NOT_YET)
+        self.store(channel, answer, bytes(size), NOT_YET)
         return answer
 
-    def __call__(self, frames: NDArray[np.void], at: int, now_ns: int) -> tuple[int, int]:
+    def __call__(self, frames: NDArray[np.void], at: int, now_ns: int) -> int:
         """Book what is regular of ``frames`` (n,), from ``at`` on and up to the first that is not:
-        its index, or n, and the time of the last that was, 0 if none was."""
-        syncs = self._syncs
-        result: tuple[int, int] = _receive(
-            frames, at, now_ns, syncs.count, self._late, syncs.bit_ns,
-            syncs.times_ns, syncs.doubts_ns, syncs.ticks,
+        its index, or n."""
+        table = self._table
+        behind: int = _receive(
+            frames, at, now_ns, self._late, table.counts, table.bits_ns, table.stamps_ns,
+            table.times_ns, table.doubts_ns, table.ticks,
             self._slots, self._answers, self._fields, *self._words,
         )  # fmt: skip
-        return result
+        return behind
 
-    def store(self, answer: np.void, data: bytes, tick: int) -> None:
+    def store(self, channel: int, answer: np.void, data: bytes, tick: int) -> None:
         """Take an answer apart that `Arrival` has booked to ``tick``."""
         first, count = int(answer["first"]), int(answer["fields"])
-        _store(word_of(data), self._syncs.of(tick), self._fields, first, count, *self._words)
+        sync = self.syncs[channel].of(tick)
+        _store(word_of(data), sync, self._fields, first, count, *self._words)

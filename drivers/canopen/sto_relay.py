@@ -17,9 +17,11 @@ from tonus.config.schema.sto_relay import StoRelay
 from tonus.config.timeouts import node_timeout_ms
 from tonus.drivers.canopen import emcy
 from tonus.drivers.canopen.channel import Channel, Clock
+from tonus.drivers.canopen.channels import Channels
 from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
 from tonus.drivers.canopen.nmt import Command, NmtState
 from tonus.drivers.canopen.node import Node, NodeError, Role, Watch
+from tonus.drivers.canopen.reception import Reception
 from tonus.drivers.canopen.supervisor_monitor import SupervisorMonitor
 from tonus.drivers.cia301.pdo import ON_EVENT
 from tonus.drivers.cia301.setting import Setting
@@ -82,6 +84,8 @@ class RelayedFieldbus:
             transmission=ON_EVENT,
         )
         self._channel: Channel | None = None
+        self._wire: Channels
+        """the same, from `start` on"""
         self._node: Node | None = None
         self._pump_task: asyncio.Task[None] | None = None
         held_ms = relay.timeout_ms + relay.release_ms + 2 * relay.heartbeat_ms
@@ -136,9 +140,11 @@ class RelayedFieldbus:
             ) from error
         fresh = self._config.control.freshness.measurement_ticks
         clock = self._clock or _loop_clock()
+        reception = Reception(1, self._relay.master.late_ticks)
         channel = self._channel = Channel(
-            0, bus, self._relay, self._period_us, fresh, clock, None, self._events
+            0, bus, self._relay, self._period_us, fresh, clock, None, self._events, reception
         )
+        self._wire = Channels((channel,), clock, None, reception)
         number = self._relay.node_id
         node = self._node = Node(channel, number, self._role, self._relay.master)
         self._supervisor.listen(channel)
@@ -148,7 +154,7 @@ class RelayedFieldbus:
         handlers[EMCY + number] = self._on_emcy
         handlers[TPDO1 + number] = self._on_inputs
         handlers[RPDO1 + number] = lambda _: None  # the supervisor's
-        self._pump_task = asyncio.get_running_loop().create_task(self._pump(channel))
+        self._pump_task = asyncio.get_running_loop().create_task(self._pump())
         return node
 
     async def stop(self) -> None:
@@ -183,9 +189,9 @@ class RelayedFieldbus:
                 self._events.add("recovered", node.where, text)
         await self.fieldbus.recover()
 
-    async def _pump(self, channel: Channel) -> None:
+    async def _pump(self) -> None:
         while True:
-            channel.drain()
+            self._wire.drain()
             await asyncio.sleep(self._relay.master.poll_us * 1e-6)
 
     def _stop_pump(self) -> None:
@@ -200,7 +206,7 @@ class RelayedFieldbus:
             self._stop_pump()
             self._heard_at = self._reported_at = self._held_at = tick
         if self._channel is not None and self._node is not None:
-            self._channel.drain()
+            self._wire.drain()
             self._look(tick, self._node)
         self.fieldbus.collect(tick)
 

@@ -32,36 +32,76 @@ _PERIOD = 1
 """place of the period among them"""
 
 
-class Syncs:
-    """The last SYNCs of one channel, numbered from 1.
+class SyncTable:
+    """The `Syncs` of several channels, a row each, where compiled code reads them."""
 
-    ``stamp_ns`` is when the frame in hand arrived, and ``bit_ns`` the time of a bit where stamps
-    are exact, else 0; whoever receives sets them.
-    """
+    def __init__(self, channels: int) -> None:
+        self.counts = np.zeros(channels, np.int64)
+        self.stamps_ns = np.zeros(channels, np.int64)
+        self.bits_ns = np.zeros(channels, np.int64)
+        self.ticks = np.full((channels, HISTORY), NOT_YET)
+        self.times_ns = np.zeros((channels, HISTORY), np.int64)
+        self.doubts_ns = np.zeros((channels, HISTORY), np.int64)
+
+
+class Syncs:
+    """The last SYNCs of one channel, numbered from 1."""
 
     __slots__ = (
-        "_doubts", "_of_ticks", "_sent_ns", "bit_ns", "count", "doubts_ns", "stamp_ns", "ticks",
+        "_bits",
+        "_counts",
+        "_doubts",
+        "_of_ticks",
+        "_row",
+        "_sent_ns",
+        "_stamps",
+        "doubts_ns",
+        "ticks",
         "times_ns",
     )  # fmt: skip
 
-    def __init__(self) -> None:
-        self.count = 0
-        self.stamp_ns = 0
-        self.bit_ns = 0
-        self.ticks = np.full(HISTORY, NOT_YET)
-        self.times_ns = np.zeros(HISTORY, np.int64)
-        self.doubts_ns = np.zeros(HISTORY, np.int64)
+    def __init__(self, table: SyncTable | None = None, row: int = 0) -> None:
+        """``row`` of ``table``; None: of one by itself."""
+        table = table or SyncTable(1)
+        self._row = row
+        self.ticks, self.times_ns = table.ticks[row], table.times_ns[row]
+        self.doubts_ns = table.doubts_ns[row]
         # Python reads and writes single words of a memoryview in a third of an array's time.
         self._of_ticks: memoryview[int] = self.ticks.data
         self._sent_ns: memoryview[int] = self.times_ns.data
         self._doubts: memoryview[int] = self.doubts_ns.data
+        self._counts: memoryview[int] = table.counts.data
+        self._stamps: memoryview[int] = table.stamps_ns.data
+        self._bits: memoryview[int] = table.bits_ns.data
+
+    @property
+    def count(self) -> int:
+        """of the newest"""
+        return self._counts[self._row]
+
+    @property
+    def stamp_ns(self) -> int:
+        """when the frame in hand arrived; whoever receives sets it"""
+        return self._stamps[self._row]
+
+    @stamp_ns.setter
+    def stamp_ns(self, stamp_ns: int) -> None:
+        self._stamps[self._row] = stamp_ns
+
+    @property
+    def bit_ns(self) -> int:
+        """time of a bit where stamps are exact, else 0; whoever sends sets it"""
+        return self._bits[self._row]
+
+    @bit_ns.setter
+    def bit_ns(self, bit_ns: int) -> None:
+        self._bits[self._row] = bit_ns
 
     @property
     def answered_ns(self) -> int:
         """From the last SYNC to the last frame heard since; 0 without one."""
-        if not self.count:
-            return 0
-        return max(self.stamp_ns - self._sent_ns[self.count % HISTORY], 0)
+        count = self.count
+        return max(self.stamp_ns - self._sent_ns[count % HISTORY], 0) if count else 0
 
     def of(self, tick: int) -> tuple[int, int, int]:
         """``tick``, and time and doubt (ns) of its SYNC: 0 for one that is no longer known."""
@@ -71,8 +111,8 @@ class Syncs:
 
     def sent(self, tick: int, now_ns: int, doubt_ns: int = 0) -> None:
         """At ``now_ns`` or up to ``doubt_ns`` later: a host may take the processor meanwhile."""
-        self.count += 1
-        place = self.count % HISTORY
+        count = self._counts[self._row] = self.count + 1
+        place = count % HISTORY
         self._of_ticks[place] = tick
         self._sent_ns[place] = now_ns
         self._doubts[place] = doubt_ns

@@ -102,11 +102,7 @@ def _record(
 
 def compile_frames() -> None:
     """What takes frames as they were received, before a tick needs it."""
-    words, ring = np.zeros(8, np.int64), (0, 8, 8)
-    for read_only in (False, True):  # a bus may give either
-        frames = np.zeros(0, RAW_FRAME)
-        frames.flags.writeable = not read_only
-        _record(words, ring, 0, 0, frames, 0, 0, 0)
+    _record(np.zeros(8, np.int64), (0, 8, 8), 0, 0, np.zeros(0, RAW_FRAME), 0, 0, 0)
 
 
 class FrameRing(RingWriter):

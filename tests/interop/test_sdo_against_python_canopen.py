@@ -20,7 +20,9 @@ from interop.local_nodes import dictionary, epos4, force_cell, local_nodes, robo
 
 from tonus.config import Config
 from tonus.drivers.canopen.channel import Channel
+from tonus.drivers.canopen.channels import Channels
 from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.canopen.reception import Reception
 from tonus.drivers.canopen.sdo import SdoClient
 from tonus.drivers.errors import BringUpError, SdoAbortError, SdoError, SdoTimeoutError
 from tonus.drivers.events import EventLog
@@ -48,13 +50,15 @@ def served() -> ObjectDictionary:
 async def client(channel: str, node_id: int, timeout_s: float = 2.0) -> AsyncIterator[SdoClient]:
     bus = can.Bus(interface="virtual", channel=channel)
     config = robot_on(channel).fieldbus
-    made = Channel(0, bus, config, 1000, 3, lambda: 0, None, EventLog())
+    reception = Reception(1, 8)
+    made = Channel(0, bus, config, 1000, 3, lambda: 0, None, EventLog(), reception)
+    wire = Channels((made,), lambda: 0, None, reception)
     sdo = SdoClient(lambda data: made.send(0x600 + node_id, data), timeout_s)
     made.handlers[0x580 + node_id] = sdo.receive
 
     async def pump() -> None:
         while True:
-            made.drain()
+            wire.drain()
             await asyncio.sleep(0.0005)
 
     pumping = asyncio.create_task(pump())

@@ -145,10 +145,11 @@ class Tap:
             self.frame(now_ns, channel + place, identifier, data, sent=True)
 
     def received(self, frames: NDArray[np.void], channel: int, now_ns: int) -> None:
-        for stamp_ns, identifier, dlc, own, _, word in frames.tolist():
+        for stamp_ns, identifier, dlc, own, place, word in frames.tolist():
             if not own:
                 at = stamp_ns if 0 < stamp_ns < now_ns else now_ns
-                self.frame(at, channel, identifier, data_of(identifier, dlc, word), sent=False)
+                data = data_of(identifier, dlc, word)
+                self.frame(at, channel + place, identifier, data, sent=False)
 
 
 def in_virtual_time(work: Coroutine[Any, Any, Result]) -> Result:

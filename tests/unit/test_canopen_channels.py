@@ -1,4 +1,5 @@
-"""What goes out on all channels at once: joined, or channel by channel, to the same effect."""
+"""What goes out on all channels at once: joined, or channel by channel, to the same effect; and
+what comes in on them."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ from tonus.config.schema.bus import CanopenBus
 from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.channels import Batch, Channels
 from tonus.drivers.canopen.identifiers import SYNC
+from tonus.drivers.canopen.reception import Reception
 from tonus.drivers.events import EventLog
 from tonus.sim.lab.engine import Lab
 
@@ -37,11 +39,13 @@ class _Bench:
             self.lab.close()
         self.wait(50)
         self.tap, self.events = Tap(), EventLog()
+        fieldbus, clock, tap, events = config.fieldbus, lambda: self.now, self.tap, self.events
+        reception = Reception(len(buses), 8)
         self.channels = [
-            Channel(n, bus, config.fieldbus, 1000, 3, lambda: self.now, self.tap, self.events)
+            Channel(n, bus, fieldbus, 1000, 3, clock, tap, events, reception)
             for n, bus in enumerate(buses)
         ]
-        self.together = Channels(self.channels, lambda: self.now, self.tap)
+        self.together = Channels(self.channels, clock, tap, reception)
 
     def close(self) -> None:
         for bus in (*self.listeners, *(channel.bus for channel in self.channels)):
@@ -105,3 +109,62 @@ def test_a_queue_without_room_keeps_all_back_and_each_channel_tries_by_itself() 
     sent = [entry[1] for entry in bench.tap.seen]
     assert sent.count(3) == 20, "a channel with room has lost nothing"
     assert sent.count(0) == 32
+
+
+class _Foreigner:
+    """Sends on a channel of the bench what belongs to nobody."""
+
+    def __init__(self, bench: _Bench, channel: int) -> None:
+        self._bus = bench.listeners[channel]
+
+    def send(self, identifier: int, data: bytes) -> None:
+        self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+
+
+def test_what_comes_in_is_recorded_and_handled_channel_by_channel() -> None:
+    bench = _Bench(regular=True)
+    bench.together.drain()
+    bench.tap.seen.clear()
+    handled: list[tuple[int, bytes]] = []
+    for number, channel in enumerate(bench.channels):
+        channel.handlers[0x7A0] = lambda data, number=number: handled.append((number, data))  # type: ignore[misc]
+    for number in (3, 0, 2):
+        for identifier in (0x7A0, 0x7A1):
+            _Foreigner(bench, number).send(identifier, bytes([number, identifier & 0xF]))
+    bench.now += 1_000_000
+    bench.events.take()
+    bench.together.drain()
+    bench.close()
+    seen = [(channel, identifier, data) for _, channel, identifier, data, _ in bench.tap.seen]
+    assert seen == [(n, 0x7A0 + i, bytes([n, i])) for n in (0, 2, 3) for i in (0, 1)]
+    assert all(0 < stamp < bench.now for stamp, *_ in bench.tap.seen)
+    assert handled == [(n, bytes([n, 0])) for n in (0, 2, 3)]
+    where = {event.where for event in bench.events.take()}
+    assert where == {f"{bench.channels[n].name}/0x7A1" for n in (0, 2, 3)}
+
+
+def test_a_channel_that_cannot_be_received_from_keeps_no_other_back() -> None:
+    bench = _Bench(regular=True)
+    bench.together.drain()
+    bench.events.take()
+    handled: list[bytes] = []
+    bench.channels[2].handlers[0x7A0] = handled.append
+    for tick, deaf in enumerate((True, True, False)):
+        _Foreigner(bench, 2).send(0x7A0, bytes([tick]))
+        bench.now += 1_000_000
+        frames = bench.channels[1]._frames
+        bench.channels[1]._frames = _Deaf() if deaf else frames  # type: ignore[assignment]
+        bench.together.drain()
+        bench.channels[1]._frames = frames
+    bench.close()
+    assert handled == [b"\0", b"\1", b"\2"]
+    told = [(event.name, event.where) for event in bench.events.take()]
+    assert told[0] == ("bus_deaf", bench.channels[1].name)
+    assert len(told) == 2, "once when it begins, and once when it ends"
+
+
+class _Deaf:
+    """A bus whose device is gone."""
+
+    def receive_frames(self, limit: int) -> None:
+        raise can.CanOperationError("no such device")

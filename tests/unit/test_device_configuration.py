@@ -11,7 +11,7 @@ import pytest
 from tonus.config import load
 from tonus.drivers.canopen.process_data import cell_fields, drive_encoder, drive_fields
 from tonus.drivers.canopen.reception import Reception
-from tonus.drivers.canopen.syncs import Syncs, word_of
+from tonus.drivers.canopen.syncs import word_of
 from tonus.drivers.cia301.pdo import Direction, Mapping, PdoError, configure, silence
 from tonus.drivers.cia301.setting import Kind, Setting, SettingError, apply
 from tonus.drivers.devices import force_cell
@@ -104,20 +104,21 @@ def test_mappings_in_any_order_and_form_mean_the_same() -> None:
     encode = drive_encoder(Mapping.of([0x60710010, 0x60600008, 0x60400010]))
     assert encode(0x0F, -3) == struct.pack("<hbH", -3, 10, 0x0F)
     cell = CONFIG.fieldbus.force_cell.model_copy(update={"tpdo": (0x61500108, 0x61300120)})
-    image, events, syncs = ProcessImage(8), EventLog(), Syncs()
+    image, events = ProcessImage(8), EventLog()
     exchange = Exchange(CONFIG.robot, cell, CONFIG.control.freshness, image, events, [""] * 8)
-    reception = Reception(syncs, 8)
+    reception = Reception(1, 8)
     of_cell = Mapping.of(cell.tpdo)
     of_drive = Mapping.of([0x60770010, 0x60640020, 0x60410010])
-    reception.add(0x191, 5, cell_fields(of_cell, (4,), exchange), exchange)
-    reception.add(0x183, 8, drive_fields(of_drive, 2, exchange), exchange)
-    syncs.sent(0, 0)
+    reception.add(0, 0x191, 5, cell_fields(of_cell, (4,), exchange), exchange)
+    reception.add(0, 0x183, 8, drive_fields(of_drive, 2, exchange), exchange)
+    reception.syncs[0].sent(0, 0)
     sent = (
         (0x191, struct.pack("<Bf", 3, -12.5)),
         (0x183, struct.pack("<hiH", -500, -50_176, 0x1637)),
     )
     frames = np.array([(5, each, len(d), 0, 0, word_of(d)) for each, d in sent], RAW_FRAME)
-    assert reception(frames, 0, 9) == (2, 5)
+    assert reception(frames, 0, 9) == 2
+    assert reception.syncs[0].stamp_ns == 5
     exchange.fill(1)
     assert (image.cells["force"][4], image.cells["status"][4]) == (-12.5, 3)
     assert image.axes["angle"][2] == pytest.approx(-6.283185307179586)
