@@ -86,6 +86,9 @@ class Contact(Section):
 
     gap: Positive
     """m from home to the body's surface"""
+    clear: Positive
+    """m from the way home to the surface, at least, for a bring-up that is shared with trials
+    without a body"""
     back: Positive
     """m from home, away from the body, to where it starts"""
     approach: Positive

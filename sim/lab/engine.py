@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.bus import FieldbusSection
 from tonus.config.schema.faults import Fault, Replug, Unplug
-from tonus.config.schema.lab import LabScript, Load
+from tonus.config.schema.lab import LabScript, Load, Phantom
 from tonus.config.schema.root import Config
 from tonus.sim.can import registry
 from tonus.sim.can.canopen.node import Node
@@ -39,6 +39,7 @@ from tonus.sim.lab.robot_faults import RobotFaults
 from tonus.sim.lab.statistics import PERIOD_NS, LoadWindow, Statistics, channel_statistics
 from tonus.sim.lab.truth import truth_dtype, words
 from tonus.sim.plant import Plant
+from tonus.sim.plant.parameters import clearance
 
 TRUTH_PERIOD_NS = 1_000_000
 _SECOND_NS = 1_000_000_000
@@ -341,6 +342,15 @@ class Lab:
         if played or first.force:
             raise LabError("the load would have begun already")
         self.plant.schedule(load)
+
+    def extend_phantom(self, phantom: Phantom) -> None:
+        """Add a phantom that has not been touched yet, as if the script had contained it from the
+        start. Raises `LabError` where there is one, or where the contact port is in it."""
+        if self.plant.has_phantom:
+            raise LabError("there is a phantom already")
+        if clearance(phantom, self.plant.position[None])[0] <= 0.0:
+            raise LabError("the platform is in the phantom already")
+        self.plant.add_phantom(phantom)
 
     def inject(self, fault: Fault) -> None:
         """Inject a fault now, or ``fault.at`` s from now. Raises `LabError` if it is not possible

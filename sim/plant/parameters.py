@@ -152,6 +152,12 @@ def add_phantom(record: NDArray[Any], phantom: Phantom) -> None:
         record["recovery_rate"] = phantom.stiffness / damping if damping > 0.0 else inf
 
 
+def clearance(phantom: Phantom, positions: Floats) -> Floats:
+    """m (n,) in front of a phantom's surface of the contact port at ``positions`` (n, 3)."""
+    normal = _unit(phantom.normal, "the phantom's normal")
+    return np.asarray((positions - np.array(phantom.point)) @ normal)
+
+
 def add_load(record: NDArray[Any], load: Load) -> None:
     """Direction and point; the profile is the caller's."""
     record["load_direction"] = _unit(load.direction, "the load")

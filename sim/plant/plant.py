@@ -125,6 +125,10 @@ class Plant:
             self._knots, self._loads = np.zeros(0), np.zeros(0)
             let_go(self.parameters)
 
+    def add_phantom(self, phantom: Phantom) -> None:
+        """Put one where there is none, and where the contact port has not been."""
+        add_phantom(self.parameters, phantom)
+
     def schedule(self, load: Load) -> None:
         """Have the load port play ``load``. Raises `ValueError` for a profile that runs back."""
         self._knots = np.array([point.at for point in load.profile])

@@ -54,8 +54,9 @@ def begin_alike(duration: float = 0.3) -> list[Job]:
     """Four tests of one robot with one controller, and the first of them with another."""
     cases = {case.name: case for case in Programme(PROTOCOL, BRISK).cases()}
     runs = []
-    for name in ("hold", "sine_z_30mm_1Hz", "step_x", "contact"):
-        scenario = cases[name].scenario.model_copy(update={"duration": duration})
+    for name in ("hold", "sine_z_30mm_1Hz", "step_x", "press"):
+        lasting = 3 * duration if name == "press" else duration  # it touches after a second
+        scenario = cases[name].scenario.model_copy(update={"duration": lasting})
         case = replace(cases[name], scenario=scenario)
         runs.append(Run(case, "bio", "lab", 1, "direct"))
     return prepare(PROTOCOL, BRISK, [*runs, replace(runs[0], controller="pd")])
@@ -123,18 +124,23 @@ def test_trials_that_begin_alike_are_what_each_is_by_itself(tmp_path: Path) -> N
                 tmp_path / "alone" / name
             ).read_bytes()
     peaks = {row.case: row.indicators["contact_peak"] for row in rows.values()}
-    assert peaks["hold"] == peaks["step_x"]
+    assert peaks["hold"] == peaks["step_x"] == 0.0 < peaks["press"]
     assert len({json.dumps(row.indicators) for row in rows.values()}) == len(todo)
 
 
 def test_only_what_begins_with_active_shares_a_bring_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    hold, sine, step, contact, pd = begin_alike()
+    hold, sine, step, press, pd = begin_alike()
     early = step.run.case.scenario.model_dump()
     early["lab"]["load"]["profile"][0]["at"] = 0.0
     load = Scenario.model_validate(early)
-    early_step = replace(step, run=replace(step.run, case=replace(step.run.case, scenario=load)))
-    other_seed = replace(sine, run=replace(sine.run, seed=2))
-    todo = [hold, sine, step, contact, pd, early_step, other_seed]
+    early_step = replace(step.run, case=replace(step.run.case, scenario=load))
+    near = press.run.case.scenario.model_dump()
+    near["lab"]["phantom"]["point"] = (0.001, *near["lab"]["phantom"]["point"][1:])
+    body = Scenario.model_validate(near)
+    near_press = replace(press.run, case=replace(press.run.case, scenario=body))
+    others = [early_step, near_press, replace(sine.run, seed=2)]
+    unlike = prepare(PROTOCOL, BRISK, others)
+    todo = [hold, sine, step, press, pd, *unlike]
     kept: list[list[Job]] = []
 
     def noted(jobs: list[list[Job]], *_: Any) -> list[Any]:
@@ -143,7 +149,7 @@ def test_only_what_begins_with_active_shares_a_bring_up(monkeypatch: pytest.Monk
 
     monkeypatch.setattr("tonus.tools.paper.campaign.forked", noted)
     carry_out(todo, Path("unused"), 1, lambda _: None)
-    assert kept == [[hold, sine, step], [contact], [pd], [early_step], [other_seed]]
+    assert kept == [[hold, sine, step, press], [pd], *([job] for job in unlike)]
 
 
 def test_of_trials_that_begin_alike_a_dead_one_is_the_only_one_lost(

@@ -20,6 +20,7 @@ import numpy as np
 
 from tonus import config as config_room
 from tonus import drivers, runtime, sim
+from tonus.config.schema.lab import LabScript
 from tonus.config.schema.protocol import Protocol
 from tonus.config.schema.root import Config
 from tonus.runtime.signals import SCHEMA_VERSION
@@ -30,7 +31,7 @@ from tonus.tools.paper import metrics
 from tonus.tools.paper.case import Run
 from tonus.tools.paper.conduct import Together
 from tonus.tools.paper.plants import settings_key, settle
-from tonus.tools.paper.protocol import robot_seconds, starts_in_active
+from tonus.tools.paper.protocol import robot_seconds, until_active
 from tonus.tools.paper.results import Results, Row
 from tonus.tools.paper.trial import Trial
 from tonus.tools.warm_up import warm
@@ -49,6 +50,8 @@ class Job:
     run: Run
     config: Config
     fingerprint: str
+    script: LabScript
+    """what is there before ACTIVE"""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,9 @@ def prepare(protocol: Protocol, config: Config, runs: list[Run]) -> list[Job]:
         same = settings_key(run)
         if same not in settled:
             settled[same] = settle(protocol, config, run)
-        jobs.append(Job(run, settled[same], fingerprint(run, settled[same])))
+        own = settled[same]
+        script = until_active(run.case.scenario.lab, protocol, own)
+        jobs.append(Job(run, own, fingerprint(run, own), script))
     return jobs
 
 
@@ -216,11 +221,7 @@ def _alike(jobs: list[Job]) -> list[list[Job]]:
     """Jobs that are the same until ACTIVE, in the order of their first ones."""
     found: dict[object, list[Job]] = {}
     for job in jobs:
-        run = job.run
-        script = run.case.scenario.lab
-        if script.load is not None and starts_in_active(script.load, job.config):
-            script = script.model_copy(update={"load": None})
-        same = (settings_key(run), run.seed, script.model_dump_json())
+        same = (settings_key(job.run), job.run.seed, job.script.model_dump_json())
         found.setdefault(same, []).append(job)
     return list(found.values())
 
@@ -238,6 +239,7 @@ def work(jobs: list[Job], folder: Path, tell: Callable[[Row, float], None]) -> N
     together = Together(
         [job.run for job in jobs],
         config,
+        jobs[0].script,
         lambda run, code: tell(_failed(run, crashed(code)), 0.0),
     )
     try:

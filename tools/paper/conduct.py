@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonus.config.schema.lab import LabScript
 from tonus.config.schema.root import Config
 from tonus.drivers.devices.tracker import TrackerInput
 from tonus.drivers.process_image import ProcessImage
@@ -25,8 +26,10 @@ from tonus.runtime.safety.sequence import Sequence as ControlSequence
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import Fault, Operator, State
 from tonus.runtime.timing import clock
+from tonus.sim.errors import LabError
 from tonus.sim.lab.engine import Lab
 from tonus.sim.lab.truth import truth_dtype
+from tonus.sim.plant.parameters import clearance
 from tonus.tools.forking import die_with_parent
 from tonus.tools.log.log import Event
 from tonus.tools.paper.case import Kind, Run
@@ -78,16 +81,22 @@ class _Cycles(Kept):
 
 
 class Together:
-    """Trials of one configuration and one seed whose scenarios differ in the reference, the load
-    and the duration alone. After `play` each process that returns has played those in `left`."""
+    """Trials of one configuration and one seed whose scenarios differ in the reference, the load,
+    the phantom and the duration alone. After `play` each process that returns has played those in
+    `left`."""
 
     def __init__(
-        self, runs: Sequence[Run], config: Config, lost: Callable[[Run, int], None]
+        self,
+        runs: Sequence[Run],
+        config: Config,
+        script: LabScript,
+        lost: Callable[[Run, int], None],
     ) -> None:
-        """``config``: that of all, `plants.settle`. ``lost`` is called with a trial whose process
-        died, and its exit code."""
+        """``config``: that of all, `plants.settle`. ``script``: what is there before ACTIVE.
+        ``lost`` is called with a trial whose process died, and its exit code."""
         self.left = list(runs)
         self._config, self._lost = config, lost
+        self._shared = script if len(runs) > 1 else runs[0].case.scenario.lab
         stride = SLOW_TICKS if runs[0].case.kind is Kind.SLOPE else 1
         stride_ns = stride * config.control.rates.period_ns
         cables = config.robot.cables
@@ -116,12 +125,9 @@ class Together:
             without_relay(self._config),
             [run.case.scenario for run in self.left],
         )
-        script = scenarios[0].lab
-        if len(scenarios) > 1:
-            script = script.model_copy(update={"load": None})
         image = ProcessImage(config.robot.cables)
         lab = self._lab = Lab(
-            config, script, seed=self.left[0].seed, clock=clock.loop_clock(), truth=self._true
+            config, self._shared, seed=self.left[0].seed, clock=clock.loop_clock(), truth=self._true
         )
         lab.open()
         fieldbus = fieldbuses.build(config, image, lab)
@@ -175,8 +181,13 @@ class Together:
         self._script.number = number
         self._script.last(scenario.duration)
         self._daemon.go_on(scenario.duration)
-        if scenario.lab.load is not None:
-            self._lab.extend_load(scenario.lab.load)
+        load, phantom = scenario.lab.load, scenario.lab.phantom
+        if load is not None and self._shared.load is None:
+            self._lab.extend_load(load)
+        if phantom is not None and self._shared.phantom is None:
+            if clearance(phantom, self._truths.rows["position"]).min() <= 0.0:
+                raise LabError("the bring-up, which other trials share, led through the phantom")
+            self._lab.extend_phantom(phantom)
 
     def _true(self, record: NDArray[Any], stamp_ns: int) -> None:
         assert self._lab is not None
@@ -226,5 +237,5 @@ def conduct(run: Run, config: Config) -> Trial:
 
     Raises a `DriverError` when the bus cannot be brought up.
     """
-    (trial,) = Together([run], config, lambda *_: None).play()
+    (trial,) = Together([run], config, run.case.scenario.lab, lambda *_: None).play()
     return trial

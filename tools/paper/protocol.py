@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from tonus.config.schema.base import Direction
-from tonus.config.schema.lab import Load
+from tonus.config.schema.lab import LabScript
 from tonus.config.schema.protocol import Jump, Protocol, Selection, SineSet
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
+from tonus.sim.plant.parameters import clearance
 from tonus.tools.errors import ToolError
 from tonus.tools.paper.case import Case, Kind, Run
 
@@ -40,10 +41,19 @@ def lead_in(config: Config) -> float:
     )
 
 
-def starts_in_active(load: Load, config: Config) -> bool:
-    """Whether a run with this load is until ACTIVE the same as one without."""
-    first = load.profile[0]
-    return first.force == 0.0 and first.at >= lead_in(config)
+def until_active(script: LabScript, protocol: Protocol, config: Config) -> LabScript:
+    """What of ``script`` is there before ACTIVE: no load that comes later, and no phantom that the
+    way from the cradle home passes by."""
+    way = np.array([config.robot.rest, config.robot.home])
+    later: Plain = {}
+    if script.load is not None:
+        first = script.load.profile[0]
+        if first.force == 0.0 and first.at >= lead_in(config):
+            later["load"] = None
+    phantom = script.phantom
+    if phantom is not None and clearance(phantom, way).min() >= protocol.contact.clear:
+        later["phantom"] = None
+    return script.model_copy(update=later)
 
 
 class Programme:
