@@ -142,7 +142,7 @@ EVENTS: dict[str, Meaning] = {
     ),
     "wrong_working_counter": Meaning(
         "fewer slaves took part in an exchange than should",
-        "its inputs are not used",
+        "its inputs are not used until it is known who is missing, then those of the others are",
         "look which slave is missing (next events); check its power and cable",
     ),
     "slave_silent": Meaning(

@@ -22,10 +22,13 @@ def _take(
     data: NDArray[np.uint8],
     sampled: tuple[int, int, int],
     fields: NDArray[np.void],
+    delivered: NDArray[np.bool_],
     integers: NDArray[np.int64],
     reals: NDArray[np.float64],
 ) -> None:
     for i in range(fields.shape[0]):
+        if not delivered[i]:
+            continue
         field = fields[i]
         value, first = np.int64(0), field.shift >> 3
         for byte in range(field.bits >> 3):
@@ -41,21 +44,36 @@ class Inputs:
         """Raises `PdoError` for a mapping that control cannot work with."""
         fields: list[Field] = []
         self._size = 0
-        for slave in slaves:
+        of_slave: list[int] = []
+        for number, slave in enumerate(slaves):
             begin = 8 * self._size
-            its = (field._replace(shift=begin + field.shift) for field in _fields(slave, exchange))
+            its = [field._replace(shift=begin + field.shift) for field in _fields(slave, exchange)]
             fields += its
+            of_slave += [number] * len(its)
             self._size += slave.sizes.inputs
         self._fields = np.array(fields, FIELD)
+        self._of_slave = np.array(of_slave, np.int64)
+        self._delivers: Sequence[bool] = ()
+        self._delivered = np.zeros(0, np.bool_)
         self._words = (exchange.integers, exchange.reals)
         # Compiles it before a tick needs it.
-        self.take([bytes(self._size)], NOT_YET, 0, 0)
+        self.take([bytes(self._size)], [True] * len(slaves), NOT_YET, 0, 0)
 
-    def take(self, inputs: Sequence[bytes], tick: int, sampled_ns: int, doubt_ns: int) -> None:
-        """Of each slave in its order; all were sampled in ``tick``, at ``sampled_ns`` or up to
-        ``doubt_ns`` later."""
+    def take(
+        self,
+        inputs: Sequence[bytes],
+        delivers: Sequence[bool],
+        tick: int,
+        sampled_ns: int,
+        doubt_ns: int,
+    ) -> None:
+        """Of each slave in its order, where ``delivers`` says that they are its own; all were
+        sampled in ``tick``, at ``sampled_ns`` or up to ``doubt_ns`` later."""
+        if delivers is not self._delivers:
+            self._delivers = delivers
+            self._delivered = np.array(delivers, np.bool_)[self._of_slave]
         data = np.frombuffer(b"".join(inputs), np.uint8, self._size)
-        _take(data, (tick, sampled_ns, doubt_ns), self._fields, *self._words)
+        _take(data, (tick, sampled_ns, doubt_ns), self._fields, self._delivered, *self._words)
 
 
 def _fields(slave: Slave, exchange: Exchange) -> list[Field]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tonus.config.schema.bus import DistributedClocks, EthercatBus
@@ -93,7 +93,8 @@ class EthercatFieldbus:
         ]
         self._idle = [bytes(each.sizes.outputs) for each in self._slaves]
         self._outputs = list(self._idle)
-        self._expected = sum(each.counts for each in self._slaves)
+        self._expected = sum(each.counts(AlState.OP) for each in self._slaves)
+        self._everyone = [True] * len(self._slaves)
         self._watch = Watch(bus, exchange, self._events)
         self._recovery = Recovery(
             bus, self._watch, exchange, self._events, self._set_clocks, self._look_soon
@@ -228,12 +229,14 @@ class EthercatFieldbus:
         assert wire is not None
         if not self._ticking:
             self._begin_ticking(tick)
-        if self._receive(self._sent_tick) and self._sent_tick is not None:
-            self._take_inputs(wire.inputs, *self._sampled(tick, self._sent_tick))
-        self._sent_tick = None
+        # First who is there: the look went out with the frame that is taken next.
         found = wire.looked()
         if found is not None:
             self._watch.see(found, wire)
+        delivers = self._receive(self._sent_tick)
+        if delivers is not None and self._sent_tick is not None:
+            self._take_inputs(wire.inputs, delivers, *self._sampled(tick, self._sent_tick))
+        self._sent_tick = None
         self._exchange.fill(tick)
 
     def publish(self, tick: int) -> None:
@@ -266,30 +269,31 @@ class EthercatFieldbus:
         self._sent_ns = self._wire.send(outputs)
         self._sent_tick = tick
 
-    def _receive(self, tick: int | None) -> bool:
-        """Take the frame that was sent; True if its inputs are those of every slave."""
+    def _receive(self, tick: int | None) -> Sequence[bool] | None:
+        """Take the frame that was sent: which slaves' inputs it brought, None: nobody's."""
         wire = self._wire
         assert wire is not None
         began = self._now()
         counter = wire.receive()
         if not self._sent_ns:
-            return False
+            return None
         where = self._bus.interface
         if counter is None:
             self._lose(self._now() - began, tick)
-            return False
+            return None
         if not self._clock_fits(wire.reference_ns):
             if tick is not None:
                 text = "a frame came back that an earlier tick had sent"
                 self._events.counted("stale_frame", where, text)
-            return False
-        if counter != self._expected:
-            self._look_now = True
-            if tick is not None:
-                text = f"working counter {counter}, expected is {self._expected}"
-                self._events.counted("wrong_working_counter", where, text)
-            return False
-        return True
+            return None
+        if counter == self._expected:
+            return self._everyone
+        self._look_now = True
+        if tick is not None:
+            text = f"working counter {counter}, expected is {self._expected}"
+            self._events.counted("wrong_working_counter", where, text)
+        present = self._watch.present
+        return present.delivers if present is not None and counter == present.counter else None
 
     def _lose(self, waited_ns: int, tick: int | None) -> None:
         self._phase.lose()
@@ -325,9 +329,14 @@ class EthercatFieldbus:
         return self._phase.sampled(reference_ns, tick, sent)
 
     def _take_inputs(
-        self, inputs: list[bytes], sampled: int, sampled_ns: int, doubt_ns: int
+        self,
+        inputs: list[bytes],
+        delivers: Sequence[bool],
+        sampled: int,
+        sampled_ns: int,
+        doubt_ns: int,
     ) -> None:
-        self._inputs.take(inputs, sampled, sampled_ns, doubt_ns)
+        self._inputs.take(inputs, delivers, sampled, sampled_ns, doubt_ns)
         codes = self._exchange.error_codes.tolist()
         if codes != self._codes:
             self._tell_errors(codes)

@@ -12,6 +12,7 @@ from tonus.drivers.cia301.pdo import Mapping
 from tonus.drivers.cia301.setting import ObjectAccess, Setting, apply
 from tonus.drivers.devices import drive, force_cell
 from tonus.drivers.errors import DriverError
+from tonus.drivers.ethercat.al import AlState
 from tonus.drivers.ethercat.wire import Found, Sizes
 from tonus.drivers.exchange import Exchange
 
@@ -42,10 +43,11 @@ class Slave:
     profile: DriveProfile | None = None
     """of a drive"""
 
-    @property
-    def counts(self) -> int:
-        """What it adds to the working counter: 1 for inputs delivered, 2 for outputs taken."""
-        return (1 if self.tx else 0) + (2 if self.rx else 0)
+    def counts(self, state: int) -> int:
+        """What it adds to the working counter in this state: 1 for inputs delivered, from SAFEOP
+        on, and 2 for outputs taken, in OP."""
+        delivers = bool(self.tx) and state in (AlState.SAFEOP, AlState.OP)
+        return delivers + 2 * (bool(self.rx) and state == AlState.OP)
 
     def identify(self, found: Found) -> str:
         """What is wrong with the device that was found; "" for nothing."""

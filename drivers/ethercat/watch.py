@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from tonus.config.schema.bus import EthercatBus
 from tonus.drivers.ethercat.al import ERROR, AlState
@@ -34,6 +35,15 @@ class Watched:
         return self.status is None or self.status.state in (AlState.INIT, AlState.BOOT)
 
 
+class Present(NamedTuple):
+    """Who takes part in an exchange."""
+
+    delivers: list[bool]
+    """of each slave: its inputs are its own"""
+    counter: int
+    """the working counter that comes of it"""
+
+
 class Watch:
     """Tells of every slave that left OP, keeps control from believing it, and brings it back."""
 
@@ -46,10 +56,13 @@ class Watch:
         self._exchange = exchange
         self._events = events
         self._open_after: int | None = None
+        self.present: Present | None = None
+        """who was there when all were looked at last; None: nobody has looked"""
 
     def begin(self, slaves: list[Slave]) -> None:
         self.watched = [Watched(slave) for slave in slaves]
         self._open_after = None
+        self.present = None
 
     @property
     def complete(self) -> bool:
@@ -61,6 +74,11 @@ class Watch:
         if wire.open_after != self._open_after:
             self._open_after = wire.open_after
             self._tell_of_the_ring(wire.open_after)
+        counts = [
+            0 if status is None else watched.slave.counts(status.state)
+            for watched, status in zip(self.watched, found, strict=True)
+        ]
+        self.present = Present([count > 0 for count in counts], sum(counts))
         for watched, status in zip(self.watched, found, strict=True):
             if status != watched.status or watched.left:
                 self._judge(watched, status, wire)
@@ -114,7 +132,7 @@ class Watch:
         self._trust(watched, good=False)
 
     def _trust(self, watched: Watched, *, good: bool) -> None:
-        """Cells need no mark: in SAFEOP they are still measured, below it the counter is wrong."""
+        """Cells need no mark: in SAFEOP they are still measured, below it they age."""
         if watched.slave.axis is not None:
             self._exchange.untrusted[watched.slave.axis] = not good
 

@@ -44,7 +44,7 @@ class Wire(Protocol):
     """
 
     inputs: list[bytes]
-    """of each slave, as the last `receive` with a right counter brought them"""
+    """of each slave, as the last `receive` brought them; of one that took no part, what was sent"""
     reference_ns: int | None
     """the reference clock when the last frame passed it; None without distributed clocks"""
 

@@ -254,7 +254,9 @@ def test_a_power_loss_silences_all_behind_it_and_a_reset_configures_them_anew() 
         await _watched(bench, 60)
         assert {event.where for event in bench.named("slave_silent")} == {"tonus0/9", "tonus0/10"}
         assert bench.named("wrong_working_counter")
-        assert (bench.image.axes["state"] == AxisState.LOST).all()
+        assert not (bench.image.axes["state"] == AxisState.LOST).any(), "all drives are before it"
+        assert (bench.image.axes["age"] == 0).all()
+        assert (bench.image.cells["age"] > 20).all()
         await beside(bench, bench.fieldbus.recover())
         assert not bench.named("recovery_failed")
         # The tenth was only out of reach: its watchdog is all that may have acted.
@@ -262,6 +264,64 @@ def test_a_power_loss_silences_all_behind_it_and_a_reset_configures_them_anew() 
         await bench.run(20)
         assert (bench.image.axes["age"] == 0).all()
         assert [slave.state for slave in bench.segment.slaves] == [State.OP] * 10
+
+    run(main)
+
+
+def test_behind_a_broken_cable_measurements_age_and_before_it_they_stay_fresh() -> None:
+    async def main() -> None:
+        bench = await _enabled()
+        bench.inject("power_loss", node=5)
+        ages = []
+        for _ in range(60):
+            await _watched(bench, 1)
+            ages.append(bench.image.axes["age"].tolist())
+        assert max(max(each[:4]) for each in ages) == 1, "until it is known who is missing"
+        assert all(age == 0 for each in ages[3:] for age in each[:4])
+        assert all(age > 50 for age in ages[-1][4:])
+        lost = bench.image.axes["state"] == AxisState.LOST
+        assert lost.tolist() == [False] * 4 + [True] * 4
+        assert (bench.image.cells["age"] > 50).all()
+        sent = [int.from_bytes(data[2:4], "little") for data in bench.fieldbus._outputs[:8]]
+        assert all(sent[:4])
+        assert not any(sent[4:])
+
+    run(main)
+
+
+def test_a_drive_that_leaves_op_takes_no_other_with_it() -> None:
+    async def main() -> None:
+        bench = await _enabled({"fieldbus.master.state_policy": "stop"})
+        bench.inject("state_drop", node=5, state="safe_op", code=0x1A)
+        ages = []
+        for _ in range(20):
+            await _watched(bench, 1)
+            ages.append(bench.image.axes["age"].tolist())
+        assert max(max(each) for each in ages) == 1, "in SAFEOP it is measured as before"
+        lost = bench.image.axes["state"] == AxisState.LOST
+        assert lost.tolist() == [axis == 4 for axis in range(8)]
+
+    run(main)
+
+
+def test_inputs_are_used_only_where_the_counter_is_that_of_those_who_are_there() -> None:
+    async def main() -> None:
+        bench = await _enabled()
+        bench.inject("power_loss", node=9)
+
+        def shorten(frame: bytes, answer: bytes | None) -> bytes | None:
+            if answer is None or not _is_process_data(frame):
+                return answer
+            changed = bytearray(answer)
+            size = changed[FIRST_DATAGRAM + 6] | (changed[FIRST_DATAGRAM + 7] & 7) << 8
+            changed[FIRST_DATAGRAM + 10 + size] -= 3
+            return bytes(changed)
+
+        await _watched(bench, 5)
+        assert (bench.image.axes["age"] == 0).all()
+        bench.between = shorten
+        await _watched(bench, 5)
+        assert (bench.image.axes["age"] == 5).all()
 
     run(main)
 
