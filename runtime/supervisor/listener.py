@@ -25,6 +25,8 @@ Fetch = Callable[[], Arrived]
 
 STATE, _QUICK_STOP_ACTIVE, OPERATION_ENABLED = 0x6F, 0x07, 0x27
 """CiA 402, statusword"""
+_STARTABLE = frozenset((0x21, 0x23))
+"""ready to switch on, and switched on: a controlword alone leads to power"""
 _COMMUNICATION = (0x81, 0x82)
 """CiA 301, error codes 0x81xx and 0x82xx: the bus is wrong, not what is measured"""
 _POWERED = frozenset((OPERATION_ENABLED, _QUICK_STOP_ACTIVE))
@@ -37,7 +39,8 @@ _LONGEST = 8
 class Watched(NamedTuple):
     """An identifier, the length its frames must have, the numbers that are summed, and the
     statusword where it is a drive's. A ``command`` may be longer: a drive acts on the part that it
-    maps (CiA 301). Of ``errors``, emergency frames, those about the bus are left out."""
+    maps (CiA 301), of the newest at the next frame under ``sync``, where that is not 0. Of
+    ``errors``, emergency frames, those about the bus are left out."""
 
     identifier: int
     size: int
@@ -45,6 +48,7 @@ class Watched(NamedTuple):
     statusword: Value | None = None
     command: bool = False
     errors: bool = False
+    sync: int = 0
 
     @property
     def sizes(self) -> range:
@@ -55,8 +59,9 @@ class Watched(NamedTuple):
 class Heard:
     """What was received under one identifier: the newest data, when it was read, how many frames,
     how many of them in a row had the first number of the one before, or all its data where they
-    have none, the sum of each number, the frames of a drive that was not powered, and the first
-    number of each frame since `numbers` was emptied last."""
+    have none, the sum of each number, the frames of a drive that was not powered; of a command all
+    this counts where it acts. And the first number of each frame since `numbers` was emptied last,
+    whether it acted or not."""
 
     __slots__ = (
         "_newest",
@@ -85,12 +90,26 @@ class Heard:
         return self.statusword is not None and _powered(self.word, self.statusword)
 
     @property
+    def startable(self) -> bool:
+        """By the newest statusword."""
+        shift = 0 if self.statusword is None else self.statusword.shift
+        return self.word >> shift & STATE in _STARTABLE
+
+    @property
     def reports_error(self) -> bool:
         """Of emergency frames: the error code (CiA 301, two bytes) is one."""
         return self.word & 0xFFFF != 0
 
     def take(self, words: Sequence[int], now_ns: int) -> None:
         """The data of frames that were read at one time, in their order; at least one."""
+        self.numbers.extend(self.act(words, now_ns))
+
+    def send(self, words: Sequence[int]) -> None:
+        """The data of commands, whether or not they act."""
+        self.numbers.extend(self.values[0].numbers(words))
+
+    def act(self, words: Sequence[int], now_ns: int) -> Sequence[float]:
+        """`take`, but for `numbers`: the first number of each."""
         found = [value.numbers(words) for value in self.values]
         for each in found[0] if found else words:
             self.same = self.same + 1 if each == self._newest else 0
@@ -103,8 +122,7 @@ class Heard:
         for place, numbers in enumerate(found):  # the sum is for ever
             known = (number for number in numbers if abs(number) <= _LARGEST_NUMBER)
             self.totals[place] = sum(known, self.totals[place])
-        if found:
-            self.numbers.extend(found[0])
+        return found[0] if found else ()
 
 
 class Errors(Heard):
@@ -118,6 +136,42 @@ class Errors(Heard):
         super().take(own or [self.word], now_ns)
 
 
+class _Command:
+    """What one device is told under one identifier, until it acts."""
+
+    __slots__ = ("acted", "heard", "sent", "waiting")
+
+    def __init__(self, heard: Heard) -> None:
+        self.heard = heard
+        self.sent: list[int] = []
+        """since the last SYNC, or the last look"""
+        self.acted: list[int] = []
+        """in this look"""
+        self.waiting: int | None = None
+        """the newest of before"""
+
+    def hold(self) -> None:
+        """The newest waits."""
+        if self.sent:
+            self.waiting = self.sent[-1]
+            self.heard.send(self.sent)
+            self.sent.clear()
+
+    def sync(self) -> None:
+        """It acts."""
+        self.hold()
+        if self.waiting is not None:
+            self.acted.append(self.waiting)
+            self.waiting = None
+
+    def look(self, now_ns: int) -> None:
+        """What came in a look is over."""
+        self.hold()
+        if self.acted:
+            self.heard.act(self.acted, now_ns)
+            self.acted.clear()
+
+
 class Listener:
     """A frame of another length than its PDO's is not taken."""
 
@@ -126,26 +180,41 @@ class Listener:
         self.heard: dict[int, Heard] = {}
         self._arrived: dict[tuple[int, int], list[int]] = {}
         """data by identifier and length"""
+        self._taken: list[tuple[Heard, list[int]]] = []
+        self._commands: list[_Command] = []
+        self._synced: dict[int, list[_Command]] = {}
         for each in watched:
-            kind = Errors if each.errors else Heard
-            self.heard[each.identifier] = kind(each.values, each.statusword)
+            heard = (Errors if each.errors else Heard)(each.values, each.statusword)
+            self.heard[each.identifier] = heard
             words: list[int] = []
+            if each.sync:
+                command = _Command(heard)
+                words = command.sent
+                self._commands.append(command)
+                self._synced.setdefault(each.sync, []).append(command)
+            else:
+                self._taken.append((heard, words))
             for size in each.sizes:
                 self._arrived[each.identifier, size] = words
         self._fetch = _fetch(bus)
 
     def read(self, now_ns: int) -> None:
         """Raises `can.CanError` and OSError."""
-        arrived = self._arrived
+        arrived, synced = self._arrived, self._synced
         try:
             for frame, word in self._fetch():
                 words = arrived.get(frame)
                 if words is not None:
                     words.append(word)
+                if frame[0] in synced:
+                    for command in synced[frame[0]]:
+                        command.sync()
         finally:
-            for (identifier, _), words in arrived.items():
+            for command in self._commands:
+                command.look(now_ns)
+            for heard, words in self._taken:
                 if words:
-                    self.heard[identifier].take(words, now_ns)
+                    heard.take(words, now_ns)
                     words.clear()
 
 

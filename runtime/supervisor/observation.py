@@ -32,15 +32,16 @@ class Observation:
     axes: NDArray[np.int64]
     """numbers"""
     enabled: NDArray[np.bool_]
-    """powered by any statusword since the last look, or by the newest; or told to be since"""
+    """powered by any statusword since the last look, or by the newest; or told to be, in a state
+    that leads to it"""
     measured_age: Floats
     """ms since the drive's last PDO"""
     channel_age: Floats
     """ms since the last PDO of any drive on its channel"""
     torque_age: Floats
-    """ms since the last PDO to it, or since the SYNC on which it acts, whichever is longer ago"""
+    """ms since the last SYNC on which it acted by a PDO to it"""
     same: NDArray[np.int64]
-    """PDOs to it in a row that were equal to the one before"""
+    """of those PDOs in a row that were equal to the one before"""
     mille: NDArray[np.int64]
     """torque on the bus, per mille of rated torque"""
     limited: NDArray[np.bool_]
@@ -150,7 +151,6 @@ class Observer:
         tared = self._claim.tare if self._claim is not None else None
         sent = [heard[axis.channel, axis.sent] for axis in self._axes]
         received = [heard[axis.channel, axis.received] for axis in self._axes]
-        synced = [heard[axis.channel, axis.sync or axis.sent] for axis in self._axes]
         mille = np.array(
             [int(a.torque.number(h.word)) for a, h in zip(self._axes, sent, strict=True)], np.int64
         )
@@ -161,8 +161,9 @@ class Observer:
         frames = np.array([[each.count, each.off] for each in received], np.int64).T
         new, self._frames = frames - self._frames, frames
         enabled |= new[0] > new[1]
+        # A statusword is of before the SYNC that it answers: it may have power since.
         enabled |= [
-            told.at_ns > answer.at_ns and axis.enables(told.word)
+            answer.startable and axis.enables(told.word)
             for axis, told, answer in zip(self._axes, sent, received, strict=True)
         ]
         lately = [
@@ -180,7 +181,7 @@ class Observer:
             enabled,
             measured_age,
             np.where(self._together, measured_age, np.inf).min(axis=1),
-            np.maximum(_ages(now_ns, sent), _ages(now_ns, synced)),
+            _ages(now_ns, sent),
             same,
             mille,
             abs(mille) >= self._limit,

@@ -400,13 +400,13 @@ def _watched(wiring: Wiring, channel: str) -> list[Watched]:
     found: list[Watched] = []
     for axis in wiring.axes:
         if axis.channel == channel:
-            found.append(Watched(axis.sent, axis.sent_bytes, (axis.torque,), command=True))
+            values = (axis.torque,)
+            found.append(Watched(axis.sent, axis.sent_bytes, values, command=True, sync=axis.sync))
             found.append(Watched(axis.received, axis.received_bytes, (), axis.statusword))
             found.append(Watched(axis.heartbeat, 1, (_STATE,)))
     requests = {axis.request for axis in wiring.axes if axis.channel == channel}
     requests |= {cell.request for cell in wiring.cells if cell.channel == channel}
     found += told_by(sorted(request - REQUEST for request in requests))
-    found += [Watched(each, 0, ()) for each in {axis.sync for axis in wiring.axes}]
     cells: dict[int, tuple[int, list[Value]]] = {}
     for cell in wiring.cells:
         if cell.channel == channel:

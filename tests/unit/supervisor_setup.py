@@ -221,7 +221,7 @@ class Watchdog:
             data = word.to_bytes(2, "little") + bytes(axis.received_bytes - 2)
             frames[axis.channel, axis.received] = data
             frames[axis.channel, axis.sent] = bytes(axis.sent_bytes)
-            frames[axis.channel, axis.sync] = b""
+        frames |= {(axis.channel, axis.sync): b"" for axis in self.wiring.axes}
         off = {
             (axis.channel, axis.received): (0x0240).to_bytes(axis.received_bytes, "little")
             for axis in self.wiring.axes

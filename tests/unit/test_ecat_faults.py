@@ -276,7 +276,7 @@ def test_behind_a_broken_cable_measurements_age_and_before_it_they_stay_fresh() 
         for _ in range(60):
             await _watched(bench, 1)
             ages.append(bench.image.axes["age"].tolist())
-        assert max(max(each[:4]) for each in ages) == 1, "until it is known who is missing"
+        assert max(max(each[:4]) for each in ages) <= 1, "until it is known who is missing"
         assert all(age == 0 for each in ages[3:] for age in each[:4])
         assert all(age > 50 for age in ages[-1][4:])
         lost = bench.image.axes["state"] == AxisState.LOST
@@ -297,7 +297,7 @@ def test_a_drive_that_leaves_op_takes_no_other_with_it() -> None:
         for _ in range(20):
             await _watched(bench, 1)
             ages.append(bench.image.axes["age"].tolist())
-        assert max(max(each) for each in ages) == 1, "in SAFEOP it is measured as before"
+        assert max(max(each) for each in ages) <= 1, "in SAFEOP it is measured as before"
         lost = bench.image.axes["state"] == AxisState.LOST
         assert lost.tolist() == [axis == 4 for axis in range(8)]
 

@@ -90,6 +90,53 @@ def test_a_command_that_is_longer_than_it_need_be_acts_as_well() -> None:
     assert (long.count, long.word, long.totals) == (2, 0x7000F, [12.0])
 
 
+def _frames(*frames: tuple[int, int]) -> list[can.Message]:
+    """SYNCs where the identifier is 0x80, otherwise commands with this torque."""
+    return [
+        can.Message(
+            arbitration_id=identifier,
+            is_extended_id=False,
+            data=b"" if identifier == 0x80 else b"\x0f\0" + struct.pack("<h", torque),
+        )
+        for identifier, torque in frames
+    ]
+
+
+def test_a_command_counts_where_its_sync_makes_it_act() -> None:
+    """The newest before each SYNC, whichever look brings it; each is a number that was sent."""
+    bus = FakeBus()
+    listener = Listener(bus, [Watched(0x201, 4, (Value(16, 16),), command=True, sync=0x80)])
+    heard = listener.heard[0x201]
+
+    def look(now_ns: int, *frames: tuple[int, int]) -> tuple[int, int, int, int, list[float]]:
+        bus.waiting = _frames(*frames)
+        listener.read(now_ns)
+        numbers = list(heard.numbers)
+        heard.numbers.clear()
+        return heard.count, heard.word >> 16, heard.at_ns, heard.same, numbers
+
+    assert look(1, (0x201, 5)) == (0, 0, 0, 0, [5.0]), "it waits"
+    assert look(2) == (0, 0, 0, 0, [])
+    assert look(3, (0x80, 0), (0x201, 9)) == (1, 5, 3, 0, [9.0])
+    assert look(4, (0x201, 6), (0x201, 7), (0x80, 0), (0x201, 8)) == (2, 7, 4, 0, [6.0, 7.0, 8.0])
+    assert look(5, (0x80, 0), (0x80, 0)) == (3, 8, 5, 0, []), "the second finds nothing new"
+    twice = look(6, (0x201, 8), (0x80, 0), (0x201, 8), (0x80, 0))
+    assert twice == (5, 8, 6, 2, [8.0, 8.0])
+    assert heard.totals == [5.0 + 7.0 + 3 * 8.0]
+    assert look(7, (0x201, 3)) == (5, 8, 6, 2, [3.0])
+
+
+def test_a_sync_makes_every_drive_of_its_identifier_act_and_no_other() -> None:
+    bus = FakeBus()
+    value = (Value(16, 16),)
+    syncs = {0x201: 0x80, 0x202: 0x80, 0x203: 0x81, 0x204: 0}
+    watched = [Watched(each, 4, value, command=True, sync=sync) for each, sync in syncs.items()]
+    listener = Listener(bus, watched)
+    bus.waiting = _frames((0x201, 1), (0x202, 2), (0x203, 3), (0x204, 4), (0x80, 0))
+    listener.read(1)
+    assert [listener.heard[each].totals[0] for each in syncs] == [1.0, 2.0, 0.0, 4.0]
+
+
 def test_a_listener_on_arrays_of_frames() -> None:
     word = -1 << 32 | 0x0005_000F
     bus = FakeBus()

@@ -411,6 +411,8 @@ def test_on_each_channel_it_listens_to_the_devices_of_that_channel(config: Confi
         cells = [node.node_id for node in channel.force_cells]
         wanted = [base + node for node in drives for base in (0x180, 0x200, 0x600, 0x700)]
         wanted += [base + node for node in cells for base in (0x080, 0x180, 0x600, 0x700)]
-        wanted += [0x000, 0x080]
-        found = [each.identifier for each in _watched(Wiring(config), channel.name)]
-        assert sorted(found) == sorted(wanted)
+        wanted += [0x000]
+        watched = _watched(Wiring(config), channel.name)
+        assert sorted(each.identifier for each in watched) == sorted(wanted)
+        syncs = {each.identifier: each.sync for each in watched if each.sync}
+        assert syncs == {0x200 + node: 0x080 for node in drives}

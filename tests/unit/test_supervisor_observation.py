@@ -156,18 +156,29 @@ def test_drives_that_had_power_between_two_looks(config: Config) -> None:
     assert stage.observe(5 * MS, stage.heard, [claim()]).enabled.all(), "nothing new came"
 
 
-def test_drives_that_are_told_to_have_power_and_answer_no_more(config: Config) -> None:
-    """The last answer says that they are switched on; from the next SYNC on they have power."""
+@pytest.mark.parametrize(
+    ("statusword", "starts"),
+    [(0x0231, True), (0x0233, True), (0x0250, False), (0x0208, False), (0x020F, False)],
+)
+@pytest.mark.parametrize("answered_ms", [2, 4, 6])
+def test_drives_that_are_told_to_have_power(
+    config: Config, statusword: int, answered_ms: int, *, starts: bool
+) -> None:
+    """The answer to the SYNC on which it acts says that they are switched on still, so whenever it
+    came. In a fault, or where switching on is disabled, a controlword alone gives none."""
     stage = Stage(config)
     stage.tick(MS, newton=45.0, metre=1.0, force=45.0)
-    for axis in stage.wiring.axes:
-        stage.heard[axis.channel, axis.received].take([0x0233 << axis.statusword.shift], 2 * MS)
-    assert stage.observe(2 * MS, stage.heard, [claim()]).enabled.all(), "it was, in this look"
-    assert not stage.observe(3 * MS, stage.heard, [claim()]).enabled.any()
-    for controlword, enabled in ((0x07, False), (0x0F, True), (0x06, False)):
-        for axis in stage.wiring.axes:
-            stage.heard[axis.channel, axis.sent].take([controlword], 4 * MS)
-        found = stage.observe(4 * MS, stage.heard, [claim()])
+    told = [stage.heard[axis.channel, axis.sent] for axis in stage.wiring.axes]
+    for axis, each in zip(stage.wiring.axes, told, strict=True):
+        answer = stage.heard[axis.channel, axis.received]
+        answer.take([statusword << axis.statusword.shift], answered_ms * MS)
+        each.take([0x06], 2 * MS)
+    assert stage.observe(6 * MS, stage.heard, [claim()]).enabled.all(), "it was, in this look"
+    assert not stage.observe(6 * MS, stage.heard, [claim()]).enabled.any()
+    for controlword, enabled in ((0x07, False), (0x0F, starts), (0x06, False)):
+        for each in told:
+            each.take([controlword], 4 * MS)
+        found = stage.observe(6 * MS, stage.heard, [claim()])
         assert found.enabled.all() == found.enabled.any() == enabled
 
 
@@ -348,13 +359,14 @@ def test_cells_on_another_bus(config: Config) -> None:
     assert found.contact_age == 0.0
 
 
-def test_a_torque_is_as_old_as_the_sync_before_it(config: Config) -> None:
-    """Of the two the older; the SYNC of the drive's own channel."""
+def test_a_torque_is_as_old_as_what_it_acted_on_last(config: Config) -> None:
+    """A torque that waits for its SYNC is none yet, and was sent for SUP-10 all the same."""
     stage = Stage(config)
     stage.tick(0, newton=45.0, metre=0.0, force=45.0)
     axes = stage.wiring.axes
-    stage.heard[axes[0].channel, axes[0].sync].take([0], 3 * MS)
-    stage.heard[axes[0].channel, axes[0].sent].take([0], 2 * MS)
-    stage.heard[axes[7].channel, axes[7].sent].take([0], 4 * MS)
-    found = stage.observe(5 * MS, stage.heard, [claim()]).torque_age
-    assert found.tolist() == [3.0, *[5.0] * 7]
+    stage.heard[axes[0].channel, axes[0].sent].act([0], 3 * MS)
+    stage.heard[axes[7].channel, axes[7].sent].send([77 << axes[7].torque.shift])
+    found = stage.observe(5 * MS, stage.heard, [claim()])
+    assert found.torque_age.tolist() == [2.0, *[5.0] * 7]
+    assert found.mille[7] != 77
+    assert found.torques[:, 7].max() >= 77 * abs(axes[7].newton or 0.0)
