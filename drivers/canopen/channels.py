@@ -78,7 +78,7 @@ class Channels:
         if count:
             now = self._clock()
             # A twentieth of what numpy takes to concatenate records.
-            frames = np.frombuffer(bytearray().join(arrived), RAW_FRAME)
+            frames = np.frombuffer(bytearray().join([each.data for each in arrived]), RAW_FRAME)
             frames["channel"] = self._numbers.repeat(counts)
             if self._tap is not None:
                 self._tap.received(frames, 0, now)

@@ -128,7 +128,7 @@ def _receive(
 ) -> int:
     """Book regular answers from frame ``at`` on: the first frame that is none, or their number. The
     channel of a frame is the row of its SYNCs and slots."""
-    for i in range(at, frames.shape[0]):
+    for i in range(at, len(frames)):
         frame = frames[i]
         if frame.own:
             continue
@@ -159,7 +159,7 @@ def _receive(
         place = due % HISTORY
         sync = (ticks[channel, place], times_ns[channel, place], doubts_ns[channel, place])
         _store(frame.data, sync, fields, answer.first, answer.fields, integers, reals)
-    return frames.shape[0]
+    return len(frames)
 
 
 class Reception:

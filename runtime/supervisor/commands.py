@@ -19,7 +19,11 @@ _WRITES = (0x00, 0x20, 0xC0)
 (CiA 301)"""
 _POWER_OFF = 0x0060402B
 """the request to write 0 to the controlword, with which the daemon ends"""
+_CONTROLWORD = 0x6040
 _START, _EVERY_NODE = 0x01, 0
+_COPIES, _ONE_OF = 16, 64
+"""of its own frames, that a bus may repeat: at most, and one more for each so many that it sends. A
+stranger that holds drives sends three in the time of these"""
 
 
 class Told(NamedTuple):
@@ -37,16 +41,29 @@ class Own:
 
     def __init__(self, heard: Heard) -> None:
         self.heard = heard
-        self.sent = 0
+        self._sent = self._until = 0
 
     def begin(self) -> None:
         """What was heard so far is over: it may be of a process before this one."""
-        self.sent = self.heard.count
+        self._sent, self._until = self.heard.count, _ONE_OF
+
+    def send(self) -> None:
+        """One is sent."""
+        self._sent += 1
+        self._until -= 1
+        if not self._until:
+            self._until = _ONE_OF
+            self._sent += self.heard.count > self._sent
+
+    @property
+    def waits(self) -> bool:
+        """One that was sent has not gone out, as far as the interface tells."""
+        return 0 < self.heard.count < self._sent
 
     @property
     def foreign(self) -> bool:
-        """More were heard than it has sent."""
-        return self.heard.count > self.sent
+        """More were heard than it has sent, and than copies explain."""
+        return self.heard.count > self._sent + _COPIES
 
 
 def told_by(nodes: Iterable[int]) -> list[Watched]:
@@ -60,17 +77,21 @@ class Commands:
 
     def __init__(self, told: list[Told], own: list[Own]) -> None:
         self._told, self._own = told, own
+        self.powers = False
+        """a controlword was among what was found last, which no daemon in order writes"""
 
     def __call__(self) -> Violation | None:
         """An NMT command but to start, or a download but to switch the power off, by a stranger or
         by the daemon, which does so only while no drive is enabled; or a stranger's frame under an
         identifier of the supervisor's own."""
         found = None
+        self.powers = False
         for each in self._told:
             for word in map(int, each.requests.numbers):
                 if word & 0xE0 in _WRITES and word != _POWER_OFF:
                     index = word >> 8 & 0xFFFF
                     found = Violation(Requirement.COMMANDED, each.where, index)
+                    self.powers |= index == _CONTROLWORD
             for word in map(int, each.commands.numbers):
                 code, node = word & 0xFF, word >> 8 & 0xFF
                 if code != _START and node in (_EVERY_NODE, each.node):

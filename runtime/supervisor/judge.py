@@ -80,11 +80,17 @@ class Judge:
         self._patience_ns = {key: round(value * 1e6) for key, value in patience.items()}
         self._looked_ns: int | None = None
         self.forget()
+        self._was_controlled = True
 
     def forget(self) -> None:
         """What held before is over."""
         self._held: dict[Key, int] = {}
+        self._was_controlled = False
         self._end_stop()
+
+    def note(self, claims: list[Claim]) -> None:
+        """What was recorded since the last look, whether or not a drive is enabled."""
+        self._was_controlled |= any(claim.state in CONTROLLED for claim in claims)
 
     def rest(self, now_ns: int) -> None:
         """No drive is enabled: a stop is over, and what held before is forgotten slowly."""
@@ -157,7 +163,8 @@ class Judge:
         if claim is None:
             return
         yield from self._stiffness(seen.claims)
-        if claim.state not in _ARMED:
+        # A stop is of what was controlled: power that begins with one has no measured bound yet.
+        if claim.state not in _ARMED or not (self._was_controlled or claim.state in CONTROLLED):
             yield Violation(Requirement.DISARMED, NOWHERE, claim.state)
         most = float(np.abs(claim.tare).max())
         if not most <= self._tare:

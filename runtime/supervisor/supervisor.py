@@ -99,17 +99,17 @@ class Supervisor:
             if relay is not None:
                 watched = [
                     Watched(_HEARTBEAT + relay.node_id, 1, ()),
-                    Watched(_RPDO + relay.node_id, 1, (), command=True),
+                    Watched(_RPDO + relay.node_id, 0, (), command=True),
                     *told_by([relay.node_id]),
                 ]
-            self._listeners.append(Listener(bus, [*watched, Watched(own, 1, ())]))
+            self._listeners.append(Listener(bus, [*watched, Watched(own, 0, (), command=True)]))
         self._beating = [False] * len(self._listeners)
         self._beat_ns = [_NEVER] * len(self._listeners)
         """when each was sent a heartbeat last"""
         self._prompt = [_ONE_OF] * len(self._listeners)
         """looks in a row that found the last one gone out; since one may be lost, at least"""
         self._unwatched_ns: list[int | None] = [None] * len(self._listeners)
-        """since when drives of each have power without a heartbeat; `_NEVER`: they got the one"""
+        """since when drives of each have power without a heartbeat, or since the last single one"""
         self._beats = [Own(listener.heard[own]) for listener in self._listeners]
         self._outputs: Own | None = None
         """what the relay's node is told"""
@@ -165,6 +165,7 @@ class Supervisor:
         armed_by_record = seen.claim is not None and seen.claim.state in ARMED
         seen.enabled &= present | self._alive(seen) | (not present.any()) | armed_by_record
         armed = bool(seen.enabled.any())
+        self._judge.note(seen.claims)
         if not armed and now_ns - self._looked_ns > self.settings.timeout_ms * 1e6:
             # Drives have lost the heartbeat, and are off for it: as after a start of its own.
             self._beating = [False] * len(self._listeners)
@@ -197,7 +198,7 @@ class Supervisor:
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
         seen.beating = np.array(self._beating)[self._channel_of]
         seen.enabled &= seen.beating
-        if seen.enabled.any():
+        if seen.enabled.any() or self._commands.powers:
             found = self._late(now_ns) or commanded or self._judge(seen)
             if found is not None and found.alone:
                 self._beating[self._channel_of[seen.axes == found.where].item()] = False
@@ -263,11 +264,12 @@ class Supervisor:
         message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
         with contextlib.suppress(can.CanError, OSError):
             self._listeners[0].bus.send(message)
-            self._outputs.sent += 1
+            self._outputs.send()
 
     def _begin_watches(self, now_ns: int, seen: Observation) -> None:
         """Drives that keep power although they get no heartbeat have heard none since they were
-        started, or reset: a single one begins their watch (CiA 301), and none follows."""
+        started, or reset: a single one begins their watch (CiA 301). The next one comes when that
+        is over, so that no drive is held."""
         for place, beating in enumerate(self._beating):
             if beating or not seen.enabled[self._channel_of == place].any():
                 self._unwatched_ns[place] = None
@@ -276,10 +278,11 @@ class Supervisor:
             if since_ns is None:
                 self._unwatched_ns[place] = now_ns
                 continue
-            due = since_ns != _NEVER and now_ns - since_ns >= 2e6 * self.settings.timeout_ms
-            if due and self._send(place, _HEARTBEAT, _OPERATIONAL):
-                self._beats[place].sent += 1
-                self._unwatched_ns[place] = _NEVER
+            due = now_ns - since_ns >= 2e6 * self.settings.timeout_ms
+            own = self._beats[place]
+            if due and not own.waits and self._send(place, _HEARTBEAT, _OPERATIONAL):
+                own.send()
+                self._unwatched_ns[place] = now_ns
 
     def _late(self, now_ns: int) -> Violation | None:
         """Looks that come late keep the drives alive, and find everything late."""
@@ -342,10 +345,10 @@ class Supervisor:
         """Two heartbeats at most wait, on an interface that tells what it has sent: those in a full
         queue hold the drives when it has decided. The second since one may be lost, where `_ONE_OF`
         before it went out at once. Where none goes out for so long that drives have lost it, none
-        follows. A look in which its processor was taken away sends none: what it saw is too old."""
-        if self._clock is not None and self._clock() - now_ns > self.settings.period_ms * 1e6:
-            return
+        follows. Once a look has lost its processor none is sent: what it saw is too old."""
         for place, own in enumerate(self._beats):
+            if self._clock is not None and self._clock() - now_ns > self.settings.period_ms * 1e6:
+                return
             echo = own.heard
             waits = echo.count > 0 and echo.at_ns <= self._beat_ns[place]
             spare = self._prompt[place] >= _ONE_OF
@@ -357,7 +360,7 @@ class Supervisor:
                 waited_ms = (now_ns - self._beat_ns[place]) * 1e-6
                 self._beating[place] &= waited_ms <= self.settings.timeout_ms
             elif self._beating[place] and self._send(place, _HEARTBEAT, _OPERATIONAL):
-                own.sent += 1
+                own.send()
                 self._beat_ns[place] = now_ns
                 if waits:
                     self._prompt[place] = 0

@@ -186,6 +186,7 @@ class Watchdog:
         self._bus = bus
         self.records: list[tuple[int, Any]] = []
         self.state = State.SAFE_STOP
+        self._powered = False
         self.supervisor = Supervisor(config, self._new, self._open, clock)
         self.wiring = Wiring(config)
 
@@ -238,10 +239,14 @@ class Watchdog:
             )
             self.buses[place[axis.channel]].waiting.append(beat)
         if tick:
-            record = np.zeros(1, cycle_dtype(N))
-            record["state"]["state"] = self.state
-            record["timing"]["tick"] = round(now_ms * 1000)
-            self.records.append((round(now_ms * MS), record[0]))
+            # Power comes with control, and a stop is of what was controlled.
+            begins = enabled and not self._powered
+            for state in (State.REFERENCING, self.state) if begins else (self.state,):
+                record = np.zeros(1, cycle_dtype(N))
+                record["state"]["state"] = state
+                record["timing"]["tick"] = round(now_ms * 1000) + (state == self.state)
+                self.records.append((round(now_ms * MS), record[0]))
+        self._powered = enabled
         before, self.now_ms = len(self.buses[0].sent), now_ms
         self.supervisor.step(round(now_ms * MS))
         assert not any(message.is_extended_id for bus in self.buses for message in bus.sent)

@@ -256,7 +256,7 @@ def test_a_power_loss_silences_all_behind_it_and_a_reset_configures_them_anew() 
         assert bench.named("wrong_working_counter")
         assert not (bench.image.axes["state"] == AxisState.LOST).any(), "all drives are before it"
         assert (bench.image.axes["age"] == 0).all()
-        assert (bench.image.cells["age"] > 20).all()
+        assert (bench.image.cells["age"][:8] > 20).all()
         await beside(bench, bench.fieldbus.recover())
         assert not bench.named("recovery_failed")
         # The tenth was only out of reach: its watchdog is all that may have acted.

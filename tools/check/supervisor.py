@@ -23,13 +23,15 @@ _KEY = "supervisor"
 _NOTHING, _POWER_OFF = 0, 2
 """of 0x6007"""
 _STANDING_MS = 100.0
-"""in which a drum stands that was at ``stop.reel_in`` when its drive lost the heartbeat. R"""
+"""in which a drum stands that was at the speed below when its drive lost the heartbeat. R"""
+_LEAST_SPEED = 0.8
+"""m/s: a drum may have it whatever ``stop.reel_in`` is. R"""
 _LONGEST_BEAT_MS = 200
 """between heartbeats of a drive: those of one that is silent say that it was not pulled. R"""
 _HEARTBEAT_LOST = 0x8130
 _COMPARED = (0x6040, 0x6071)
 """controlword and target torque: the statusword tells of the one, the record of the other"""
-_RAMP = "motor.quick_stop_rpm_s"
+_RAMP, _RAMP_INDEX = "motor.quick_stop_rpm_s", 0x6085
 _DRIFTING_S = 0.25
 """for which a tension may be away from its reference. R"""
 _LEAST_SLACK = 0.2
@@ -240,14 +242,27 @@ def check_watches(config: Config, bus: CanopenBus) -> Iterator[Finding]:
 def check_ramps(config: Config, bus: CanopenBus) -> Iterator[Finding]:
     """Whether the drums of a bus stand soon where their drives brake on the ramp that is written to
     them."""
-    settings, speed = config.supervisor, config.control.stop.reel_in
+    settings = config.supervisor
+    speed = max(_LEAST_SPEED, config.control.stop.reel_in)
+    keys = {id(profile): key for key, profile in bus.every_profile.items()}
     if settings is None or settings.policy == "off" or config.lab is not None:
         return
     for axis in sorted(bus.axis_places):
         profile, train = bus.profile(axis), config.robot.drive_trains[axis]
-        written = any(each.quantity == _RAMP for each in profile.settings)
-        if not written or profile.options.abort_connection in (None, _NOTHING, _POWER_OFF):
+        lets_go = profile.options.abort_connection in (None, _NOTHING, _POWER_OFF)
+        if lets_go or not profile.watches_supervisor:
             continue
+        ramps = [each for each in profile.settings if each.index == _RAMP_INDEX]
+        if [each.quantity for each in ramps] != [_RAMP]:
+            yield Finding(
+                "supervisor",
+                False,
+                f"{keys[id(profile)]}.settings",
+                f"{profile.name} brakes on a ramp when the heartbeat ends, which (0x6085) is "
+                + (f"not {_RAMP} alone" if ramps else "not written"),
+                f"write it once, from the quantity {_RAMP}",
+            )
+            return
         ramp, metre = train.motor.quick_stop_rpm_s, train.drum.radius / train.gearbox.ratio
         least = speed / (_STANDING_MS * 1e-3) / metre * 60.0 / (2.0 * math.pi)
         if ramp is not None and ramp >= least:
@@ -319,6 +334,14 @@ def _stays_in_fault(key: str, profile: DriveProfile) -> Iterator[Finding]:
 def _mapped(key: str, profile: DriveProfile) -> Iterator[Finding]:
     """What a drive acts by and the supervisor does not compare with anything."""
     unread = [entry for entry in profile.rpdo if entry >> 16 not in _COMPARED]
+    if len({entry >> 16 for entry in profile.rpdo}) < len(profile.rpdo):
+        yield Finding(
+            "supervisor",
+            False,
+            f"{key}.rpdo",
+            f"{profile.name} is sent an object twice in every PDO, and acts by the second",
+            "map each object once",
+        )
     if unread:
         names = ", ".join(f"0x{entry >> 16:04X}" for entry in unread)
         yield Finding(
