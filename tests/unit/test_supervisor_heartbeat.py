@@ -340,6 +340,14 @@ def test_a_stall_of_its_own_that_drives_notice(
         assert watchdog.step(end + 300.0, enabled=False) == BEAT
 
 
+def test_a_stall_of_its_own_long_after_anything_was_enabled(watchdog: Watchdog) -> None:
+    """A restart would wait as long."""
+    list(watchdog.steps(0, 400, enabled=False))
+    assert watchdog.supervisor.beating
+    assert all(sent == [] for sent in watchdog.steps(422, 722, enabled=False))
+    assert watchdog.step(722, enabled=False) == BEAT
+
+
 @pytest.mark.parametrize(
     ("value", "sent"),
     [(3.0, 3.0), (3.4e38, np.inf), (1e39, np.inf), (-1e39, -np.inf), (np.inf, np.inf)],

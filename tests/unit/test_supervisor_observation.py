@@ -180,6 +180,31 @@ def test_drives_that_are_told_to_have_power(
             each.take([controlword], 4 * MS)
         found = stage.observe(6 * MS, stage.heard, [claim()])
         assert found.enabled.all() == found.enabled.any() == enabled
+    for axis in stage.wiring.axes:
+        stage.heard[axis.channel, axis.sent].take([0x0F], 5 * MS)
+        stage.heard[axis.channel, axis.received].take([0x0233 << axis.statusword.shift], 5 * MS)
+    assert not stage.observe(5 * MS, stage.heard, [claim()]).enabled.any(), "they answer still"
+
+
+def test_the_least_and_the_largest_torque_between_two_looks(config: Config) -> None:
+    """Whichever way a motor turns, and whatever the other drives are sent; of a drive that was sent
+    none, the last."""
+    stage = Stage(config)
+    axes = stage.wiring.axes
+    assert axes[1].newton is not None
+    axes[1] = replace(axes[1], newton=-axes[1].newton)
+    assert config.supervisor is not None
+    stage.observe = Observer(stage.wiring, config.supervisor, config.robot.contact_cell, MS)
+    sent = np.array([[30, -50, 100, 20]]).T * np.arange(N, 0, -1)
+    newton = np.array([axis.newton for axis in axes], float)
+    for torques, wanted in ((sent, sent * newton), (sent[:0], sent[-1:] * newton)):
+        for mille in torques.tolist():
+            for axis, each in zip(axes, mille, strict=True):
+                word = (each & 0xFFFF) << axis.torque.shift
+                stage.heard[axis.channel, axis.sent].take([word], MS)
+        found = stage.observe(MS, stage.heard, [claim()])
+        assert found.torques == pytest.approx(np.array([wanted.min(axis=0), wanted.max(axis=0)]))
+        assert found.torque == pytest.approx(sent[-1] * newton)
 
 
 @pytest.mark.parametrize(

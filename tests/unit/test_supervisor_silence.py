@@ -9,12 +9,11 @@ import can
 import numpy as np
 import pytest
 
-from tests.unit.supervisor_setup import STRICT, EchoBus, Watchdog, claim, seen
+from tests.unit.supervisor_setup import STRICT, Watchdog, claim, seen
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.judge import Judge
-from tonus.tools.run.supervision import open_bus
 
 BEAT = [(0x77E, b"\5")]
 BOOT_UP, OPERATIONAL = 0x00, 0x05
@@ -222,13 +221,11 @@ OBJECTS = {
 def test_what_is_asked_of_a_drive_beside_its_process_data(
     watchdog: Watchdog, request_: tuple[int, int], stopped: bool, enabled: bool
 ) -> None:
-    """To read is allowed, and to write while none is enabled: a bring-up does. A controlword other
-    than 0 is never written: what it leads to no process data may show."""
+    """To read is allowed, and to write while none is enabled: a bring-up does."""
     axis = watchdog.wiring.axes[1]
     data = struct.pack("<BHBi", *request_, 0, 1)
     found = commanded(watchdog, axis.request, data, enabled=enabled)
-    stops = stopped and (enabled or request_[1] == 0x6040)
-    assert found == ((1, request_[1]) if stops else None)
+    assert found == ((1, request_[1]) if stopped and enabled else None)
 
 
 def test_power_that_is_switched_off_beside_the_process_data(watchdog: Watchdog) -> None:
@@ -279,181 +276,6 @@ def commanded(
     code, _, place, value = struct.unpack("<HBBf", sent[0][1])
     assert code == 0xFF1B
     return place, int(value)
-
-
-def test_drives_that_nobody_watches_hear_one_heartbeat(config: Config) -> None:
-    """They were enabled before there was any: one begins their watch, 44 ms later, where nothing
-    may be armed without a supervisor; and one more in the next silence."""
-    required = config.model_copy(
-        update={"supervisor": config.supervisor.model_copy(update={"policy": "require"})}  # type: ignore[union-attr]
-    )
-    for used, apart_ms, beats in (
-        (config, 2, []),
-        (required, 2, [*range(144, 400, 44), *range(544, 800, 44)]),
-        (required, 7, [*range(149, 400, 49), *range(555, 800, 49)]),
-    ):
-        made = Watchdog(used)
-        found = []
-        for now in range(2, 800, apart_ms):
-            enabled = 100 <= now < 400 or now >= 500
-            if made.step(now, enabled=enabled) == BEAT:
-                found.append(now)
-        assert found == beats
-        assert not made.supervisor.beating
-        made.supervisor.close()
-
-
-def test_heartbeats_of_another_in_its_name(telling: tuple[Watchdog, EchoBus]) -> None:
-    """More come back than were sent, of whatever length: somebody else holds the drives. As many as
-    a bus may repeat stop nothing."""
-    watchdog, bus = telling
-    for now, data in zip(range(312, 344, 2), [b"\5", b"", b"\5\0", b"\5"] * 4, strict=True):
-        assert watchdog.step(now, enabled=True) == BEAT
-        bus.let_out()
-        bus.waiting.append(can.Message(arbitration_id=0x77E, is_extended_id=False, data=data))
-    assert watchdog.step(344, enabled=True) == BEAT
-    bus.let_out()
-    bus.waiting.append(can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\5"))
-    ((identifier, data),) = watchdog.step(346, enabled=True)
-    assert (identifier, struct.unpack("<HBBf", data)) == (0x0FE, (0xFF1B, 0x81, 0xFF, 0.0))
-    assert broken(watchdog) is Requirement.COMMANDED
-    assert all(sent == [] for sent in watchdog.steps(348, 366, enabled=True))
-    for now in range(366, 682, 2):
-        sent = watchdog.step(now, enabled=now >= 670)
-        for each in watchdog.buses:
-            assert isinstance(each, EchoBus)
-            each.let_out()
-    assert sent == BEAT, "once it begins anew that is over"
-
-
-@pytest.mark.parametrize(("late_ns", "sent"), [(2 * MS, BEAT), (2 * MS + 1, [])])
-def test_a_look_that_took_too_long_sends_nothing(
-    config: Config, late_ns: int, sent: list[tuple[int, bytes]]
-) -> None:
-    """What it has seen is as old; the next one sends again."""
-    late = [0]
-    made = Watchdog(config, clock=lambda: round(made.now_ms * MS) + late[0])
-    list(made.steps(0, 310, enabled=False))
-    late[0] = late_ns
-    assert made.step(310, enabled=True) == sent
-    late[0] = 0
-    assert made.step(312, enabled=True) == BEAT
-    made.supervisor.close()
-
-
-@pytest.fixture
-def telling(config: Config) -> Iterator[tuple[Watchdog, EchoBus]]:
-    """A supervisor that has begun, and the first of its buses, which tell what they have sent."""
-    made = Watchdog(config, EchoBus)
-    first = made.buses[0]
-    assert isinstance(first, EchoBus)
-    for now in range(0, 312, 2):
-        made.step(now, enabled=now == 310)
-        for each in made.buses:
-            assert isinstance(each, EchoBus)
-            each.let_out()
-    yield made, first
-    made.supervisor.close()
-
-
-def test_two_heartbeats_at_most_wait(telling: tuple[Watchdog, EchoBus]) -> None:
-    """In a full queue: nothing but those goes out once it has decided. For each that goes out
-    another is sent."""
-    watchdog, bus = telling
-    assert watchdog.step(312, enabled=True) == watchdog.step(314, enabled=True) == BEAT
-    assert all(sent == [] for sent in watchdog.steps(316, 334, enabled=True))
-    assert len(bus.queue) == 2
-    for now in range(334, 444, 2):
-        bus.waiting.append(bus.queue.pop(0))
-        assert watchdog.step(now, enabled=True) == BEAT
-        assert watchdog.step(now + 1, enabled=True) == []
-        assert len(bus.queue) == 2
-    bus.let_out()
-    bus.full = True
-    assert watchdog.step(444, enabled=True) == []
-    bus.full = False
-    assert watchdog.step(446, enabled=True) == BEAT, "one that was not taken is not waited for"
-
-
-def test_heartbeats_that_wait_from_the_second_on(config: Config) -> None:
-    """The first one told that the interface tells what it has sent."""
-    watchdog = Watchdog(config, EchoBus)
-    list(watchdog.steps(0, 300, enabled=False))
-    for now, sent in ((300, BEAT), (302, BEAT), (304, BEAT), (306, [])):
-        assert watchdog.step(now, enabled=False) == sent
-        for each in watchdog.buses:
-            assert isinstance(each, EchoBus)
-            if now == 300:
-                each.let_out()
-    watchdog.supervisor.close()
-
-
-def test_one_heartbeat_of_sixteen_may_be_lost(telling: tuple[Watchdog, EchoBus]) -> None:
-    watchdog, bus = telling
-    for place, now in enumerate(range(312, 410, 2)):
-        assert watchdog.step(now, enabled=True) == BEAT
-        if place % 18 == 3:
-            bus.queue.clear()
-        bus.let_out()
-    bus.queue.clear()
-
-
-@pytest.mark.parametrize(("until_ms", "again"), [(336.0, True), (336.00001, False)])
-def test_heartbeats_that_wait_until_drives_have_lost_them(
-    telling: tuple[Watchdog, EchoBus], until_ms: float, again: bool
-) -> None:
-    """None follows before everything is off, and those of other channels go on."""
-    watchdog, bus = telling
-    other = watchdog.buses[1]
-    assert isinstance(other, EchoBus)
-    for now in [*range(312, 336, 2), until_ms]:
-        watchdog.step(now, enabled=True)
-        other.let_out()
-    bus.let_out()
-    assert watchdog.step(337, enabled=True) == (BEAT if again else [])
-    assert len(other.queue) == 1
-    if not again:
-        bus.queue.clear()
-        assert all(sent == [] for sent in watchdog.steps(340, 640, enabled=False))
-        assert watchdog.step(640, enabled=False) == BEAT, "whatever became of the last ones"
-        bus.let_out()
-        assert watchdog.step(642, enabled=False) == BEAT
-
-
-def test_heartbeats_that_never_went_out(telling: tuple[Watchdog, EchoBus]) -> None:
-    """The interface dropped them: it begins again once everything is off."""
-    watchdog, bus = telling
-    other = watchdog.buses[1]
-    assert isinstance(other, EchoBus)
-    for now in range(312, 340, 2):
-        watchdog.step(now, enabled=True)
-        other.let_out()
-    bus.queue.clear()
-    assert all(sent == [] for sent in watchdog.steps(340, 640, enabled=False))
-    assert watchdog.step(640, enabled=False) == BEAT
-
-
-def test_a_heartbeat_of_its_number_before_it_begins(watchdog: Watchdog) -> None:
-    frame = can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\5")
-    watchdog.buses[0].waiting.append(frame)
-    assert all(sent == [] for sent in watchdog.steps(0, 300, enabled=False))
-    assert watchdog.step(300, enabled=False) == BEAT
-
-
-def test_the_heartbeats_of_another_interface_are_not_waited_for(watchdog: Watchdog) -> None:
-    """One that does not tell what it has sent."""
-    assert all(sent == BEAT for sent in [*watchdog.steps(0, 400, enabled=False)][151:])
-
-
-def test_its_own_bus_tells_what_it_has_sent() -> None:
-    bus = open_bus("virtual", "of the supervisor", 1_000_000)
-    try:
-        bus.send(can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\5"))
-        echo = bus.recv(timeout=0)
-        assert echo is not None
-        assert (echo.arbitration_id, bytes(echo.data)) == BEAT[0]
-    finally:
-        bus.shutdown()
 
 
 def test_which_records_are_new(watchdog: Watchdog) -> None:

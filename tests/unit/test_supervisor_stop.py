@@ -317,6 +317,19 @@ def test_a_tension_that_stays_away_from_its_reference(
         )
 
 
+def test_how_long_a_tension_may_stay_away_is_twice_what_the_daemon_waits() -> None:
+    longer = STRICT | {"control.isolation.tension_error_s": 0.6}
+    config = load("config/can.yaml", overrides=longer)[0]
+    said = claim(reference=np.full(N, 101.0), tension=np.full(N, 70.0))
+    given = {"torque": np.full(N, 70.0), "tension": np.full(N, 70.0)}
+    for last_ns, found in ((1200 * MS - 1, False), (1200 * MS, True)):
+        looks = [
+            replace(seen(100.0, said, **given), now_ns=now_ns, claim=replace(said, at_ns=now_ns))
+            for now_ns in (100 * MS, 100 * MS + last_ns)
+        ]
+        assert (judged(config, *looks)[1] is not None) is found
+
+
 @pytest.mark.parametrize("mode", StopMode)
 def test_a_torque_against_the_reference_in_a_stop_along_the_path(
     config: Config, mode: StopMode

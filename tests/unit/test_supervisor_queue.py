@@ -1,0 +1,297 @@
+"""Heartbeats on their way: those that wait in a transmit queue, that another sends in the
+supervisor's name, and the one that begins the watch of drives that nobody watches."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+
+import can
+import pytest
+
+from tests.unit.supervisor_setup import STRICT, EchoBus, Watchdog
+from tonus.config import Config, load
+from tonus.config.schema.supervisor import Requirement
+from tonus.tools.run.supervision import open_bus
+
+BEAT = [(0x77E, b"\5")]
+MS = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+@pytest.fixture(scope="module")
+def required(config: Config) -> Config:
+    """Nothing is armed without a supervisor."""
+    assert config.supervisor is not None
+    settings = config.supervisor.model_copy(update={"policy": "require"})
+    return config.model_copy(update={"supervisor": settings})
+
+
+@pytest.fixture
+def watchdog(config: Config) -> Iterator[Watchdog]:
+    made = Watchdog(config)
+    yield made
+    made.supervisor.close()
+
+
+def broken(watchdog: Watchdog) -> Requirement | None:
+    found = watchdog.supervisor.violation
+    return None if found is None else found.requirement
+
+
+def let_out(watchdog: Watchdog) -> None:
+    """What waits in the queue of every channel."""
+    for each in watchdog.buses:
+        assert isinstance(each, EchoBus)
+        each.let_out()
+
+
+def test_drives_that_nobody_watches_hear_one_heartbeat(config: Config, required: Config) -> None:
+    """They were enabled before there was any: one begins their watch, 44 ms later, where nothing
+    may be armed without a supervisor; and one more in the next silence. Be it one drive alone."""
+    for used, apart_ms, alone, beats in (
+        (config, 2, False, []),
+        (required, 2, False, [144, 544]),
+        (required, 2, True, [144, 544]),
+        (required, 7, False, [149, 555]),
+    ):
+        made = Watchdog(used)
+        _, other = made.wiring.axes[:2]
+        deaf = {(other.channel, other.received)} if alone else ()
+        found = []
+        for now in range(2, 800, apart_ms):
+            enabled = 100 <= now < 400 or now >= 500
+            if made.step(now, enabled=enabled, deaf=deaf) == BEAT:
+                found.append(now)
+        assert found == beats
+        assert not made.supervisor.beating
+        made.supervisor.close()
+
+
+def test_a_heartbeat_for_drives_that_nobody_watches_is_tried_again(required: Config) -> None:
+    """Where the interface does not take it."""
+    made, found = Watchdog(required, EchoBus), []
+    first = made.buses[0]
+    assert isinstance(first, EchoBus)
+    for now in range(2, 300, 2):
+        first.full = now < 150
+        if made.step(now, enabled=now >= 100) == BEAT:
+            found.append(now)
+    assert found == [150]
+    made.supervisor.close()
+
+
+def test_drives_that_are_watched_hear_one_heartbeat_a_look(required: Config) -> None:
+    """However long they have power. Where they keep it after a decision they were not watched."""
+    made = Watchdog(required)
+    list(made.steps(0, 310, enabled=False))
+    assert all(sent == BEAT for sent in made.steps(310, 500, enabled=True))
+    steps = made.steps(500, 700, enabled=True, tick=False)
+    sent = {now: each for now, each in zip(range(500, 700, 2), steps, strict=True) if each}
+    assert list(sent) == [500, 502, 504, 550]
+    assert [now for now, each in sent.items() if each == BEAT] == [500, 502, 550]
+    assert broken(made) is Requirement.TICK
+    made.supervisor.close()
+
+
+def test_drives_of_one_channel_that_nobody_watches(required: Config) -> None:
+    """Its heartbeat ended, and its drives may have power still: they hear one more, which is the
+    supervisor's own when it comes back. The other channels go on."""
+    made, place = Watchdog(required, EchoBus), 1
+    _, channel, _ = made.wiring.channels[place]
+    deaf = {(axis.channel, axis.received) for axis in made.wiring.axes if axis.channel == channel}
+    sent = []
+    for now in range(0, 480, 2):
+        before = len(made.buses[place].sent)
+        silent = now >= 310
+        made.step(now, enabled=now >= 306, everywhere=True, deaf=deaf if silent else ())
+        let_out(made)
+        if silent and len(made.buses[place].sent) > before:
+            sent.append(now)
+    assert sent == [*range(310, 328, 2), 372]
+    assert made.supervisor.violation is None
+    frame = can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\5")
+    made.buses[place].waiting.append(frame)
+    made.step(480, enabled=True, everywhere=True, deaf=deaf)
+    assert broken(made) is Requirement.COMMANDED, "that one is another's"
+    made.supervisor.close()
+
+
+def test_heartbeats_of_another_in_its_name(telling: tuple[Watchdog, EchoBus]) -> None:
+    """More come back than were sent: somebody else holds the drives."""
+    watchdog, bus = telling
+    assert watchdog.step(312, enabled=True) == BEAT
+    bus.let_out()
+    bus.waiting.append(can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\5"))
+    ((identifier, data),) = watchdog.step(314, enabled=True)
+    assert (identifier, struct.unpack("<HBBf", data)) == (0x0FE, (0xFF1B, 0x81, 0xFF, 0.0))
+    assert broken(watchdog) is Requirement.COMMANDED
+    assert all(sent == [] for sent in watchdog.steps(316, 334, enabled=True))
+    for now in range(334, 652, 2):
+        sent = watchdog.step(now, enabled=now >= 640)
+        let_out(watchdog)
+    assert sent == BEAT, "once it begins anew that is over"
+
+
+@pytest.mark.parametrize(("late_ns", "sent"), [(2 * MS, BEAT), (2 * MS + 1, [])])
+def test_a_look_that_took_too_long_sends_nothing(
+    config: Config, late_ns: int, sent: list[tuple[int, bytes]]
+) -> None:
+    """What it has seen is as old; the next one sends again."""
+    late = [0]
+    made = Watchdog(config, clock=lambda: round(made.now_ms * MS) + late[0])
+    list(made.steps(0, 310, enabled=False))
+    late[0] = late_ns
+    assert made.step(310, enabled=True) == sent
+    late[0] = 0
+    assert made.step(312, enabled=True) == BEAT
+    made.supervisor.close()
+
+
+@pytest.fixture
+def telling(config: Config) -> Iterator[tuple[Watchdog, EchoBus]]:
+    """A supervisor that has begun, and the first of its buses, which tell what they have sent."""
+    made = Watchdog(config, EchoBus)
+    first = made.buses[0]
+    assert isinstance(first, EchoBus)
+    for now in range(0, 312, 2):
+        made.step(now, enabled=now == 310)
+        let_out(made)
+    yield made, first
+    made.supervisor.close()
+
+
+def test_two_heartbeats_at_most_wait(telling: tuple[Watchdog, EchoBus]) -> None:
+    """In a full queue: nothing but those goes out once it has decided. For each that goes out
+    another is sent."""
+    watchdog, bus = telling
+    assert watchdog.step(312, enabled=True) == watchdog.step(314, enabled=True) == BEAT
+    assert all(sent == [] for sent in watchdog.steps(316, 334, enabled=True))
+    assert len(bus.queue) == 2
+    for now in range(334, 444, 2):
+        bus.waiting.append(bus.queue.pop(0))
+        assert watchdog.step(now, enabled=True) == BEAT
+        assert watchdog.step(now + 1, enabled=True) == []
+        assert len(bus.queue) == 2
+    bus.let_out()
+    bus.full = True
+    assert watchdog.step(444, enabled=True) == []
+    bus.full = False
+    assert watchdog.step(446, enabled=True) == BEAT, "one that was not taken is not waited for"
+
+
+def test_heartbeats_that_wait_from_the_second_on(config: Config) -> None:
+    """The first one told that the interface tells what it has sent."""
+    watchdog = Watchdog(config, EchoBus)
+    list(watchdog.steps(0, 300, enabled=False))
+    for now, sent in ((300, BEAT), (302, BEAT), (304, BEAT), (306, [])):
+        assert watchdog.step(now, enabled=False) == sent
+        if now == 300:
+            let_out(watchdog)
+    watchdog.supervisor.close()
+
+
+@pytest.mark.parametrize(("every", "sent"), [(17, True), (16, False)])
+def test_one_heartbeat_of_sixteen_may_be_lost(
+    telling: tuple[Watchdog, EchoBus], every: int, sent: bool
+) -> None:
+    """Where the sixteen before it went out at once."""
+    watchdog, bus = telling
+    found = []
+    for place, now in enumerate(range(312, 410, 2)):
+        found.append(watchdog.step(now, enabled=True) == BEAT)
+        if place % every == 3:
+            bus.queue.clear()
+        bus.let_out()
+    assert all(found) is sent
+
+
+@pytest.mark.parametrize(("lost", "sent"), [(24, True), (23, False)])
+def test_after_a_heartbeat_that_waited_sixteen_have_to_go_out_at_once(
+    telling: tuple[Watchdog, EchoBus], lost: int, sent: bool
+) -> None:
+    """One is lost in look 3, and one waits in look 7, which no other may follow."""
+    watchdog, bus = telling
+    found = []
+    for place in range(lost + 2):
+        found.append(watchdog.step(312 + 2 * place, enabled=True) == BEAT)
+        if place in (3, lost):
+            bus.queue.clear()
+        if place != 7:
+            bus.let_out()
+    assert found == [place != 8 for place in range(lost + 1)] + [sent]
+
+
+def test_a_second_heartbeat_that_the_interface_does_not_take(
+    telling: tuple[Watchdog, EchoBus],
+) -> None:
+    """May be sent in the next look."""
+    watchdog, bus = telling
+    assert watchdog.step(312, enabled=True) == BEAT
+    bus.full = True
+    assert watchdog.step(314, enabled=True) == []
+    bus.full = False
+    assert watchdog.step(316, enabled=True) == BEAT
+    assert watchdog.step(318, enabled=True) == []
+
+
+@pytest.mark.parametrize(("until_ms", "again"), [(336.0, True), (336.000001, False)])
+def test_heartbeats_that_wait_until_drives_have_lost_them(
+    telling: tuple[Watchdog, EchoBus], until_ms: float, again: bool
+) -> None:
+    """None follows before everything is off, and those of other channels go on."""
+    watchdog, bus = telling
+    other = watchdog.buses[1]
+    assert isinstance(other, EchoBus)
+    for now in [*range(312, 336, 2), until_ms]:
+        watchdog.step(now, enabled=True)
+        other.let_out()
+    bus.let_out()
+    assert watchdog.step(337, enabled=True) == (BEAT if again else [])
+    assert len(other.queue) == 1
+    if not again:
+        bus.queue.clear()
+        assert all(sent == [] for sent in watchdog.steps(340, 640, enabled=False))
+        assert watchdog.step(640, enabled=False) == BEAT, "whatever became of the last ones"
+        bus.let_out()
+        assert watchdog.step(642, enabled=False) == BEAT
+
+
+def test_heartbeats_that_never_went_out(telling: tuple[Watchdog, EchoBus]) -> None:
+    """The interface dropped them: it begins again once everything is off."""
+    watchdog, bus = telling
+    other = watchdog.buses[1]
+    assert isinstance(other, EchoBus)
+    for now in range(312, 340, 2):
+        watchdog.step(now, enabled=True)
+        other.let_out()
+    bus.queue.clear()
+    assert all(sent == [] for sent in watchdog.steps(340, 640, enabled=False))
+    assert watchdog.step(640, enabled=False) == BEAT
+
+
+def test_a_heartbeat_of_its_number_before_it_begins(watchdog: Watchdog) -> None:
+    frame = can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\5")
+    watchdog.buses[0].waiting.append(frame)
+    assert all(sent == [] for sent in watchdog.steps(0, 300, enabled=False))
+    assert watchdog.step(300, enabled=False) == BEAT
+
+
+def test_the_heartbeats_of_another_interface_are_not_waited_for(watchdog: Watchdog) -> None:
+    """One that does not tell what it has sent."""
+    assert all(sent == BEAT for sent in [*watchdog.steps(0, 400, enabled=False)][151:])
+
+
+def test_its_own_bus_tells_what_it_has_sent() -> None:
+    bus = open_bus("virtual", "of the supervisor", 1_000_000)
+    try:
+        bus.send(can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\5"))
+        echo = bus.recv(timeout=0)
+        assert echo is not None
+        assert (echo.arbitration_id, bytes(echo.data)) == BEAT[0]
+    finally:
+        bus.shutdown()
