@@ -39,9 +39,9 @@ class Told(NamedTuple):
 class Own:
     """Frames that only the supervisor sends, on an interface that tells what it has sent."""
 
-    def __init__(self, heard: Heard) -> None:
-        self.heard = heard
-        self._sent = self._until = 0
+    def __init__(self, identifier: int, heard: Heard) -> None:
+        self.identifier, self.heard = identifier, heard
+        self.begin()
 
     def begin(self) -> None:
         """What was heard so far is over: it may be of a process before this one."""

@@ -11,14 +11,18 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import Requirement, Supervisor
-from tonus.runtime.states import Operator, State, StopMode
+from tonus.runtime.states import ARMED, Operator, State, StopMode
 from tonus.runtime.supervisor.observation import Observation
 from tonus.runtime.supervisor.record import Claim, Floats
 
 NOWHERE = -1
 CONTROLLED = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
-_ARMED = (*CONTROLLED, State.SAFE_STOP)
 _STIFF = (State.HOLD, State.ACTIVE)
+_AT_ONCE = (
+    *(Requirement.TICK, Requirement.TORQUE, Requirement.FROZEN, Requirement.STALE),
+    *(Requirement.STIFFNESS, Requirement.STOP_ENDS),
+)
+"""what lasts already when it is seen, and what may not be for any time"""
 _FORGETTING = 4
 """times slower than it was counted is the time forgotten for which a condition held"""
 Key = tuple[Requirement, int]
@@ -66,17 +70,12 @@ class Judge:
         self._tick_ns = control.rates.period_ns
         self._period_ns = round(settings.period_ms * 1e6)
         self._brakes = config.relay is None
-        patience = dict.fromkeys(Requirement, settings.patience_ms)
-        patience[Requirement.TICK] = patience[Requirement.TORQUE] = 0.0  # ages by themselves
-        patience[Requirement.FROZEN] = 0.0
+        patience = dict.fromkeys(Requirement, settings.patience_ms) | dict.fromkeys(_AT_ONCE, 0.0)
         # A frame that is lost at an end of the window shows in one look there.
         patience[Requirement.UNEXPLAINED] = settings.period_ms
-        patience[Requirement.STIFFNESS] = patience[Requirement.STOP_ENDS] = 0.0
         # What it compares is a look old already.
-        logged_ms = max(0.0, settings.patience_ms - settings.period_ms)
-        patience[Requirement.COMMAND_LOGGED] = logged_ms
+        patience[Requirement.COMMAND_LOGGED] = max(0.0, settings.patience_ms - settings.period_ms)
         patience[Requirement.DISARMED] = settings.disarmed_ms
-        patience[Requirement.STALE] = 0.0
         self._patience_ns = {key: round(value * 1e6) for key, value in patience.items()}
         self._looked_ns: int | None = None
         self.forget()
@@ -141,7 +140,7 @@ class Judge:
         ):
             yield each, self._patience_ns[each.requirement]
         yield from self._against(seen)
-        if seen.claim is not None and seen.claim.state not in _ARMED:
+        if seen.claim is not None and seen.claim.state not in ARMED:
             # A drive takes its time to switch off, but it is sent no torque meanwhile.
             pulling = seen.enabled & (seen.mille != 0)
             for each in _at(Requirement.DISARMED, seen, seen.torque, None, pulling):
@@ -164,7 +163,7 @@ class Judge:
             return
         yield from self._stiffness(seen.claims)
         # A stop is of what was controlled: power that begins with one has no measured bound yet.
-        if claim.state not in _ARMED or not (self._was_controlled or claim.state in CONTROLLED):
+        if claim.state not in ARMED or not (self._was_controlled or claim.state in CONTROLLED):
             yield Violation(Requirement.DISARMED, NOWHERE, claim.state)
         most = float(np.abs(claim.tare).max())
         if not most <= self._tare:
@@ -178,7 +177,7 @@ class Judge:
             self._faulted |= claim.fault != 0
             if claim.operator in (Operator.STOP, Operator.ESTOP):
                 self._ordered = max(self._ordered, claim.operator)
-        ignored = self._ordered == Operator.ESTOP and newest.state in _ARMED
+        ignored = self._ordered == Operator.ESTOP and newest.state in ARMED
         stop = self._ordered == Operator.STOP or self._faulted
         if ignored or (stop and newest.state in CONTROLLED):
             yield Violation(Requirement.ORDERS, NOWHERE, newest.state)

@@ -59,8 +59,8 @@ class Watched(NamedTuple):
 class Heard:
     """What was received under one identifier: the newest data, when it was read, how many frames,
     how many of them in a row had the first number of the one before, or all its data where they
-    have none, the sum of each number, the frames of a drive that was not powered; of a command all
-    this counts where it acts. And the first number of each frame since `numbers` was emptied last,
+    have none, the sum of each number, the frames of a drive that had power; of a command all this
+    counts where it acts. And the first number of each frame since `numbers` was emptied last,
     whether it acted or not."""
 
     __slots__ = (
@@ -68,7 +68,7 @@ class Heard:
         "at_ns",
         "count",
         "numbers",
-        "off",
+        "on",
         "same",
         "statusword",
         "totals",
@@ -78,7 +78,7 @@ class Heard:
 
     def __init__(self, values: tuple[Value, ...], statusword: Value | None = None) -> None:
         self.values, self.statusword = values, statusword
-        self.word = self.at_ns = self.count = self.same = self.off = 0
+        self.word = self.at_ns = self.count = self.same = self.on = 0
         self._newest: float | None = None
         self.totals = [0.0] * len(values)
         self.numbers: deque[float] = deque(maxlen=_MOST)
@@ -117,8 +117,7 @@ class Heard:
         self.word, self.at_ns = words[-1], now_ns
         self.count += len(words)
         if self.statusword is not None:
-            shift, mask = self.statusword.shift, STATE
-            self.off += [word >> shift & mask in _POWERED for word in words].count(False)
+            self.on += sum(_powered(word, self.statusword) for word in words)
         for place, numbers in enumerate(found):  # the sum is for ever
             known = (number for number in numbers if abs(number) <= _LARGEST_NUMBER)
             self.totals[place] = sum(known, self.totals[place])

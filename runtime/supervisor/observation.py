@@ -20,6 +20,8 @@ _ROUNDING = 1
 """per mille"""
 _TICKS = 1.5
 """by which the time between two answers may differ from what their number says"""
+_ABSENT = Heard(())
+"""of a cell that there is not"""
 Listened = Mapping[tuple[str, int], Heard]
 """By channel and identifier."""
 
@@ -137,8 +139,8 @@ class Observer:
         """to each axis in the look before, per mille"""
         self._samples: deque[_Sample] = deque()
         self._since = _Since(len(wiring.axes))
-        self._frames = np.zeros((2, len(wiring.axes)), np.int64)
-        """of each axis in all looks, and those in which it had no power"""
+        self._on = np.zeros(len(wiring.axes), np.int64)
+        """frames of each axis in which it had power"""
 
     def __call__(self, now_ns: int, heard: Listened, claims: list[Claim]) -> Observation:
         if claims:
@@ -158,9 +160,8 @@ class Observer:
         same = np.array([each.same for each in sent], np.int64)
         changed = np.array([each.count for each in sent], np.int64) - same
         enabled = np.array([each.powered for each in received], bool)
-        frames = np.array([[each.count, each.off] for each in received], np.int64).T
-        new, self._frames = frames - self._frames, frames
-        enabled |= new[0] > new[1]
+        before, self._on = self._on, np.array([each.on for each in received], np.int64)
+        enabled |= self._on > before
         # A statusword is of before the SYNC that it answers: it may have power since.
         enabled |= [
             answer.startable and axis.enables(told.word)
@@ -241,16 +242,14 @@ class Observer:
                 for axis, each in zip(self._axes, received, strict=True)
             ]
         )
-        found = [heard[cell.channel, cell.received] if cell is not None else None for cell in cells]
+        found = [_ABSENT if cell is None else heard[cell.channel, cell.received] for cell in cells]
         sums = np.array(
             [
                 [each.totals[0] for each in sent],
                 [_sum(cell, each) for cell, each in zip(cells, found, strict=True)],
             ]
         )
-        counts = np.array(
-            [[each.count for each in sent], [0 if each is None else each.count for each in found]]
-        )
+        counts = np.array([[each.count for each in frames] for frames in (sent, found)])
         places = np.array([each.count for each in received], np.int64)
         read_ns = np.array([each.at_ns for each in received], np.int64)
         rate = np.full(len(length), np.nan)
@@ -329,15 +328,16 @@ def _beyond(sent: set[float], claimed: set[int]) -> bool:
 
 
 def _ages(now_ns: int, frames: list[Heard]) -> Floats:
-    return np.array([_age(now_ns, each) for each in frames])
+    return np.array([age(now_ns, each) for each in frames])
 
 
-def _age(now_ns: int, frames: Heard) -> float:
+def age(now_ns: int, frames: Heard) -> float:
+    """ms since the last of them."""
     return (now_ns - frames.at_ns) * _MS if frames.count else np.inf
 
 
 def _cell_age(now_ns: int, cell: Cell | None, heard: Listened) -> float:
-    return 0.0 if cell is None else _age(now_ns, heard[cell.channel, cell.received])
+    return 0.0 if cell is None else age(now_ns, heard[cell.channel, cell.received])
 
 
 def _defective(cell: Cell | None, heard: Listened) -> bool:
@@ -355,7 +355,7 @@ def _force(cell: Cell | None, heard: Listened, tared: Floats | None) -> float:
     return force - float(tared[cell.number]) if math.isfinite(force) else np.inf
 
 
-def _sum(cell: Cell | None, each: Heard | None) -> float:
-    if cell is None or each is None:
+def _sum(cell: Cell | None, each: Heard) -> float:
+    if cell is None:
         return np.nan
     return each.totals[each.values.index(cell.force)] * cell.newton

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
-from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
+from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import ARMED
 from tonus.runtime.supervisor.commands import NMT, REQUEST, Commands, Own, Told, told_by
 from tonus.runtime.supervisor.judge import CONTROLLED, NOWHERE, Judge, Violation
-from tonus.runtime.supervisor.listener import Listener, Watched
-from tonus.runtime.supervisor.observation import Listened, Observation, Observer
+from tonus.runtime.supervisor.listener import Heard, Listener, Watched
+from tonus.runtime.supervisor.observation import Listened, Observation, Observer, age
 from tonus.runtime.supervisor.record import Claim, Records, claims
 from tonus.runtime.supervisor.recorded import RecordedWiring, Replayed
 from tonus.runtime.supervisor.wiring import Value, Wiring
@@ -63,28 +63,25 @@ class Supervisor:
         """``clock``: ns, as `step` is told them; None where no time passes within a step. Raises
         `can.CanError` and OSError when a channel cannot be opened, and ValueError for a
         configuration without a supervisor."""
-        settings = config.supervisor
+        settings, relay = config.supervisor, config.relay
         if settings is None or settings.policy == "off":
             raise ValueError("the configuration has no supervisor")
         self.settings = settings
         self.violation: Violation | None = None
         """what it stopped the robot for; None while it sends its heartbeat"""
-        self._beating: list[bool] = []
-        """on each channel"""
-        relay = config.relay
         recorded = None if relay is None else RecordedWiring(config, relay)
         wiring = recorded or Wiring(config)
         self._axes = wiring.axes
         self._replayed = None if recorded is None else Replayed(config, recorded)
         """what the daemon records, where the drives' frames are not read"""
-        self._relay = relay
         self._holds = False
         """whether it has set the relay's output"""
         self._records, self._clock = records, clock
-        self._tick_ns = tick_ns = config.control.rates.period_ns
-        self._observe = Observer(wiring, settings, config.robot.contact_cell, tick_ns)
+        self._tick_ns = config.control.rates.period_ns
+        self._observe = Observer(wiring, settings, config.robot.contact_cell, self._tick_ns)
         self._judge = Judge(config, settings)
         self._quiet_ns: int | None = None
+        """since when no drive is enabled"""
         self._looked_ns = 0
         self._tick = -1
         self._booted = np.zeros(len(self._axes), bool)
@@ -95,61 +92,52 @@ class Supervisor:
         own = _HEARTBEAT + settings.node_id
         for interface, channel, bitrate in wiring.channels:
             bus = open_bus(interface, channel, bitrate)
-            watched = _watched(wiring, channel)
-            if relay is not None:
-                watched = [
-                    Watched(_HEARTBEAT + relay.node_id, 1, ()),
-                    Watched(_RPDO + relay.node_id, 0, (), command=True),
-                    *told_by([relay.node_id]),
-                ]
+            watched = _watched(wiring, channel) if relay is None else _watched_of(relay.node_id)
             self._listeners.append(Listener(bus, [*watched, Watched(own, 0, (), command=True)]))
-        self._beating = [False] * len(self._listeners)
-        self._beat_ns = [_NEVER] * len(self._listeners)
-        """when each was sent a heartbeat last"""
-        self._prompt = [_ONE_OF] * len(self._listeners)
-        """looks in a row that found the last one gone out; since one may be lost, at least"""
-        self._unwatched_ns: list[int | None] = [None] * len(self._listeners)
-        """since when drives of each have power without a heartbeat, or since the last single one"""
-        self._beats = [Own(listener.heard[own]) for listener in self._listeners]
-        self._outputs: Own | None = None
-        """what the relay's node is told"""
-        if relay is not None:
-            self._outputs = Own(self._listeners[0].heard[_RPDO + relay.node_id])
         names = [name for _, name, _ in wiring.channels]
-        places = [0 if relay is not None else names.index(axis.channel) for axis in wiring.axes]
-        self._channel_of = np.array(places, np.int64)
-        self._answers = [_answers(wiring, channel) for _, channel, _ in wiring.channels]
-        """identifiers under which the drives of each send, and all of its devices"""
-        if relay is not None:
-            self._answers = [([_HEARTBEAT + relay.node_id],) * 2]
-        self._heard: Listened = {
-            (channel, identifier): heard
-            for (_, channel, _), listener in zip(wiring.channels, self._listeners, strict=True)
+        frames = {
+            (name, identifier): heard
+            for name, listener in zip(names, self._listeners, strict=True)
             for identifier, heard in listener.heard.items()
         }
-        if self._replayed is not None:
-            self._heard = self._replayed.heard
-        self._own = self._beats if self._outputs is None else [*self._beats, self._outputs]
-        self._commands = Commands(self._told(wiring), self._own)
+        self._heard: Listened = frames if self._replayed is None else self._replayed.heard
+        self._beating = [False] * len(names)
+        """on each channel"""
+        self._beats = [Own(own, frames[name, own]) for name in names]
+        self._beat_ns = [_NEVER] * len(names)
+        """when each was sent a heartbeat last"""
+        self._prompt = [_ONE_OF] * len(names)
+        """looks in a row that found the last one gone out; since one may be lost, at least"""
+        self._unwatched_ns: list[int | None] = [None] * len(names)
+        """since when drives of each have power without a heartbeat, or since the last single one"""
+        self._channel_of = np.zeros(len(wiring.axes), np.int64)
+        self._output: Own | None = None
+        """what the relay's node is told"""
+        self._own = self._beats
+        if relay is None:
+            self._channel_of[:] = [names.index(axis.channel) for axis in wiring.axes]
+            self._answers = [_answers(wiring, name, frames) for name in names]
+            """of the drives of each channel, and of all of its devices"""
+            amplifiers = {(NOWHERE, cell.channel, cell.request) for cell in wiring.cells}
+            devices = [(axis.number, axis.channel, axis.request) for axis in wiring.axes]
+            devices = [*sorted(amplifiers), *devices]
+        else:
+            output = _RPDO + relay.node_id
+            self._output = Own(output, frames[relay.channel, output])
+            self._own = [*self._beats, self._output]
+            self._answers = [([frames[relay.channel, _HEARTBEAT + relay.node_id]],) * 2]
+            devices = [(NOWHERE, relay.channel, REQUEST + relay.node_id)]
+        told = [
+            Told(where, request - REQUEST, frames[name, request], frames[name, NMT])
+            for where, name, request in devices
+        ]
+        self._commands = Commands(told, self._own)
         nodes = {(c.channel, c.heartbeat, c.emergency) for c in wiring.cells if c.heartbeat}
         self._amplifiers = [
-            (self._heard[channel, heartbeat], self._heard[channel, emergency])
+            (frames[channel, heartbeat], frames[channel, emergency])
             for channel, heartbeat, emergency in sorted(nodes)
         ]
         """heartbeats and emergency frames of each"""
-
-    def _told(self, wiring: Wiring | RecordedWiring) -> list[Told]:
-        """Of each device whose frames are read."""
-        if self._relay is not None:
-            heard, node = self._listeners[0].heard, self._relay.node_id
-            return [Told(NOWHERE, node, heard[REQUEST + node], heard[NMT])]
-        amplifiers = {(cell.channel, cell.request) for cell in wiring.cells}
-        devices = [(NOWHERE, *each) for each in sorted(amplifiers)]
-        devices += [(axis.number, axis.channel, axis.request) for axis in wiring.axes]
-        return [
-            Told(where, request - REQUEST, self._heard[name, request], self._heard[name, NMT])
-            for where, name, request in devices
-        ]
 
     def step(self, now_ns: int) -> None:
         """Never raises for a bus: what cannot be received ages, what cannot be sent is missed."""
@@ -166,16 +154,16 @@ class Supervisor:
         seen.enabled &= present | self._alive(seen) | (not present.any()) | armed_by_record
         armed = bool(seen.enabled.any())
         self._judge.note(seen.claims)
-        if not armed and now_ns - self._looked_ns > self.settings.timeout_ms * 1e6:
-            # Drives have lost the heartbeat, and are off for it: as after a start of its own.
-            self._beating = [False] * len(self._listeners)
-            self._quiet_ns = None
         if armed:
             self._quiet_ns = None
-        elif self._quiet_ns is None:
-            self._quiet_ns = now_ns
-        if not armed:
+        else:
             self._judge.rest(now_ns)
+            stalled = now_ns - self._looked_ns > self.settings.timeout_ms * 1e6
+            if stalled:
+                # Drives have lost the heartbeat, and are off for it: as after a start of its own.
+                self._beating = [False] * len(self._listeners)
+            if stalled or self._quiet_ns is None:
+                self._quiet_ns = now_ns
         if armed or seen.claim is None or seen.claim.state not in CONTROLLED:
             self._agreed_ns = now_ns
         self._fall_silent_where_deaf(now_ns, armed)
@@ -205,7 +193,7 @@ class Supervisor:
             elif found is not None:
                 self.violation = found
                 for place in np.flatnonzero(self._beating).tolist():
-                    self._send(place, _EMERGENCY, _error(found))
+                    self._send(place, _EMERGENCY + self.settings.node_id, _error(found))
                 self._beating = [False] * len(self._listeners)
         self._beat(now_ns)
         self._hold_relay()
@@ -256,33 +244,25 @@ class Supervisor:
 
     def _hold_relay(self) -> None:
         """Its output is on as long as the heartbeat goes, and is off at once with its end."""
-        if self._relay is None or self._outputs is None or not (self.beating or self._holds):
+        if self._output is None or not (self.beating or self._holds):
             return
         self._holds = self.beating
-        data = _HELD if self._holds else _RELEASED
-        identifier = _RPDO + self._relay.node_id
-        message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
-        with contextlib.suppress(can.CanError, OSError):
-            self._listeners[0].bus.send(message)
-            self._outputs.send()
+        self._tell(0, self._output, _HELD if self._holds else _RELEASED)
 
     def _begin_watches(self, now_ns: int, seen: Observation) -> None:
         """Drives that keep power although they get no heartbeat have heard none since they were
         started, or reset: a single one begins their watch (CiA 301). The next one comes when that
         is over, so that no drive is held."""
         for place, beating in enumerate(self._beating):
+            since_ns = self._unwatched_ns[place]
             if beating or not seen.enabled[self._channel_of == place].any():
                 self._unwatched_ns[place] = None
-                continue
-            since_ns = self._unwatched_ns[place]
-            if since_ns is None:
+            elif since_ns is None:
                 self._unwatched_ns[place] = now_ns
-                continue
-            due = now_ns - since_ns >= 2e6 * self.settings.timeout_ms
-            own = self._beats[place]
-            if due and not own.waits and self._send(place, _HEARTBEAT, _OPERATIONAL):
-                own.send()
-                self._unwatched_ns[place] = now_ns
+            elif now_ns - since_ns >= 2e6 * self.settings.timeout_ms:
+                own = self._beats[place]
+                if not own.waits and self._tell(place, own, _OPERATIONAL):
+                    self._unwatched_ns[place] = now_ns
 
     def _late(self, now_ns: int) -> Violation | None:
         """Looks that come late keep the drives alive, and find everything late."""
@@ -313,20 +293,15 @@ class Supervisor:
     def _hears(self, seen: Observation) -> bool:
         """Whether everything arrives that it judges by: it does not begin deaf."""
         ages = [*seen.measured_age, *seen.torque_age, *seen.cell_age, seen.contact_age]
-        if self._relay is not None:
-            answer = self._listeners[0].heard[_HEARTBEAT + self._relay.node_id]
-            ages.append((seen.now_ns - answer.at_ns) * 1e-6 if answer.count else math.inf)
+        ages += [age(seen.now_ns, each) for _, devices in self._answers for each in devices]
         return bool(max(ages) < self.settings.stale_ms)
 
     def _fall_silent_where_deaf(self, now_ns: int, armed: bool) -> None:
         """While nothing is enabled the daemon may begin anew, which takes no answers; while a drive
         is, its answers alone count, and that no channel answers is SUP-14 to judge."""
         newest_ns = [
-            max(
-                (listener.heard[each].at_ns for each in (drives if armed else devices)),
-                default=now_ns,
-            )
-            for (drives, devices), listener in zip(self._answers, self._listeners, strict=True)
+            max((each.at_ns for each in (drives if armed else devices)), default=now_ns)
+            for drives, devices in self._answers
         ]
         end_ns, longest_ms = now_ns, self.settings.quiet_s * 1e3
         if armed:
@@ -351,36 +326,33 @@ class Supervisor:
                 return
             echo = own.heard
             waits = echo.count > 0 and echo.at_ns <= self._beat_ns[place]
-            spare = self._prompt[place] >= _ONE_OF
             if not waits:
                 self._prompt[place] += 1
-            elif not spare:
+            elif self._prompt[place] < _ONE_OF:
                 self._prompt[place] = 0
-            if waits and not spare:
-                waited_ms = (now_ns - self._beat_ns[place]) * 1e-6
-                self._beating[place] &= waited_ms <= self.settings.timeout_ms
-            elif self._beating[place] and self._send(place, _HEARTBEAT, _OPERATIONAL):
-                own.send()
+                waited_ns = now_ns - self._beat_ns[place]
+                self._beating[place] &= waited_ns <= self.settings.timeout_ms * 1e6
+                continue
+            if self._beating[place] and self._tell(place, own, _OPERATIONAL):
                 self._beat_ns[place] = now_ns
                 if waits:
                     self._prompt[place] = 0
 
-    def _send(self, place: int, function: int, data: bytes) -> bool:
+    def _tell(self, place: int, own: Own, data: bytes) -> bool:
+        """Send what only the supervisor sends."""
+        taken = self._send(place, own.identifier, data)
+        if taken:
+            own.send()
+        return taken
+
+    def _send(self, place: int, identifier: int, data: bytes) -> bool:
         """Whether the interface of that channel has taken it."""
-        identifier = function + self.settings.node_id
         message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
         try:
             self._listeners[place].bus.send(message)
         except (can.CanError, OSError):
             return False
         return True
-
-
-def told(violation: Violation) -> str:
-    """In one line."""
-    where = "" if violation.where == NOWHERE else f" at axis {violation.where}"
-    number = violation.requirement
-    return f"SUP-{number:d}{where}, {violation.value:.4g}: broken is: {REQUIREMENT_TEXTS[number]}"
 
 
 def _error(violation: Violation) -> bytes:
@@ -391,32 +363,35 @@ def _error(violation: Violation) -> bytes:
     return _ERROR.pack(_ERROR_CODE + violation.requirement, _REGISTER, place, value)
 
 
-def _answers(wiring: Wiring, channel: str) -> tuple[list[int], list[int]]:
-    """Identifiers under which the drives of a channel send, and all of its devices."""
-    drives = [axis.received for axis in wiring.axes if axis.channel == channel]
-    cells = [cell.received for cell in wiring.cells if cell.channel == channel]
+def _answers(wiring: Wiring, channel: str, heard: Listened) -> tuple[list[Heard], list[Heard]]:
+    """Of the drives of a channel, and of all of its devices."""
+    drives = [heard[channel, axis.received] for axis in wiring.axes if axis.channel == channel]
+    cells = [heard[channel, cell.received] for cell in wiring.cells if cell.channel == channel]
     return drives, drives + cells
+
+
+def _watched_of(node: int) -> list[Watched]:
+    """Every identifier that tells of a relay's node."""
+    output = Watched(_RPDO + node, 1, (), command=True)
+    return [Watched(_HEARTBEAT + node, 1, ()), output, *told_by([node])]
 
 
 def _watched(wiring: Wiring, channel: str) -> list[Watched]:
     """Every identifier of a channel that tells of an axis or a cell."""
-    found: list[Watched] = []
-    for axis in wiring.axes:
-        if axis.channel == channel:
-            values = (axis.torque,)
-            found.append(Watched(axis.sent, axis.sent_bytes, values, command=True, sync=axis.sync))
-            found.append(Watched(axis.received, axis.received_bytes, (), axis.statusword))
-            found.append(Watched(axis.heartbeat, 1, (_STATE,)))
-    requests = {axis.request for axis in wiring.axes if axis.channel == channel}
-    requests |= {cell.request for cell in wiring.cells if cell.channel == channel}
-    found += told_by(sorted(request - REQUEST for request in requests))
-    cells: dict[int, tuple[int, list[Value]]] = {}
-    for cell in wiring.cells:
-        if cell.channel == channel:
-            cells.setdefault(cell.received, (cell.received_bytes, []))[1].append(cell.force)
-    found += [Watched(key, size, tuple(values)) for key, (size, values) in cells.items()]
-    amplifiers = {(c.emergency, c.heartbeat) for c in wiring.cells if c.channel == channel}
-    for emergency, heartbeat in sorted(amplifiers):
+    axes = [axis for axis in wiring.axes if axis.channel == channel]
+    cells = [cell for cell in wiring.cells if cell.channel == channel]
+    requests = {axis.request for axis in axes} | {cell.request for cell in cells}
+    found = told_by(sorted(request - REQUEST for request in requests))
+    for axis in axes:
+        values = (axis.torque,)
+        found.append(Watched(axis.sent, axis.sent_bytes, values, command=True, sync=axis.sync))
+        found.append(Watched(axis.received, axis.received_bytes, (), axis.statusword))
+        found.append(Watched(axis.heartbeat, 1, (_STATE,)))
+    forces: dict[int, tuple[int, list[Value]]] = {}
+    for cell in cells:
+        forces.setdefault(cell.received, (cell.received_bytes, []))[1].append(cell.force)
+    found += [Watched(key, size, tuple(values)) for key, (size, values) in forces.items()]
+    for emergency, heartbeat in sorted({(cell.emergency, cell.heartbeat) for cell in cells}):
         found.append(Watched(emergency, _EMERGENCY_BYTES, (), errors=True))
         found.append(Watched(heartbeat, 1, (_STATE,)))
     return found

@@ -82,8 +82,8 @@ class Axis:
 
     def enables(self, word: int) -> bool:
         """Whether the drive is told to have power."""
-        told = 0 if self.controlword is None else int(self.controlword.number(word))
-        return told & _ENABLE == _ENABLE
+        told = self.controlword
+        return told is not None and int(told.number(word)) & _ENABLE == _ENABLE
 
 
 @dataclass(frozen=True)

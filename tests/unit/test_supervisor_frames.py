@@ -165,7 +165,7 @@ def test_frames_of_one_look_count_as_if_each_had_its_own(shift: int) -> None:
         apart.take([word], 1 + (at > 1))
     for name in Heard.__slots__:
         assert getattr(together, name) == getattr(apart, name)
-    assert (together.count, together.same, together.off, together.powered) == (7, 3, 1, True)
+    assert (together.count, together.same, together.on, together.powered) == (7, 3, 6, True)
     assert together.totals[0] == 12.0
     assert list(together.numbers) == [1, 1, -2, 3, 3, 3, 3]
 

@@ -15,11 +15,11 @@ from tests.unit.supervisor_setup import (
 )
 from tonus.config import Config, load
 from tonus.config.schema.bus import CanopenBus
-from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement
+from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.judge import Judge, Violation
 from tonus.runtime.supervisor.observation import Observation
-from tonus.runtime.supervisor.supervisor import Supervisor, _error, _watched, told
+from tonus.runtime.supervisor.supervisor import Supervisor, _error, _watched
 from tonus.runtime.supervisor.wiring import Wiring
 
 
@@ -99,7 +99,7 @@ def test_a_violation_ends_it_and_quiet_begins_it_again(watchdog: Watchdog) -> No
     assert sent[number + 1 :] == [[]] * (len(sent) - number - 1)
     violation = watchdog.supervisor.violation
     assert violation is not None
-    assert told(violation).startswith("SUP-1, 6: broken is: ")
+    assert (violation.requirement, violation.value) == (Requirement.TICK, pytest.approx(6.0))
     assert all(quiet == [] for quiet in watchdog.steps(700, 1000, enabled=False))
     assert watchdog.step(1000, enabled=False) == BEAT
     assert watchdog.supervisor.violation is None
@@ -271,11 +271,6 @@ def test_where_there_is_none(config: Config) -> None:
             Supervisor(
                 config.model_copy(update={"supervisor": settings}), list, lambda *_: FakeBus()
             )
-
-
-def test_an_axis_is_told() -> None:
-    text = told(Violation(Requirement.TENSION, 3, 261.0))
-    assert text == f"SUP-6 at axis 3, 261: broken is: {REQUIREMENT_TEXTS[Requirement.TENSION]}"
 
 
 def test_one_that_looks_too_late_itself(config: Config) -> None:

@@ -131,7 +131,7 @@ def test_a_drive_in_quick_stop_is_powered(config: Config, quick: bool) -> None:
     assert heard.powered
     heard.take([0x0233 << axis.statusword.shift], 3)
     assert not heard.powered
-    assert heard.off == 2 - quick
+    assert heard.on == 1 + quick
 
 
 def test_drives_that_had_power_between_two_looks(config: Config) -> None:
@@ -180,10 +180,6 @@ def test_drives_that_are_told_to_have_power(
             each.take([controlword], 4 * MS)
         found = stage.observe(6 * MS, stage.heard, [claim()])
         assert found.enabled.all() == found.enabled.any() == enabled
-    for axis in stage.wiring.axes:
-        stage.heard[axis.channel, axis.sent].take([0x0F], 5 * MS)
-        stage.heard[axis.channel, axis.received].take([0x0233 << axis.statusword.shift], 5 * MS)
-    assert not stage.observe(5 * MS, stage.heard, [claim()]).enabled.any(), "they answer still"
 
 
 def test_the_least_and_the_largest_torque_between_two_looks(config: Config) -> None:
