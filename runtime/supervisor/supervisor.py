@@ -191,7 +191,7 @@ class Supervisor:
             if found is not None and found.alone:
                 self._beating[self._channel_of[seen.axes == found.where].item()] = False
             elif found is not None:
-                self.violation = found
+                self.violation, self._quiet_ns = found, None
                 for place in np.flatnonzero(self._beating).tolist():
                     self._send(place, _EMERGENCY + self.settings.node_id, _error(found))
                 self._beating = [False] * len(self._listeners)
