@@ -20,6 +20,8 @@ _ROUNDING = 1
 """per mille"""
 _TICKS = 1.5
 """by which the time between two answers may differ from what their number says"""
+_UNANSWERED = 4
+"""ticks without an answer: sampled, read, recorded and looked at, each may take one"""
 _ABSENT = Heard(())
 """of a cell that there is not"""
 Listened = Mapping[tuple[str, int], Heard]
@@ -162,9 +164,12 @@ class Observer:
         enabled = np.array([each.powered for each in received], bool)
         before, self._on = self._on, np.array([each.on for each in received], np.int64)
         enabled |= self._on > before
-        # A statusword is of before the SYNC that it answers: it may have power since.
+        # A statusword is of before the SYNC that it answers: it may have power since. Where it is
+        # not known what a drive is told, one that answers no more may.
+        late_ns = now_ns - _UNANSWERED * self._tick_ns
         enabled |= [
-            answer.startable and axis.enables(told.word)
+            answer.startable
+            and (answer.at_ns < late_ns if axis.controlword is None else axis.enables(told.word))
             for axis, told, answer in zip(self._axes, sent, received, strict=True)
         ]
         lately = [
