@@ -416,6 +416,47 @@ def test_a_ramp_on_which_a_drum_hardly_brakes(
     assert [each.where for each in found] == ["robot.motor.quick_stop_rpm_s"] * refused_
 
 
+def _ramps(*settings: dict[str, Any]) -> list[str]:
+    """Where a robot is refused whose drives have these instead of their own ramp."""
+    drive = load("config/can.yaml")[0].fieldbus.drive.model_dump()  # type: ignore[union-attr]
+    others = [each for each in drive["settings"] if each["index"] != 0x6085]
+    stated = ROBOT | {f"{_DRIVE}.settings": [*others, *settings]}
+    return [each.where for each in findings(*load("config/can.yaml", overrides=stated))]
+
+
+def test_a_ramp_that_is_not_the_motors() -> None:
+    """Written once, from the quantity: what is written behind it is what the drive has."""
+    own = {"index": 0x6085, "length": 4, "quantity": "motor.quick_stop_rpm_s", "unit": "rpm/s"}
+    own, fixed = own | {"why": "ramp"}, {"index": 0x6085, "length": 4, "value": 10, "why": "ramp"}
+    assert _ramps(own) == []
+    for settings in ((), (fixed,), (own, fixed), (own, own)):
+        assert _ramps(*settings) == [f"{_DRIVE}.settings"]
+
+
+def test_a_slow_drum_in_a_stop_makes_no_slow_ramp_right() -> None:
+    """A drum may be fast all the same."""
+    stated = {"control.stop.reel_in": 0.05, "robot.motor.quick_stop_rpm_s": 3000}
+    found = findings(*load("config/can.yaml", overrides=ROBOT | stated))
+    assert "robot.motor.quick_stop_rpm_s" in {each.where for each in found}
+
+
+def test_an_object_that_is_sent_twice() -> None:
+    """The drive acts by the second, and the first is judged."""
+    stated = {f"{_DRIVE}.rpdo": [0x60400010, 0x60710010, 0x60710010]}
+    found = findings(*load("config/can.yaml", overrides=ROBOT | stated))
+    assert f"{_DRIVE}.rpdo" in {each.where for each in found}
+
+
+@pytest.mark.parametrize(("digits", "refused_"), [(2, True), (1, False)])
+def test_cells_whose_numbers_end_below_a_bound(digits: int, refused_: bool) -> None:
+    """Sixteen bits: 327 N with two digits, 3277 N with one."""
+    cell = {"tpdo": [0x71300110], "decimal_digits": digits}
+    stated = ROBOT | {f"fieldbus.force_cell.{key}": value for key, value in cell.items()}
+    stated |= {"control.tension.max": 300.0, "supervisor.tension_stopping": 340.0}
+    found = findings(*load("config/can.yaml", overrides=stated))
+    assert ("fieldbus.force_cell" in {each.where for each in found}) == refused_
+
+
 def test_drives_whose_heartbeats_are_far_apart() -> None:
     """A silent drive may then be a pulled one for as long."""
     for period_ms, refused_ in ((200, False), (201, True)):

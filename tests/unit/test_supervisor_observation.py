@@ -182,6 +182,23 @@ def test_drives_that_are_told_to_have_power(
         assert found.enabled.all() == found.enabled.any() == enabled
 
 
+def test_where_it_is_not_known_what_drives_are_told(config: Config) -> None:
+    """Drives that are switched on and answer no more may have power; four ticks are no silence."""
+    stage, settings = Stage(config), config.supervisor
+    assert settings is not None
+    stage.wiring.axes[:] = [replace(axis, controlword=None) for axis in stage.wiring.axes]
+    observe = Observer(stage.wiring, settings, config.robot.contact_cell, MS)
+    stage.tick(MS, newton=45.0, metre=1.0, force=45.0)
+    for statusword, enabled in ((0x0233, True), (0x0231, True), (0x0250, False), (0x0208, False)):
+        for axis in stage.wiring.axes:
+            answer = stage.heard[axis.channel, axis.received]
+            answer.take([statusword << axis.statusword.shift], 2 * MS)
+        observe(2 * MS, stage.heard, [claim()])
+        assert not observe(6 * MS, stage.heard, [claim()]).enabled.any()
+        found = observe(6 * MS + 1, stage.heard, [claim()]).enabled
+        assert found.all() == found.any() == enabled
+
+
 def test_the_least_and_the_largest_torque_between_two_looks(config: Config) -> None:
     """Whichever way a motor turns, and whatever the other drives are sent; of a drive that was sent
     none, the last."""

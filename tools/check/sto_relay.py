@@ -78,12 +78,14 @@ def _silence(config: Config, relay: StoRelay) -> Finding:
 def _times(relay: StoRelay, supervisor: Supervisor) -> Finding:
     after_ms = relay.release_ms + relay.torque_off_ms
     dead_ms = relay.timeout_ms + after_ms
-    still_ms = supervisor.patience_ms + supervisor.period_ms + after_ms
+    late_ms = supervisor.patience_ms + supervisor.period_ms
+    still_ms = late_ms + after_ms
     return Finding(
         _RULE,
         True,
         _KEY,
         f"no drive has torque {dead_ms:g} ms after the supervisor's end at the latest, "
-        f"{still_ms:g} ms after the daemon's",
+        f"{still_ms:g} ms after the daemon's last record; {late_ms:g} ms later if it looks as late "
+        "as SUP-24 lets it",
         "",
     )

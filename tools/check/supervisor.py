@@ -176,6 +176,7 @@ def _narrow(config: Config, settings: Supervisor) -> Iterator[Finding]:
             yield Finding(
                 "supervisor", False, f"{_KEY}.{name}", text, f"set it to at least {least:g}"
             )
+    yield from _ranges(config, settings)
     cutoff, least = control.filters.force_cutoff_hz, _least_cutoff(config, settings)
     if cutoff < least:
         yield Finding(
@@ -186,6 +187,24 @@ def _narrow(config: Config, settings: Supervisor) -> Iterator[Finding]:
             "the bus for longer than patience_ms: SUP-11 would stop a robot in order",
             f"set it to at least {least:g}",
         )
+
+
+def _ranges(config: Config, settings: Supervisor) -> Iterator[Finding]:
+    """Whether load cells can say that a bound is broken: a number that is full says no more."""
+    bound = max(settings.tension_stopping, settings.margin * config.control.tension.max)
+    bound += config.control.sequence.tare_limit
+    for cell in Wiring(config).cells:
+        most = math.inf if cell.force.real else ((1 << cell.force.bits - 1) - 1) * cell.newton
+        if most < bound:
+            yield Finding(
+                "supervisor",
+                False,
+                "fieldbus.force_cell",
+                f"load cell {cell.number} says {most:g} N at most, and forces are judged up to "
+                f"{bound:g} N, its tare included: SUP-6 would never see them",
+                "use fewer decimal digits, or a PDO of 32 bits a cell",
+            )
+            return
 
 
 def _least_cutoff(config: Config, settings: Supervisor) -> float:
