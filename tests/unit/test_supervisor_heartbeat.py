@@ -419,3 +419,5 @@ def test_on_each_channel_it_listens_to_the_devices_of_that_channel(config: Confi
         assert sorted(each.identifier for each in watched) == sorted(wanted)
         syncs = {each.identifier: each.sync for each in watched if each.sync}
         assert syncs == {0x200 + node: 0x080 for node in drives}
+        commands = {each.identifier for each in watched if each.command}
+        assert commands == {0x000, *syncs}, "may be longer"
