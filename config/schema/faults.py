@@ -127,7 +127,8 @@ class Delay(_OfFrames):
 
 
 class Duplicate(_OfFrames):
-    """The frame is sent twice, as by a repeater; no controller counts an error."""
+    """Its controller sends the frame twice, as where an error in the last bit is seen by it alone;
+    no controller counts an error, and its host is told of one frame."""
 
     kind: Literal["duplicate"] = "duplicate"
 

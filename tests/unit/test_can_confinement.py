@@ -233,6 +233,19 @@ def test_a_doubled_frame_comes_twice_and_no_more() -> None:
     assert [found.identifier for found in sound(listener)] == [0x123, 0x123, 0x7]
 
 
+def test_a_host_is_told_once_of_a_frame_that_its_controller_sends_twice() -> None:
+    """Of another's it receives both."""
+    bus, (sender, listener) = channel()
+    sender.echo = True
+    fault = Duplicate(kind="duplicate", channel="x")
+    bus.add(FrameFault(fault, np.random.default_rng(1)))
+    bus.send(sender, frame(), 0)
+    bus.send(listener, frame(0x124), 0)
+    bus.run(MS)
+    assert [found.identifier for found in sound(sender)] == [0x123, 0x124, 0x124]
+    assert [found.identifier for found in sound(listener)] == [0x123, 0x123]
+
+
 def test_held_dominant_everybody_is_passive_and_who_was_sending_is_off() -> None:
     bus, (sender, listener) = channel()
     bus.send(sender, frame(), 0)

@@ -500,7 +500,7 @@ class Channel:
         for listener, received in self._hosts:
             if listener is not sender:
                 received.append(row)
-            elif listener.echo:
+            elif listener.echo and frame.echoed:
                 received.append(pack(frame, own=True))
 
     def deliver(self) -> None:

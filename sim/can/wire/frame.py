@@ -36,6 +36,8 @@ class Frame:
     """What is on the wire; shared by all who receive it and never changed after its end."""
 
     __slots__ = ("data", "dlc", "identifier", "key", "queued_ns", "sender", "stamp_ns")
+    echoed = True
+    """whether the controller tells its host that it has sent it"""
 
     # Set on the way, and not before: a frame is made for every frame sent.
     queued_ns: int

@@ -44,9 +44,11 @@ class FrameFault:
 
 
 class Copy(Frame):
-    """A frame sent again by a `Duplicate`, which is not duplicated once more."""
+    """A frame sent again by a `Duplicate`, which is not duplicated once more. The host has handed
+    it over once, and is told of it once."""
 
     __slots__ = ()
+    echoed = False
 
     def __init__(self, frame: Frame) -> None:
         super().__init__(frame.identifier, frame.data, frame.dlc, frame.key)
