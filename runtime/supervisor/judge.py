@@ -246,8 +246,9 @@ class Judge:
         most = controlled and 2 * (frozen & (seen.mille != 0)).sum() > enabled.sum()
         if not most and frozen.sum() < enabled.sum():
             return
-        if claim is not None and claim.state == State.SAFE_STOP:
-            # A drum whose cable is given up has no torque, and moves as it will.
+        if claim is not None and claim.state not in CONTROLLED:
+            # A drum whose cable is given up has no torque, and moves as it will; also in the last
+            # look of a stop, in which the daemon is disarmed already.
             used = frozen & ~(claim.failed[seen.axes] & (seen.mille == 0))
             # Where none is used, drives that lose the relay have what they are sent.
             if used.any() or not self._brakes:

@@ -145,9 +145,11 @@ def test_a_motor_at_its_limit_in_a_stop(
     assert found.requirement is Requirement.FROZEN
 
 
-def test_drives_without_a_torque_that_would_only_lose_it() -> None:
-    """Every cable is given up. Drives that lose the heartbeat brake, those on a relay do not."""
-    stop = claim(State.SAFE_STOP, failed=np.ones(N, bool))
+@pytest.mark.parametrize("state", [State.SAFE_STOP, State.FAULT])
+def test_drives_without_a_torque_that_would_only_lose_it(state: State) -> None:
+    """Every cable is given up. Drives that lose the heartbeat brake, those on a relay do not. Nor
+    in the look in which the daemon is disarmed, and the drives are not yet."""
+    stop = claim(state, failed=np.ones(N, bool))
     given = {"same": np.full(N, 6), "jolt": np.full(N, 0.04), "torque": np.zeros(N)}
     for path, found in (("config/can.yaml", True), ("config/ethercat.yaml", False)):
         config = load(path, overrides=STRICT)[0]
