@@ -221,6 +221,22 @@ def test_a_torque_between_two_looks_counts_in_a_passive_stop(config: Config) -> 
             assert (verdict.requirement, verdict.where) == (Requirement.BRAKED, 3)
 
 
+@pytest.mark.parametrize("late", [True, False])
+def test_a_torque_of_before_a_passive_stop(config: Config, late: bool) -> None:
+    """On a channel that brings torques late the drives keep one that the stop does not send: its
+    heartbeat ends, and no other's."""
+    said = claim(State.SAFE_STOP, 100.0, stop_mode=StopMode.PASSIVE)
+    one = np.arange(N) == 3
+    given = {"torque": at(3, 300.0), "rate": at(3, 0.1), "unlogged": one, "late": one & late}
+    looks = [
+        seen(at_ms, replace(said, at_ns=round(at_ms * MS)), **given) for at_ms in (100.0, 105.0)
+    ]
+    found = judged(config, *looks)[-1]
+    assert found is not None
+    assert (found.requirement, found.where) == (Requirement.COMMAND_LOGGED, 3)
+    assert found.alone is late
+
+
 # --- a cable that hangs loose --------------------------------------------------------------------
 
 
