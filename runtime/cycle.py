@@ -190,7 +190,8 @@ class ControlCycle:
             if sequence.descending:
                 fresh = image.axis.age <= self._control.freshness.measurement_ticks
                 damping = sequence.faults.damping & fresh
-                self._descent.bound(torque, sensing.rate, self._drum_rate, usable, damping)
+                following, desired, _ = self._drum_motion
+                self._descent.bound(torque, sensing.rate, following, desired, usable, damping)
         elif sequence.straightening >= 0.0:
             straight = sequence.straightening * self._control.tension.referencing
             self._allocation.reference[:] = straight

@@ -12,7 +12,11 @@ class Stop(Section):
     drum by itself (`tonus.runtime.safety.guard`)."""
 
     moment_length: Positive
-    """m by which moments are divided in a descent: long, so that forces come before level"""
+    """m by which moments are divided in a descent: long beside the platform, so that forces come
+    first, and not so long that moments do not count"""
+    level_speed: Positive = 2.0
+    """rad/s at which the platform is to turn back to level in a descent at most: a larger moment
+    than cables can give is asked for in vain, and tightens those that turn it farther"""
     damping: Positive
     """N s/m against the platform's motion in a descent"""
     load_free: Positive = 15.0
@@ -54,6 +58,9 @@ class Stop(Section):
     """the same once nothing throws the platform any more, or more than one cable is lost"""
     throw_s: Positive = 0.3
     """s after the loss of a cable in which it may; the gain then changes within `ease_s`"""
+    pay_out_s: NonNegative = 0.15
+    """s after the loss of one torn cable in which the drum of a cable that pulls more than it is
+    asked for pays out as fast as the platform takes the cable"""
     ease_s: Positive
     """s in which the tensions ease off from what they were when it began"""
     tension_rate: Positive

@@ -268,7 +268,8 @@ class TensionLoop:
     def __init__(self, robot: Robot, settings: Settings, period: float) -> None:
         radius = robot.drum_radius
         each = [of_axis(settings, train, robot) for train in robot.drive_trains]
-        damping = np.array([own.rate_damping for own in each])
+        self.damping = np.array([own.rate_damping for own in each])
+        """N m s/rad (n,), of each drum's rate"""
         self._past = (np.full(robot.cables, np.nan), np.zeros(robot.cables))
         self._still = (np.zeros(robot.cables), np.zeros(robot.cables))
         self.torque = np.zeros(robot.cables)
@@ -284,7 +285,7 @@ class TensionLoop:
             robot.viscous_friction,
             robot.gearbox_efficiency,
             (friction.coulomb, friction.load, friction.slip),
-            damping,
+            self.damping,
             robot.torque_limit,
             (
                 settings.feed_forward,

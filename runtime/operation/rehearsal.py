@@ -106,7 +106,7 @@ def _watch(config: Config) -> None:
     descent = Descent(config.robot, control, control.rates.period)
     cables = config.robot.cables
     every, still = np.ones(cables, dtype=bool), np.zeros(cables)
-    descent.bound(ProcessImage(cables).commands["torque"], still, still, every, every)
+    descent.bound(ProcessImage(cables).commands["torque"], still, still, still, every, every)
     descent.guard.passive(still, every)
     faults = Faults(config.robot)
     faults.add(Fault.CELL_LOST, 0)

@@ -5,6 +5,9 @@ platform that may turn stays slower (docs/stop.md). Most of a load from outside 
 what a given-up cable without a cell may pull: the estimate sees that pull as a load, and late, so
 that the drums would swing against it. A slack cable cannot pull: its drum follows the
 platform and slowly removes the slack. The tension of an excluded cable counts as a load.
+
+At first after the loss of a torn cable the drum of one that pulls more than it is asked for pays
+out what the platform takes: damping its own rate it would pull on.
 """
 
 from __future__ import annotations
@@ -48,6 +51,19 @@ def _unexplained(matrix: Array, pulling: Mask, force: Array) -> None:
                 force[k] -= more * matrix[k, i]
 
 
+@njit(cache=True)
+def _paid_out(
+    following: Array, desired: Array, paying: Mask, damping: Array, torque: Array
+) -> None:
+    """Damp the rates of the drums ``paying`` out (n,) against those ``following`` the platform (n,)
+    rad/s where these pay out faster than the ``desired`` (n,), which the ``damping`` (n,) N m s/rad
+    that is in ``torque`` (n,) N m already is against."""
+    for i in range(torque.shape[0]):
+        ahead = following[i] - desired[i]
+        if paying[i] and math.isfinite(ahead):
+            torque[i] += damping[i] * min(ahead, 0.0)
+
+
 def _share(part: float, whole: float) -> float:
     return part / whole if part < whole else 1.0
 
@@ -75,6 +91,8 @@ class Descent:
         self._calming = math.exp(-period / control.stop.ease_s)
         self._gone = np.zeros(robot.cables, dtype=bool)
         self._felt = np.zeros(robot.cables)
+        self._paying = np.zeros(robot.cables, dtype=bool)
+        """(n,) cables that pull more than they are asked for, after one was torn"""
         self._release = math.exp(-period / control.stop.release_s)
         self._low, self._high = np.zeros(robot.cables), np.zeros(robot.cables)
         self._load = np.zeros(3)
@@ -163,15 +181,24 @@ class Descent:
         planned = self.distribution(matrix * able, wrench, drawn, self._low, self._high)
         planned[carrying & ~self.taut] = stop.passive_tension
         self.planned[:] = planned
+        throws = self._eager > 0.0 and self._thrown <= stop.pay_out_s
+        self._paying[:] = (tension > planned) & (throws and bool(faults.torn.any()))
         return planned
 
     def bound(
-        self, torque: Array, rate: Array, following: Array, usable: Mask, damping: Mask
+        self,
+        torque: Array,
+        rate: Array,
+        following: Array,
+        desired: Array,
+        usable: Mask,
+        damping: Mask,
     ) -> None:
         """The tension loop's torques (n,) made safe in place, at drum rates (n,) rad/s;
-        ``following``: the rates that would follow the platform; ``damping`` (n,): drums of
-        given-up cables that damp by themselves, since a drum without a torque lets its cable go
-        slack, and snap taut under a heavy drum."""
+        ``following``: the rates that would follow the platform, ``desired``: those that the loop
+        damps against; ``damping`` (n,): drums of given-up cables that damp by themselves, since a
+        drum without a torque lets its cable go slack, and snap taut under a heavy drum."""
+        _paid_out(following, desired, self._paying & usable, self.loop.damping, torque)
         if damping.any():
             torque[damping] = self.guard.passive(rate, damping)[damping]
         self.guard.take_up(torque, rate, following, (usable | damping) & ~self.taut)

@@ -1,4 +1,4 @@
-"""Which part of a load from outside a descent balances, by hand and against scipy."""
+"""What a descent asks its cables and drums for, by hand and against scipy."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from tonus.config import load
+from tonus.runtime.control.controllers import CONTROLLERS, Motion
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.safety.descent import Descent
 from tonus.runtime.safety.faults import Faults
@@ -147,6 +148,63 @@ def test_with_two_cables_lost_the_loop_is_as_elsewhere_at_once(
     assert one == pytest.approx(tension, abs=0.05)
 
 
+def paid_out(descent: Descent, matrix: Array, found: Faults, following: float) -> Array:
+    """Torques that a descent adds to none, for drums at rest whose platform wants them to follow;
+    all cables but the first pull, cable 1 no more than the others are asked for."""
+    tension, usable = np.full(8, 45.0), np.arange(8) > 0
+    tension[1] = 3.0
+    pulls = descent.pulling(tension, found)
+    planned = descent.plan(matrix, np.zeros(6), np.full(8, 20.0), pulls, usable, found)
+    assert planned[1:].max() < 45.0
+    assert planned[1] > 3.0
+    descent.felt(planned, tension, np.arange(8) < 1)
+    torque, desired, nobody = np.zeros(8), np.full(8, -0.5), np.zeros(8, dtype=bool)
+    follow = np.full(8, following)
+    follow[2], desired[3] = 2.0, -3.0
+    descent.bound(torque, np.zeros(8), follow, desired, usable, nobody)
+    return torque
+
+
+def test_while_a_torn_cable_throws_the_platform_drums_pay_out_what_it_takes(
+    descent: Descent, matrix: Array
+) -> None:
+    """Damping their own rates they would pull on. A cable that is asked for more, comes nearer, or
+    goes along the path as fast, is as before."""
+    torn = faults((Fault.CABLE_TORN, 0))
+    paid = -1.5 * descent.loop.damping
+    paid[:4] = 0.0
+    assert paid_out(descent, matrix, torn, -2.0) == pytest.approx(paid)
+    for _ in range(round(CONTROL.stop.pay_out_s / 0.001)):
+        descent.felt(np.full(8, 20.0), np.full(8, 26.0), np.arange(8) < 1)
+    assert not paid_out(descent, matrix, torn, -2.0).any()
+
+
+def test_rates_that_are_no_numbers_or_with_no_cable_torn_pay_nothing_out(
+    descent: Descent, matrix: Array
+) -> None:
+    assert not paid_out(descent, matrix, faults((Fault.CABLE_TORN, 0)), np.nan).any()
+    descent.begin(np.full(8, 45.0))
+    assert not paid_out(descent, matrix, faults((Fault.LENGTH_JUMP, 0)), -2.0).any()
+
+
+@pytest.mark.parametrize("angle", [0.02, 0.5, 2.0])
+def test_a_descent_asks_for_no_faster_way_back_to_level_than_cables_can_give(angle: float) -> None:
+    """A spring alone asks for 60 N m/rad. Its damper is not bounded."""
+    impedance, stop = CONTROL.impedance, CONTROL.stop
+    axis, still, turning = np.array([2.0, -1.0, 2.0]) / 3.0, np.zeros(3), np.array([3.0, 9.0, -5.0])
+    askew = np.array([np.cos(0.5 * angle), *(np.sin(0.5 * angle) * axis)])
+    motion = Motion(
+        still, still, still, still, askew, still, turning, still, 0.0, still, still, still, still
+    )
+    wrench = CONTROLLERS["bio"](ROBOT, CONTROL).descent(motion)
+    size = min(
+        impedance.rotational_stiffness * angle, impedance.rotational_damping * stop.level_speed
+    )
+    damped = impedance.rotational_damping * turning
+    assert wrench[3:] == pytest.approx(-size * axis - damped)
+    assert wrench[:3] == pytest.approx([0.0, 0.0, ROBOT.platform.mass * ROBOT.gravity])
+
+
 def test_the_drum_of_a_given_up_cable_damps_if_it_can_and_follows_a_slack_one(
     descent: Descent, matrix: Array
 ) -> None:
@@ -159,7 +217,7 @@ def test_the_drum_of_a_given_up_cable_damps_if_it_can_and_follows_a_slack_one(
     pulls = descent.pulling(tension, found)
     descent.plan(matrix, np.zeros(6), np.full(8, 20.0), pulls, carrying, found)
     torque, rate, following = np.zeros(8), np.full(8, 1.0), np.full(8, 2.0)
-    descent.bound(torque, rate, following, carrying, found.damping)
+    descent.bound(torque, rate, following, np.zeros(8), carrying, found.damping)
     radius = ROBOT.drum_radius[2]
     damped = radius * (stop.passive_tension - stop.passive_damping * radius)
     assert torque[2] == pytest.approx(damped)

@@ -193,14 +193,22 @@ class Controller(ABC):
 
     def descent(self, motion: Motion) -> Array:
         """Wrench (6,) of a stop without all cables, the same for every controller: weight, a damper
-        of every motion, and a soft, bounded spring down to the cradle. There is no spring sideways:
+        of every motion, a soft, bounded spring down to the cradle, and one back to level, bounded
+        to what turns no faster than `level_speed` against the damper. There is no spring sideways:
         the remaining cables could not hold a position. A load is the descent's own matter."""
         stop, weight = self._control.stop, self._weight[2]
         drag = np.empty(3)
         spring(NOTHING, motion.error_rate, 0.0, stop.damping, drag)
         sink = self._control.stiffness.minimum * float(motion.error[2])
         drag[2] += min(max(sink, -stop.sink * weight), 0.0)
-        return self._levelled(motion, (drag, self._weight, NOTHING))
+        wrench = self._levelled(motion, (drag, self._weight, NOTHING))
+        _, damping = self._rotational
+        resisted = damping * (motion.angular_velocity - motion.desired_angular_velocity)
+        levelling, most = wrench[3:] + resisted, damping * stop.level_speed
+        size = norm(levelling)
+        if size > most:
+            wrench[3:] = (most / size) * levelling - resisted
+        return wrench
 
     def tensions(self, motion: Motion, stiffness: float, centre: Array) -> Array | None:  # noqa: ARG002
         """Tensions (n,) round ``centre`` for a controller that commands cables; None for one that
