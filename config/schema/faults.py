@@ -128,7 +128,7 @@ class Delay(_OfFrames):
 
 class Duplicate(_OfFrames):
     """Its controller sends the frame twice, as where an error in the last bit is seen by it alone;
-    no controller counts an error, and its host is told of one frame."""
+    no controller counts an error, and its host hears of one frame."""
 
     kind: Literal["duplicate"] = "duplicate"
 
