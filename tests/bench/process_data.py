@@ -19,6 +19,8 @@ from tests.bench.measure import Figure, microseconds
 from tonus.config import load
 from tonus.config.schema.bus import CanopenBus
 from tonus.drivers.canopen.channel import Channel
+from tonus.drivers.canopen.channels import Channels
+from tonus.drivers.canopen.reception import Reception
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
 from tonus.drivers.process_image import AxisCommand, ProcessImage
@@ -78,14 +80,16 @@ def _channel(bus: CanopenBus) -> tuple[float, float]:
     """Medians of processor time, us."""
     with _socket_pair() as (ours, lab):
         clock = Stopwatch(running=True).processor_ns
-        channel = Channel(0, ours, bus, 1000, 3, clock, _NoTap(), EventLog())
+        reception, tap = Reception(1, bus.master.late_ticks), _NoTap()
+        channel = Channel(0, ours, bus, 1000, 3, clock, tap, EventLog(), reception)
+        wire = Channels((channel,), clock, tap, reception)
         channel.handlers.update(dict.fromkeys(ANSWERS, lambda _: None))
         taken, sent = np.zeros(ROUNDS), np.zeros(ROUNDS)
         for n in range(ROUNDS):
             frames = [packet.FRAME.pack(1, identifier, 8, 0, bytes(8)) for identifier in ANSWERS]
             lab.send(b"".join(frames))
             began = clock()
-            channel.drain()
+            wire.drain()
             drained = clock()
             for identifier in SET_POINTS:
                 channel.send(identifier, bytes(4))

@@ -30,7 +30,8 @@ def test_every_value_comes_to_its_place_with_its_sign_and_its_time() -> None:
         else:
             words = tuple(word for cell in slave.cells for word in (-1000 * cell - 1, 255 - cell))
         data.append(Mapping.of(slave.tx).layout.pack(*words))
-    inputs.take(data, 7, 1_000_000, 20)
+    everyone = [True] * len(built)
+    inputs.take(data, everyone, 7, 1_000_000, 20)
     assert exchange.statuswords.tolist() == [0xF237] * 8
     assert exchange.positions.tolist() == [-(1 << 31) + axis for axis in range(8)]
     assert exchange.torques.tolist() == [-axis for axis in range(8)]
@@ -42,4 +43,10 @@ def test_every_value_comes_to_its_place_with_its_sign_and_its_time() -> None:
     assert exchange.sampled_ns.tolist() == [1_000_000] * 8
     assert exchange.doubt_ns.tolist() == [20] * 8
     with pytest.raises(ValueError, match="buffer"):
-        inputs.take(data[:-1], 8, 0, 0)
+        inputs.take(data[:-1], everyone, 8, 0, 0)
+    missing = [slave.axis != 3 and 0 not in slave.cells for slave in built]
+    inputs.take([bytes(len(each)) for each in data], missing, 8, 2_000_000, 0)
+    assert exchange.axis_tick.tolist() == [7 if axis == 3 else 8 for axis in range(8)]
+    assert exchange.positions.tolist() == [-(1 << 31) + 3 if axis == 3 else 0 for axis in range(8)]
+    absent = next(slave.cells for slave in built if 0 in slave.cells)
+    assert exchange.cell_tick.tolist() == [7 if cell in absent else 8 for cell in range(9)]
