@@ -252,16 +252,17 @@ class Supervisor:
     def _begin_watches(self, now_ns: int, seen: Observation) -> None:
         """Drives that keep power although they get no heartbeat have heard none since they were
         started, or reset: a single one begins their watch (CiA 301). The next one comes when that
-        is over, so that no drive is held."""
+        is over, so that no drive is held, and later where the last one waits still, or was lost."""
         for place, beating in enumerate(self._beating):
             since_ns = self._unwatched_ns[place]
             if beating or not seen.enabled[self._channel_of == place].any():
                 self._unwatched_ns[place] = None
             elif since_ns is None:
                 self._unwatched_ns[place] = now_ns
-            elif now_ns - since_ns >= 2e6 * self.settings.timeout_ms:
+            else:
                 own = self._beats[place]
-                if not own.waits and self._tell(place, own, _OPERATIONAL):
+                due_ns = (8e6 if own.waits else 2e6) * self.settings.timeout_ms
+                if now_ns - since_ns >= due_ns and self._tell(place, own, _OPERATIONAL):
                     self._unwatched_ns[place] = now_ns
 
     def _late(self, now_ns: int) -> Violation | None:

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Iterator
 
 import can
+import numpy as np
 import pytest
 
 from tests.unit.supervisor_setup import STRICT, EchoBus, Watchdog
@@ -84,6 +85,22 @@ def test_a_heartbeat_for_drives_that_nobody_watches_is_tried_again(required: Con
         if made.step(now, enabled=now >= 100) == BEAT:
             found.append(now)
     assert found == [*range(150, 300, 44)]
+    made.supervisor.close()
+
+
+def test_a_heartbeat_for_drives_that_nobody_watches_does_not_follow_one_that_waits(
+    required: Config,
+) -> None:
+    """In a full queue two would hold the drives once more; one that was lost is not waited for."""
+    made = Watchdog(required, EchoBus)
+    for now in range(0, 332, 2):  # it begins, and the interface tells what it has sent
+        made.step(now, enabled=now == 330)
+        let_out(made)
+    steps = made.steps(332, 1000, enabled=True, tick=False)
+    found = [now for now, sent in zip(range(332, 1000, 2), steps, strict=True) if sent == BEAT]
+    singles = [now for now in found if now > 400]
+    assert len(singles) > 1
+    assert np.diff(singles).tolist() == [176] * (len(singles) - 1)
     made.supervisor.close()
 
 
