@@ -51,6 +51,16 @@ def _is_process_data(frame: bytes) -> bool:
     return frame[FIRST_DATAGRAM] == Command.LRW
 
 
+def _one_drive_less(frame: bytes, answer: bytes | None) -> bytes | None:
+    """By the working counter of the process data."""
+    if answer is None or not _is_process_data(frame):
+        return answer
+    changed = bytearray(answer)
+    size = changed[FIRST_DATAGRAM + 6] | (changed[FIRST_DATAGRAM + 7] & 7) << 8
+    changed[FIRST_DATAGRAM + 10 + size] -= 3
+    return bytes(changed)
+
+
 @pytest.mark.parametrize(("lost", "stays"), [(1, True), (FRESH, True), (FRESH + 2, False)])
 def test_lost_frames_age_the_measurements_and_the_freshness_bridges_them(
     lost: int, stays: bool
@@ -86,15 +96,7 @@ def test_a_wrong_working_counter_renews_nothing() -> None:
     async def main() -> None:
         bench = await _enabled()
 
-        def shorten(frame: bytes, answer: bytes | None) -> bytes | None:
-            if answer is None or not _is_process_data(frame):
-                return answer
-            changed = bytearray(answer)
-            size = changed[FIRST_DATAGRAM + 6] | (changed[FIRST_DATAGRAM + 7] & 7) << 8
-            changed[FIRST_DATAGRAM + 10 + size] -= 3
-            return bytes(changed)
-
-        bench.between = shorten
+        bench.between = _one_drive_less
         await _watched(bench, 5)
         assert (bench.image.axes["age"] == 4).all()
         assert "working counter 23, expected is 26" in bench.named("wrong_working_counter")[0].text
@@ -309,17 +311,9 @@ def test_inputs_are_used_only_where_the_counter_is_that_of_those_who_are_there()
         bench = await _enabled()
         bench.inject("power_loss", node=9)
 
-        def shorten(frame: bytes, answer: bytes | None) -> bytes | None:
-            if answer is None or not _is_process_data(frame):
-                return answer
-            changed = bytearray(answer)
-            size = changed[FIRST_DATAGRAM + 6] | (changed[FIRST_DATAGRAM + 7] & 7) << 8
-            changed[FIRST_DATAGRAM + 10 + size] -= 3
-            return bytes(changed)
-
         await _watched(bench, 5)
         assert (bench.image.axes["age"] == 0).all()
-        bench.between = shorten
+        bench.between = _one_drive_less
         await _watched(bench, 5)
         assert (bench.image.axes["age"] == 4).all()
 
