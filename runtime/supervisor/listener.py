@@ -92,8 +92,8 @@ class Heard:
     @property
     def startable(self) -> bool:
         """By the newest statusword."""
-        shift = 0 if self.statusword is None else self.statusword.shift
-        return self.word >> shift & STATE in _STARTABLE
+        found = self.statusword
+        return found is not None and self.word >> found.shift & STATE in _STARTABLE
 
     @property
     def reports_error(self) -> bool:

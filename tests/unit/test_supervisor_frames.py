@@ -50,6 +50,12 @@ def test_what_has_no_statusword_is_not_powered() -> None:
     heard.take([0x0237], 1)
     assert not heard.powered
     assert not Heard((), Value(0, 16)).powered
+    heard.take([0x0233], 2)
+    assert not heard.startable
+    drive = Heard((), Value(16, 16))
+    for statusword, startable in ((0x0231, True), (0x0233, True), (0x0237, False)):
+        drive.take([statusword << 16], 1)
+        assert drive.startable == startable
 
 
 def test_a_listener_on_messages() -> None:

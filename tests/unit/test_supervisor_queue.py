@@ -13,6 +13,8 @@ import pytest
 from tests.unit.supervisor_setup import STRICT, EchoBus, Watchdog
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.supervisor.commands import Own
+from tonus.runtime.supervisor.listener import Heard
 from tonus.tools.run.supervision import open_bus
 
 BEAT = [(0x77E, b"\5")]
@@ -320,3 +322,65 @@ def test_its_own_bus_tells_what_it_has_sent() -> None:
         assert (echo.arbitration_id, bytes(echo.data)) == BEAT[0]
     finally:
         bus.shutdown()
+
+
+def test_copies_of_its_own_are_forgiven_one_in_sixty_four() -> None:
+    """Sixteen at most before; a heartbeat that has not come back takes none of them."""
+    heard = Heard(())
+    own = Own(0x77E, heard)
+
+    def beat(count: int) -> None:
+        for _ in range(count):
+            own.send()
+            heard.take([5], 1)
+
+    heard.take([5] * 16, 1)
+    beat(63)
+    assert not own.foreign
+    heard.take([5], 1)
+    assert own.foreign
+    beat(1)
+    assert not own.foreign, "of the 64th"
+    beat(63)
+    heard.take([5], 1)
+    assert own.foreign, "not of the next ones"
+    beat(1)
+    assert not own.foreign
+    own.begin()
+    beat(128)
+    heard.take([5] * 16, 1)
+    assert not own.foreign
+    heard.take([5], 1)
+    assert own.foreign, "there was none to forgive"
+
+
+def test_one_that_was_sent_waits_once_the_interface_has_told_of_any() -> None:
+    heard = Heard(())
+    own = Own(0x77E, heard)
+    own.send()
+    assert not own.waits
+    own.send()
+    heard.take([5], 1)
+    assert own.waits
+    heard.take([5], 1)
+    assert not own.waits
+
+
+def test_a_controlword_beside_the_process_data_is_over_in_the_next_look(required: Config) -> None:
+    """It begins anew after a silence of its own, since no drive is enabled."""
+    made = Watchdog(required)
+    axis = made.wiring.axes[0]
+    list(made.steps(0, 310, enabled=False))
+    data = bytes.fromhex("2b4060000f000000")
+    frame = can.Message(arbitration_id=axis.request, is_extended_id=False, data=data)
+    made.buses[0].waiting.append(frame)
+    assert made.step(310, enabled=False) != BEAT
+    assert broken(made) is Requirement.COMMANDED
+    sent = [
+        now
+        for now, each in zip(range(312, 700, 2), made.steps(312, 700, enabled=False), strict=True)
+        if each == BEAT
+    ]
+    assert sent[0] >= 610
+    assert made.supervisor.violation is None
+    made.supervisor.close()
