@@ -29,7 +29,7 @@ from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.control.passivity import Limiter
 from tonus.runtime.control.referencing import Referencing
 from tonus.runtime.control.sensing import Sensing
-from tonus.runtime.control.tension import TensionLoop
+from tonus.runtime.control.tension import FOLLOWING, TensionLoop
 from tonus.runtime.control.tuning import NO_CHANGE, GainChange, Tuning
 from tonus.runtime.recording.cycle_writer import CycleWriter
 from tonus.runtime.safety.cross_check import CrossCheck
@@ -129,10 +129,10 @@ class ControlCycle:
         """N m, of the last tick"""
         self._last_tick, self._skipped = -1, 0
         self.drums = self._isolation.drums
-        self._drum_rate, self._none = np.zeros(robot.cables), np.zeros(robot.cables)
-        self._desired_drums = (np.zeros(robot.cables), np.zeros(robot.cables))
-        self._drum_motion = (self._drum_rate, *self._desired_drums)
+        self._none = np.zeros(robot.cables)
+        self._drum_motion = np.zeros((3, robot.cables))
         """rad/s (n,) that would follow the platform, rad/s and rad/s2 (n,) of the desired motion"""
+        self._drum_rate = self._drum_motion[FOLLOWING]
         self._law = 0.0
         self._accepted = False
         self._finite = True

@@ -16,7 +16,16 @@ from tonus.config.schema.robot import Robot
 from tonus.runtime.control.controllers import Controller, Motion
 from tonus.runtime.control.controllers.base import share
 from tonus.runtime.control.distribution import TensionDistribution
-from tonus.runtime.control.distribution_kernels import delivered, distribute_tick, prepare
+from tonus.runtime.control.distribution_kernels import (
+    AGONISM,
+    CENTRE,
+    DELIVERED,
+    GRADIENT,
+    HIGH,
+    delivered,
+    distribute_tick,
+    prepare,
+)
 from tonus.runtime.control.kinematics import Kinematics
 from tonus.runtime.safety.descent import Descent
 from tonus.runtime.safety.faults import Faults
@@ -41,19 +50,19 @@ class Allocation:
         self.wrench = np.zeros(6)
         """N and N m that are asked for"""
         self.reference = np.zeros(cables)
-        self.centre = np.zeros(cables)
+        self._cables = np.zeros((5, cables))
+        self._gradient, self._low, self._high = self._cables[GRADIENT : HIGH + 1]
+        self.centre = self._cables[CENTRE]
         """N (n,), what the references are drawn towards"""
-        self.agonism = np.zeros(cables)
+        self.agonism = self._cables[AGONISM]
         """(n,), how much a cable works with the wrench and against its antagonists"""
-        self.delivered = np.zeros(6)
+        self.delivered = self._usual.wrenches[DELIVERED]
         """of ``wrench``, by the references"""
         self.shortfall = np.zeros(3)
         """N of force that measured tensions leave undelivered"""
         self.geometric = 0.0
         """N/m, stiffness that the tensions add by themselves"""
-        self._gradient = np.zeros(cables)
         self._bearing = np.zeros((6, cables))
-        self._low, self._high = np.zeros(cables), np.zeros(cables)
         self._contraction = 0.0
         """share by which all tensions are raised, on its way to what the stiffness asks for"""
         period = control.rates.period
@@ -69,10 +78,13 @@ class Allocation:
             self._bearing,
         )
         self._kept: tuple[Any, ...] = (
-            *self._prepared,
-            self.delivered,
+            self._cables,
+            self._bearing,
+            self._usual.scaled,
+            self._usual.normal,
+            self._usual.wrenches,
             self.shortfall,
-            *self._usual.kept,
+            np.array([settings.least_force, self._step, *self._usual.weights]),
         )
         # Asked once: of most controllers there is nothing to hear between the two kernels.
         self._commands_tensions = type(controller).tensions is not Controller.tensions

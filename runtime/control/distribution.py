@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.control import Distribution as Settings
-from tonus.runtime.control.distribution_kernels import deliver, solve
+from tonus.runtime.control.distribution_kernels import SCALE, TARGET, deliver, solve
 from tonus.runtime.control.programme import ActiveSet, InteriorPoint
 from tonus.runtime.signals import Solver
 
@@ -38,12 +38,21 @@ class TensionDistribution:
         self.solver = Solver.NONE
         self.deficit = 0.0
         """N, norm of the scaled wrench that the tensions miss"""
-        self._scale = np.array([1.0] * 3 + [1.0 / moment_length] * 3)
-        self._weights = (settings.wrench_weight, math.sqrt(settings.stiffness_weight))
-        self._scaled = (np.zeros((6, cables)), np.zeros(6))
-        self._normal = np.zeros((cables, cables))
-        self.kept = (*self._weights, self._scale, self._normal, *self._scaled)
-        """the last arguments of the kernels"""
+        self.weights = (settings.wrench_weight, math.sqrt(settings.stiffness_weight))
+        """of the wrench, and of the row that prefers stiffness"""
+        self.wrenches = np.zeros((3, 6))
+        """rows SCALE, TARGET and DELIVERED"""
+        self.wrenches[SCALE] = [1.0] * 3 + [1.0 / moment_length] * 3
+        self.scaled, self.normal = np.zeros((6, cables)), np.zeros((cables, cables))
+        """the structure matrix times the scale, and H of the programme"""
+        self._target = self.wrenches[TARGET]
+        self._kept = (
+            *self.weights,
+            self.wrenches[SCALE],
+            self.normal,
+            self.scaled,
+            self._target,
+        )
         self._none = np.zeros(cables)
         self._active_set = ActiveSet(settings, cables) if settings.solver == "daqp" else None
         self._interior_point = InteriorPoint(settings, cables)
@@ -72,7 +81,7 @@ class TensionDistribution:
             high,
             centre,
             self._none if gradient is None else gradient,
-            *self.kept,
+            *self._kept,
             tensions,
         )
         if inside and finite:
@@ -93,7 +102,7 @@ class TensionDistribution:
         if inside:
             self.iterations, self.deficit = 0, math.inf
         else:
-            scaled, target = self._scaled
+            scaled, target = self.scaled, self._target
             tensions = self._bounded(tensions, scaled, target, centre, low, high)
             finite, self.deficit = deliver(scaled, target, low, high, tensions)
         if not finite:
@@ -106,11 +115,11 @@ class TensionDistribution:
     ) -> Array:
         self.solver = Solver.OPTIMAL
         if self._active_set is not None:
-            found, self.iterations = self._active_set(self._normal, free, low, high)
+            found, self.iterations = self._active_set(self.normal, free, low, high)
             if found is not None:
                 return found
             self.solver = Solver.REFERENCE
-        found, self.iterations = self._interior_point(self._normal, free, low, high)
+        found, self.iterations = self._interior_point(self.normal, free, low, high)
         if found is not None:
             return found
         self.solver = Solver.FALLBACK

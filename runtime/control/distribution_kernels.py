@@ -221,6 +221,11 @@ def solve(
     return True, finite, deficit
 
 
+# The rows of what a tick's distribution keeps of each cable, (5, n), and of wrenches, (3, 6).
+AGONISM, GRADIENT, LOW, HIGH, CENTRE = range(5)
+SCALE, TARGET, DELIVERED = range(3)
+
+
 @njit(cache=True)
 def distribute_tick(
     prepared: bool,
@@ -235,25 +240,19 @@ def distribute_tick(
     contraction: float,
     tension: Array,
     tensions: Array,
-    least: float,
-    reach: float,
-    agonism: Array,
-    gradient: Array,
-    low: Array,
-    high: Array,
-    centre: Array,
+    cables: Array,
     bearing: Array,
-    wrench_delivered: Array,
-    shortfall: Array,
-    weight: float,
-    preference: float,
-    scale: Array,
-    normal: Array,
     scaled: Array,
-    target: Array,
+    normal: Array,
+    wrenches: Array,
+    shortfall: Array,
+    numbers: Array,
 ) -> tuple[bool, bool, float, float]:
     """`prepare`, unless that is done, then `solve` into ``tensions``, and where these are the
-    answer, what they and the measured ``tension`` (n,) have `delivered`; returns what both do."""
+    answer, what they and the measured ``tension`` (n,) have `delivered`; returns what both do.
+    ``cables`` (5, n) and ``wrenches`` (3, 6) have the rows above; ``numbers``: least force and
+    reach (N), weight and preference."""
+    gradient, low, high, centre = cables[GRADIENT], cables[LOW], cables[HIGH], cables[CENTRE]
     if not prepared:
         prepare(
             matrix,
@@ -265,9 +264,9 @@ def distribute_tick(
             highest,
             middle,
             contraction,
-            least,
-            reach,
-            agonism,
+            numbers[0],
+            numbers[1],
+            cables[AGONISM],
             gradient,
             low,
             high,
@@ -281,17 +280,17 @@ def distribute_tick(
         high,
         centre,
         gradient,
-        weight,
-        preference,
-        scale,
+        numbers[2],
+        numbers[3],
+        wrenches[SCALE],
         normal,
         scaled,
-        target,
+        wrenches[TARGET],
         tensions,
     )
     geometric = 0.0
     if inside and finite:
         geometric = delivered(
-            matrix, tensions, wrench, gradient, tension, wrench_delivered, shortfall
+            matrix, tensions, wrench, gradient, tension, wrenches[DELIVERED], shortfall
         )
     return inside, finite, deficit, geometric

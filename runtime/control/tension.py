@@ -19,7 +19,6 @@ filter's delay would cost the phase margin that `tonus.tools.margins.tension_loo
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -128,50 +127,61 @@ def _torques(
             torque[i] = min(max(wanted, -limit[i]), limit[i])
 
 
+# The rows of the table of the drums, (rows, n): constants first, then what a tick leaves behind.
+(
+    _RADIUS,
+    _INERTIA,
+    _VISCOUS,
+    _EFFICIENCY,
+    _DAMPING,
+    _LIMIT,
+    _TURN,
+    _AXIAL_STIFFNESS,
+    _LAST,
+    _SLOPE,
+    _EXPECTED,
+    _INTEGRAL,
+    _TORQUE,
+) = range(13)
+_ROWS = _TORQUE + 1
+# The rows of the drums' motion, (3, n).
+FOLLOWING, DESIRED_RATE, DESIRED_ACCELERATION = range(3)
+
+
 @njit(cache=True)
 def _tick(
     reference: Array,
     measured: Array,
-    rate_reference: Array,
     rate: Array,
     usable: NDArray[np.bool_],
     lengths: Array,
-    desired_rate: Array,
-    desired_acceleration: Array,
-    radius: Array,
-    inertia: Array,
-    viscous: Array,
-    efficiency: Array,
-    friction: tuple[float, float, float],
-    damping: Array,
-    limit: Array,
-    gains: tuple[float, float, float, float],
-    turn: Array,
-    slopes: tuple[float, float],
-    last: Array,
-    slope: Array,
-    expected: Array,
-    integral: Array,
-    torque: Array,
+    motion: Array,
+    damped: int,
+    drums: Array,
+    numbers: Array,
 ) -> None:
-    """`_expected`, then `_torques`."""
-    drums, bounded = (radius, inertia, viscous, efficiency), (radius, damping, limit)
-    _expected(reference, desired_rate, desired_acceleration, drums, friction, expected)
-    leading, past = (turn, slopes[0], slopes[1]), (last, slope)
+    """`_expected`, then `_torques`, damped against the row ``damped`` of ``motion``. ``drums`` and
+    ``numbers`` as in `TensionLoop`: one table takes a tenth of the time of its rows to hand over.
+    """
+    desired_rate, desired_acceleration = motion[DESIRED_RATE], motion[DESIRED_ACCELERATION]
+    trains = (drums[_RADIUS], drums[_INERTIA], drums[_VISCOUS], drums[_EFFICIENCY])
+    friction = (numbers[0], numbers[1], numbers[2])
+    expected = drums[_EXPECTED]
+    _expected(reference, desired_rate, desired_acceleration, trains, friction, expected)
     _torques(
         reference,
         measured,
-        rate_reference,
+        motion[damped],
         rate,
         expected,
         usable,
-        bounded,
-        gains,
-        leading,
+        (drums[_RADIUS], drums[_DAMPING], drums[_LIMIT]),
+        (numbers[3], numbers[4], numbers[5], numbers[6]),
+        (drums[_TURN], numbers[7], numbers[8]),
         lengths,
-        past,
-        integral,
-        torque,
+        (drums[_LAST], drums[_SLOPE]),
+        drums[_INTEGRAL],
+        drums[_TORQUE],
     )
 
 
@@ -192,25 +202,9 @@ def _follow(
     rate: Array,
     usable: NDArray[np.bool_],
     lengths: Array,
-    following: Array,
-    desired_rate: Array,
-    desired_acceleration: Array,
-    axial_stiffness: Array,
-    radius: Array,
-    inertia: Array,
-    viscous: Array,
-    efficiency: Array,
-    friction: tuple[float, float, float],
-    damping: Array,
-    limit: Array,
-    gains: tuple[float, float, float, float],
-    turn: Array,
-    slopes: tuple[float, float],
-    last: Array,
-    slope: Array,
-    expected: Array,
-    integral: Array,
-    torque: Array,
+    motion: Array,
+    drums: Array,
+    numbers: Array,
 ) -> bool:
     """`drum_motion`, then `_tick` for the tensions ``felt`` (n,) N, against the rates that follow
     the platform or, unless it ``follows``, the desired ones; returns what the first does."""
@@ -220,37 +214,14 @@ def _follow(
         measured,
         (velocity, turning),
         (wanted_velocity, wanted_acceleration, wanted_turning, wanted_bend),
-        radius,
-        axial_stiffness,
-        following,
-        desired_rate,
-        desired_acceleration,
+        drums[_RADIUS],
+        drums[_AXIAL_STIFFNESS],
+        motion[FOLLOWING],
+        motion[DESIRED_RATE],
+        motion[DESIRED_ACCELERATION],
     )
-    _tick(
-        reference,
-        felt,
-        following if follows else desired_rate,
-        rate,
-        usable,
-        lengths,
-        desired_rate,
-        desired_acceleration,
-        radius,
-        inertia,
-        viscous,
-        efficiency,
-        friction,
-        damping,
-        limit,
-        gains,
-        turn,
-        slopes,
-        last,
-        slope,
-        expected,
-        integral,
-        torque,
-    )
+    damped = FOLLOWING if follows else DESIRED_RATE
+    _tick(reference, felt, rate, usable, lengths, motion, damped, drums, numbers)
     return finite
 
 
@@ -268,46 +239,37 @@ class TensionLoop:
     def __init__(self, robot: Robot, settings: Settings, period: float) -> None:
         radius = robot.drum_radius
         each = [of_axis(settings, train, robot) for train in robot.drive_trains]
-        self.damping = np.array([own.rate_damping for own in each])
+        drums = self._drums = np.zeros((_ROWS, robot.cables))
+        drums[_RADIUS], drums[_INERTIA] = radius, robot.drum_inertia
+        drums[_VISCOUS], drums[_EFFICIENCY] = robot.viscous_friction, robot.gearbox_efficiency
+        drums[_DAMPING] = [own.rate_damping for own in each]
+        drums[_LIMIT], drums[_AXIAL_STIFFNESS] = robot.torque_limit, robot.axial_stiffness
+        drums[_TURN] = settings.lead / (robot.axial_stiffness * radius * period)
+        drums[_LAST] = np.nan
+        self.damping = drums[_DAMPING]
         """N m s/rad (n,), of each drum's rate"""
-        self._past = (np.full(robot.cables, np.nan), np.zeros(robot.cables))
-        self._still = (np.zeros(robot.cables), np.zeros(robot.cables))
-        self.torque = np.zeros(robot.cables)
+        self.torque: Array = drums[_TORQUE]
         """N m, of the last tick"""
-        self.integral = np.zeros(robot.cables)
+        self.integral = drums[_INTEGRAL]
         """N"""
-        friction, expected = settings.friction, np.zeros(robot.cables)
+        self._motion = np.zeros((3, robot.cables))
         self._goes_on = settings.integral > 0.0
-        self._axial_stiffness = robot.axial_stiffness
-        self._kept: tuple[Any, ...] = (
-            radius,
-            robot.drum_inertia,
-            robot.viscous_friction,
-            robot.gearbox_efficiency,
-            (friction.coulomb, friction.load, friction.slip),
-            self.damping,
-            robot.torque_limit,
-            (
+        friction = settings.friction
+        self._numbers = np.array(
+            [
+                *(friction.coulomb, friction.load, friction.slip),
                 settings.feed_forward,
                 settings.proportional,
                 settings.integral * period,
                 settings.integral_limit,
-            ),
-            settings.lead / (robot.axial_stiffness * radius * period),
-            (
                 1.0 - math.exp(-2.0 * math.pi * settings.lead_cutoff_hz * period),
                 settings.lead_rate * period,
-            ),
-            *self._past,
-            expected,
-            self.integral,
-            self.torque,
+            ]
         )
 
     def reset(self) -> None:
         self.integral[:] = 0.0
-        last, slope = self._past
-        last[:], slope[:] = np.nan, 0.0
+        self._drums[_LAST], self._drums[_SLOPE] = np.nan, 0.0
 
     def take_over(self, before: TensionLoop) -> None:
         """Go on where another loop has been, if there is an integral to go on with."""
@@ -328,18 +290,11 @@ class TensionLoop:
         """Torque (n,) in N m at the drum, zero where ``usable`` (n,) is false. Tensions in N, rates
         in rad/s, reeling in positive, cable ``lengths`` in m; ``desired``: rate and acceleration of
         the desired motion, None for none."""
-        desired_rate, desired_acceleration = desired or self._still
-        _tick(
-            reference,
-            measured,
-            rate_reference,
-            rate,
-            usable,
-            lengths,
-            desired_rate,
-            desired_acceleration,
-            *self._kept,
-        )
+        motion = self._motion
+        motion[FOLLOWING] = rate_reference
+        motion[DESIRED_RATE], motion[DESIRED_ACCELERATION] = desired or (0.0, 0.0)
+        kept = (motion, FOLLOWING, self._drums, self._numbers)
+        _tick(reference, measured, rate, usable, lengths, *kept)
         return self.torque
 
     def follow(
@@ -354,14 +309,15 @@ class TensionLoop:
         rate: Array,
         usable: NDArray[np.bool_],
         lengths: Array,
-        drums: tuple[Array, Array, Array],
+        motion: Array,
         *,
         follows: bool,
     ) -> bool:
         """A tick in which the platform is regulated: the torques, which stay in `torque`, from
-        `drum_motion`, whose arguments and result these are; ``drums``: what that writes; ``felt``
-        (n,) N: the tensions that the loop answers. The rate is damped against the platform's where
-        it ``follows`` that, else against the desired."""
+        `drum_motion`, whose arguments and result these are; ``motion`` (3, n): what that writes, in
+        the rows `FOLLOWING`, `DESIRED_RATE` and `DESIRED_ACCELERATION`; ``felt`` (n,) N: the
+        tensions that the loop answers. The rate is damped against the platform's where it
+        ``follows`` that, else against the desired."""
         return bool(
             _follow(
                 matrix,
@@ -375,8 +331,8 @@ class TensionLoop:
                 rate,
                 usable,
                 lengths,
-                *drums,
-                self._axial_stiffness,
-                *self._kept,
+                motion,
+                self._drums,
+                self._numbers,
             )
         )

@@ -13,6 +13,7 @@ from tonus.runtime.control.controllers import Controller, Motion
 from tonus.runtime.control.controllers.impedance import Pd
 from tonus.runtime.control.distribution import TensionDistribution
 from tonus.runtime.control.distribution_kernels import (
+    DELIVERED,
     delivered,
     distribute_tick,
     opposition,
@@ -66,7 +67,7 @@ def test_a_loop_that_follows_is_the_motion_of_the_drums_and_the_loop(follows: bo
         reference, measured, felt, rate = draw.uniform(20.0, 60.0, (4, CABLES))
         twist = (draw.normal(size=3), draw.normal(size=3))
         desired = tuple(draw.normal(size=3) for _ in range(4))
-        drums = tuple(np.zeros(CABLES) for _ in range(3))
+        drums = np.zeros((3, CABLES))
         assert loops[0].follow(
             kinematics.matrix,
             np.zeros(6),
@@ -200,8 +201,11 @@ class Stages:
         self.matrix, self.lengths = kinematics.matrix, kinematics.lengths
         self.tensions = np.full(CABLES, 7.0)
         self.measured = np.linspace(30.0, 60.0, CABLES)
-        self.prepared = [*np.full((5, CABLES), 7.0), np.full((6, CABLES), 7.0)]
-        self.delivered = [np.full(6, 7.0), np.full(3, 7.0)]
+        self.cables, bearing = np.full((5, CABLES), 7.0), np.full((6, CABLES), 7.0)
+        self.prepared = [*self.cables, bearing]
+        wrenches = self.distribution.wrenches
+        wrenches[DELIVERED] = 7.0
+        self.delivered = [wrenches[DELIVERED], np.full(3, 7.0)]
 
     def prepare(self, wrench: np.ndarray) -> None:
         prepare(self.matrix, self.lengths, wrench[:3], *self._levels, 5.0, 400.0, *self.prepared)
@@ -215,11 +219,13 @@ class Stages:
             *self._levels,
             self.measured,
             self.tensions,
-            5.0,
-            400.0,
-            *self.prepared,
-            *self.delivered,
-            *self.distribution.kept,
+            self.cables,
+            self.prepared[5],
+            self.distribution.scaled,
+            self.distribution.normal,
+            self.distribution.wrenches,
+            self.delivered[1],
+            np.array([5.0, 400.0, *self.distribution.weights]),
         )
 
     @property
