@@ -28,7 +28,7 @@ def observe(
     image = ProcessImage(len(angle))
     image.axes["age"] = 0
     sensing: Any = SimpleNamespace(
-        angle=angle, rate=rate, tension=tension, interval=interval, usable=watched
+        drums=np.array([angle, rate, interval]), tension=tension, usable=watched
     )
     failed = np.zeros(len(angle), dtype=bool)
     drums.step(image, sensing, failed, torque, following, skipped=False, enabled=True)

@@ -9,9 +9,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+# The rows of the filter's state.
+_VALUE, _FIRST, _SECOND = range(3)
+
+
 @njit(cache=True)
-def _biquad(value: Array, b: Array, a: Array, first: Array, second: Array, out: Array) -> None:
-    """One sample of every channel; transposed direct form II."""
+def _biquad(value: Array, coefficients: Array, state: Array) -> None:
+    """One sample of every channel; transposed direct form II. ``coefficients``: b, then a."""
+    b, a = coefficients[0], coefficients[1]
+    out, first, second = state[_VALUE], state[_FIRST], state[_SECOND]
     for i in range(value.shape[0]):
         y = b[0] * value[i] + first[i]
         first[i] = b[1] * value[i] - a[1] * y + second[i]
@@ -32,20 +38,20 @@ class ButterworthBank:
             signal,  # most of a second, for which commands without a filter need not wait
         )
 
-        self._b, self._a = signal.butter(2, cutoff_hz, fs=rate_hz)
-        self._first = np.zeros(channels)
-        self._second = np.zeros(channels)
+        self._coefficients = np.array(signal.butter(2, cutoff_hz, fs=rate_hz))
+        self._state = np.zeros((3, channels))
         self.delay = float(np.sqrt(2.0) / (2.0 * np.pi * cutoff_hz))
         """s, group delay at low frequency"""
-        self.value = np.zeros(channels)
+        self.value: Array = self._state[_VALUE]
 
     def reset(self, value: Array) -> None:
         """Settle at ``value``, as after a constant input."""
-        self.value[:] = value
-        self._first[:] = (1.0 - self._b[0]) * value
-        self._second[:] = (self._b[2] - self._a[2]) * value
+        b, a = self._coefficients
+        self._state[_VALUE] = value
+        self._state[_FIRST] = (1.0 - b[0]) * value
+        self._state[_SECOND] = (b[2] - a[2]) * value
 
     def step(self, value: Array) -> Array:
         """One sample; the result stays in `value`."""
-        _biquad(value, self._b, self._a, self._first, self._second, self.value)
+        _biquad(value, self._coefficients, self._state)
         return self.value

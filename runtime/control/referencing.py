@@ -23,24 +23,33 @@ from tonus.runtime.control.wrench import rotation_between
 Array = NDArray[np.float64]
 
 
+# The rows of what is kept of the cables: what they are, then their state.
+(
+    _UNSTRETCHED,
+    _RADIUS,
+    _AXIAL_STIFFNESS,
+    _DAMPING,
+    _WOUND,
+    _LAST,
+    _ELASTIC,
+    _MEASURED,
+) = range(8)
+_ROWS = _MEASURED + 1
+
+
 @njit(cache=True)
-def _lengths(
-    unstretched: Array,
-    radius: Array,
-    axial_stiffness: Array,
-    damping: Array,
-    slack: float,
-    wound: Array,
-    last: Array,
-    elastic: Array,
-    lengths: Array,
-    angle: Array,
-    tension: Array,
-    passed: float,
-) -> None:
+def _lengths(cables: Array, slack: float, angle: Array, tension: Array, passed: float) -> None:
     """Of a cable that is a spring and a damper side by side, `c de/dt + k e = T` with the tension
-    linear from sample to sample, ``passed`` s apart; ``elastic`` is k e. Below ``slack`` nothing
-    holds a cable stretched that its damper could delay."""
+    linear from sample to sample, ``passed`` s apart; the elastic row is k e. Below ``slack``
+    nothing holds a cable stretched that its damper could delay."""
+    unstretched, radius = cables[_UNSTRETCHED], cables[_RADIUS]
+    axial_stiffness, damping = cables[_AXIAL_STIFFNESS], cables[_DAMPING]
+    wound, last, elastic, lengths = (
+        cables[_WOUND],
+        cables[_LAST],
+        cables[_ELASTIC],
+        cables[_MEASURED],
+    )
     for i in range(angle.shape[0]):
         wound[i] = unstretched[i] - radius[i] * angle[i]
         time = damping[i] * wound[i] / axial_stiffness[i]
@@ -70,26 +79,19 @@ class Referencing:
         self._robot, self._sequence, self._kinematics = robot, sequence, kinematics
         self._radius, self._axial_stiffness = robot.drum_radius, robot.axial_stiffness
         self._period = period
-        self.unstretched = np.zeros(robot.cables)
+        self._cables = cables = np.zeros((_ROWS, robot.cables))
+        cables[_RADIUS], cables[_AXIAL_STIFFNESS] = self._radius, self._axial_stiffness
+        cables[_DAMPING] = robot.cable_damping
+        self._slack = slack
+        self.unstretched = cables[_UNSTRETCHED]
         """m, at drum angle zero"""
-        self.wound = np.zeros(robot.cables)
+        self.wound = cables[_WOUND]
         """m, the same at the present angles"""
-        self.elastic = np.zeros(robot.cables)
+        self.elastic = cables[_ELASTIC]
         """N (n,), the part of the tensions that stretches the cables"""
-        self._last = np.zeros(robot.cables)
-        self.measured = np.zeros(robot.cables)
+        self._last = cables[_LAST]
+        self.measured: Array = cables[_MEASURED]
         """m (n,), the last `lengths`"""
-        self._kept = (
-            self.unstretched,
-            self._radius,
-            self._axial_stiffness,
-            robot.cable_damping,
-            slack,
-            self.wound,
-            self._last,
-            self.elastic,
-            self.measured,
-        )
         self.position = np.zeros(3)
         self.quaternion = np.array([1.0, 0.0, 0.0, 0.0])
         self.poses = 0
@@ -153,5 +155,5 @@ class Referencing:
         """Anchor-to-anchor lengths (n,) in m from drum angles (rad) and tensions (N) of a tick,
         before which so many were ``skipped``; they stay until the next call, and so do the
         unstretched ones in `wound` and the tensions in `elastic`."""
-        _lengths(*self._kept, angle, tension, self._period * (1 + skipped))
+        _lengths(self._cables, self._slack, angle, tension, self._period * (1 + skipped))
         return self.measured

@@ -17,6 +17,7 @@ from tonus.drivers.process_image import NEVER, AxisState, ProcessImage
 from tonus.runtime.control.filters import ButterworthBank
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Table = Any
 """A structured array, whose columns are attributes in compiled code."""
 SILENT, FAULTED, NOT_ENABLED, DEFECT = 1, 2, 4, 8
@@ -25,6 +26,12 @@ fresh statusword and not in Operation Enabled; a cell that reports a defect."""
 FAULT_STATES = (int(AxisState.FAULT), int(AxisState.FAULT_REACTION_ACTIVE))
 ENABLED_STATE = int(AxisState.OPERATION_ENABLED)
 _MISSING = -1
+# The rows of what is kept of the drums, numbers, counts and flags (n,), and of the cells (n + 1,).
+ANGLE, RATE, INTERVAL, _WINDING, _RADIUS, _FASTEST = range(6)
+_SAMPLED_TICK, _SAMPLED_NS, _LAST_AGE, _SILENT = range(4)
+_IMPLAUSIBLE, _USABLE, _PRESENT, _SOUND = range(4)
+_TARE, _FORCE = range(2)
+_LAST_AGE_CELLS, _SILENT_CELLS = range(2)
 _CLOSEST = 0.25
 """of a period: samples that are closer tell no rate"""
 
@@ -87,7 +94,7 @@ def _tared(
 @njit(cache=True)
 def _count_silence(
     age: NDArray[np.uint16],
-    last: NDArray[np.uint16],
+    last: NDArray[np.int64],
     fresh: int,
     implausible: NDArray[np.bool_],
     silent: NDArray[np.int64],
@@ -150,45 +157,43 @@ def _sense(
     cells: Table,
     tick: int,
     period: float,
-    fastest: Array,
     largest: float,
     fresh: int,
     stale: int,
-    last_angle: Array,
-    ticks: NDArray[np.int64],
-    times_ns: NDArray[np.int64],
-    rate: Array,
-    interval: Array,
-    tare: Array,
-    force: Array,
-    last_age: NDArray[np.uint16],
-    last_cell_age: NDArray[np.uint16],
-    implausible: NDArray[np.bool_],
+    drums: Array,
+    forces: Array,
+    counts: NDArray[np.int64],
+    cell_counts: NDArray[np.int64],
+    flags: NDArray[np.bool_],
     implausible_cells: NDArray[np.bool_],
-    silent: NDArray[np.int64],
-    silent_cells: NDArray[np.int64],
-    usable: NDArray[np.bool_],
-    present: NDArray[np.bool_],
-    sound: NDArray[np.bool_],
-    radius: Array,
-    winding: Array,
 ) -> int:
-    """All of a tick; returns its alarm. First the image's tables, then limits (s, rad/s (n,), N,
-    ticks, ticks), then what `Sensing` keeps. Single arrays, since a tuple of them takes longer to
-    hand over."""
-    angle, age, sampled_ns = axes.angle, axes.age, axes.sampled_ns
-    cell_age = cells.age
-    limit, drums = (period, fastest), (ticks, times_ns)
-    _drum_rates(angle, age, sampled_ns, tick, limit, last_angle, drums, rate, interval, implausible)
-    _tared(cells.force, tare, largest, force, implausible_cells)
-    _count_silence(age, last_age, fresh, implausible, silent)
-    _count_silence(cell_age, last_cell_age, fresh, implausible_cells, silent_cells)
+    """All of a tick; returns its alarm. First the image's tables, then limits (s, N, ticks, ticks),
+    then what `Sensing` keeps, a row for each quantity: an array takes as long to hand over as a
+    table of them."""
+    age, cell_age, rate = axes.age, cells.age, drums[RATE]
+    silent, silent_cells = counts[_SILENT], cell_counts[_SILENT_CELLS]
+    implausible = flags[_IMPLAUSIBLE]
+    _drum_rates(
+        axes.angle,
+        age,
+        axes.sampled_ns,
+        tick,
+        (period, drums[_FASTEST]),
+        drums[ANGLE],
+        (counts[_SAMPLED_TICK], counts[_SAMPLED_NS]),
+        rate,
+        drums[INTERVAL],
+        implausible,
+    )
+    _tared(cells.force, forces[_TARE], largest, forces[_FORCE], implausible_cells)
+    _count_silence(age, counts[_LAST_AGE], fresh, implausible, silent)
+    _count_silence(cell_age, cell_counts[_LAST_AGE_CELLS], fresh, implausible_cells, silent_cells)
     ages, silences = (age, cell_age), (silent, silent_cells)
-    odd = (implausible, implausible_cells)
-    _trust(ages, silences, odd, (fresh, stale), usable, present, sound)
+    odd, limits = (implausible, implausible_cells), (fresh, stale)
+    _trust(ages, silences, odd, limits, flags[_USABLE], flags[_PRESENT], flags[_SOUND])
     for i in range(rate.shape[0]):
-        winding[i] = radius[i] * rate[i]
-    return _alarm(silences, age, axes.state, cells.status, (fresh, stale))
+        drums[_WINDING, i] = drums[_RADIUS, i] * rate[i]
+    return _alarm(silences, age, axes.state, cells.status, limits)
 
 
 @njit(cache=True)
@@ -209,51 +214,45 @@ class Sensing:
         self._fresh_ticks = freshness.measurement_ticks
         self._stale_ticks = freshness.stale_stop_ticks
         self.filter = ButterworthBank(cells, control.filters.force_cutoff_hz, 1.0 / rates.period)
-        self.tare = np.zeros(cells)
-        self.force = np.zeros(cells)
-        """N, tared, unfiltered: the cables, then the contact port"""
-        self.angle = np.zeros(cables)
-        self.rate = np.zeros(cables)
-        """rad/s, difference of consecutive samples: no filter, so half a tick of delay"""
-        self.usable = np.zeros(cables, dtype=bool)
-        """drive and cell of a cable are both fresh: it may have a torque"""
-        self.present = np.zeros(cables, dtype=bool)
-        """neither is lost: it keeps its place in the distribution through a short silence"""
-        self.sound = np.zeros(cables, dtype=bool)
-        """both: it may have a torque now"""
-        self.winding = np.zeros(cables)
-        """m/s, rate at which a cable is reeled in"""
-        self.interval = np.full(cables, self._period)
-        """s between the two samples that a rate is made of"""
-        self._sampled = (np.full(cables, _MISSING, dtype=np.int64), np.zeros(cables, np.int64))
-        self.implausible_axes = np.zeros(cables, dtype=bool)
+        self.drums = drums = np.zeros((6, cables))
+        """rows ANGLE, RATE, INTERVAL and others, as below"""
+        forces = np.zeros((2, cells))
+        counts, cell_counts = np.zeros((4, cables), np.int64), np.zeros((2, cells), np.int64)
+        flags = np.zeros((4, cables), dtype=bool)
         self.implausible_cells = np.zeros(cells, dtype=bool)
-        self._silent_axes = np.zeros(cables, dtype=np.int64)
-        self._silent_cells = np.zeros(cells, dtype=np.int64)
-        self._last_ages = (np.zeros(cables, dtype=np.uint16), np.zeros(cells, dtype=np.uint16))
         self._kept = (
             rates.period,
-            control.filters.plausible_speed * robot.motor_speed / robot.gear_ratio,
             control.filters.plausible_force,
             freshness.measurement_ticks,
             freshness.stale_stop_ticks,
-            self.angle,
-            *self._sampled,
-            self.rate,
-            self.interval,
-            self.tare,
-            self.force,
-            *self._last_ages,
-            self.implausible_axes,
+            drums,
+            forces,
+            counts,
+            cell_counts,
+            flags,
             self.implausible_cells,
-            self._silent_axes,
-            self._silent_cells,
-            self.usable,
-            self.present,
-            self.sound,
-            robot.drum_radius,
-            self.winding,
         )
+        drums[INTERVAL], drums[_RADIUS] = self._period, robot.drum_radius
+        drums[_FASTEST] = control.filters.plausible_speed * robot.motor_speed / robot.gear_ratio
+        counts[_SAMPLED_TICK] = _MISSING
+        self.tare: Array = forces[_TARE]
+        self.force: Array = forces[_FORCE]
+        """N, tared, unfiltered: the cables, then the contact port"""
+        self.angle = drums[ANGLE]
+        self.rate = drums[RATE]
+        """rad/s, difference of consecutive samples: no filter, so half a tick of delay"""
+        self.interval = drums[INTERVAL]
+        """s between the two samples that a rate is made of"""
+        self.winding = drums[_WINDING]
+        """m/s, rate at which a cable is reeled in"""
+        self.implausible_axes = flags[_IMPLAUSIBLE]
+        self.usable: Mask = flags[_USABLE]
+        """drive and cell of a cable are both fresh: it may have a torque"""
+        self.present: Mask = flags[_PRESENT]
+        """neither is lost: it keeps its place in the distribution through a short silence"""
+        self.sound: Mask = flags[_SOUND]
+        """both: it may have a torque now"""
+        self._silent_axes, self._silent_cells = counts[_SILENT], cell_counts[_SILENT_CELLS]
         self.tension = self.force[:-1]
         """N, (n,), unfiltered"""
         self.filtered = self.filter.value[:-1]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tonus.config.schema.robot import Robot
 from tonus.config.schema.safety import Isolation as Settings
 from tonus.drivers.process_image import ProcessImage
-from tonus.runtime.control.sensing import Sensing
+from tonus.runtime.control.sensing import ANGLE, INTERVAL, RATE, Sensing, Table
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -26,51 +26,57 @@ _UNDER_WAY = 2
 """ticks from a torque to the sample that it has made"""
 _EVEN_TICKS = _UNDER_WAY + 1
 
+# The rows of what is kept of the drums: constants, then the observer's state; and of its counts.
+(
+    _RADIUS,
+    _MASS,
+    _FASTEST,
+    _EXPLAINED,
+    _UNEXPLAINED,
+    _MEAN,
+    _TRAVEL,
+    _LAST,
+    _BEFORE,
+    _SINCE,
+) = range(10)
+_ROWS = _SINCE + 1
+_EVEN, _UNOBSERVED, _MISLED = range(3)
+
 
 @njit(cache=True)
 def _observe(
-    doubt_ns: NDArray[np.int64],
-    age: NDArray[np.uint16],
+    axes: Table,
     usable: NDArray[np.bool_],
     failed: NDArray[np.bool_],
-    angle: Array,
-    rate: Array,
+    sensed: Array,
     torque: Array,
     following: Array,
     tension: Array,
-    interval: Array,
     enabled: bool,
     skipped: bool,
-    largest_doubt_ns: float,
-    radius: Array,
-    mass: Array,
-    fastest: Array,
-    time: float,
-    force: float,
-    share: float,
-    even: Counts,
-    unobserved: Counts,
-    misled: Counts,
-    explained: Array,
-    unexplained: Array,
-    mean: Array,
-    last: Array,
-    before: Array,
-    since: Array,
+    drums: Array,
+    counts: Counts,
     torques: Array,
-    travel: Array,
+    limits: Array,
 ) -> tuple[int, int]:
     """Returns the most ticks that any drum is misled, and is unobserved.
 
-    Of the axes' samples ``doubt_ns`` and ``age``; drums that are ``usable`` and have ``failed``;
-    ``angle`` (rad), ``rate`` (rad/s), the last tick's ``torque`` (N m), and the rate (rad/s) at
-    which the drum would be ``following`` the platform; ``interval``: s that a rate is the mean of.
-    Drum ``radius``, its ``mass`` at the cable, and the ``fastest`` acceleration (m/s2); observer
-    ``time``, ``force`` (N) and ``share`` of the torque's that may be unexplained. Ticks that were
-    ``even``, ``unobserved``, ``misled``; momentum that is ``explained``, force that is
-    ``unexplained``, ``mean`` force of the torque; ``last`` angles, speeds ``before``, intervals
-    ``since``; ``torques`` (`_UNDER_WAY`, n), those on their way.
+    Of the axes' samples the doubt (ns) and age; drums that are ``usable`` and have ``failed``; what
+    is ``sensed`` of them, as `Sensing.drums` has it; the last tick's ``torque`` (N m), and the rate
+    (rad/s) at which the drum would be ``following`` the platform. Rows of ``drums``: radius, mass
+    at the cable, and the fastest acceleration (m/s2); momentum that is explained, force that is
+    unexplained, mean force of the torque; travel (m); last angles, speeds before, intervals since.
+    Rows of ``counts``: ticks that were even, unobserved, misled. ``torques`` (`_UNDER_WAY`, n),
+    those on their way. ``limits``: largest doubt (ns), the observer's time (s), force (N) and share
+    of the torque's that may be unexplained.
     """
+    doubt_ns, age = axes.doubt_ns, axes.age
+    angle, rate, interval = sensed[ANGLE], sensed[RATE], sensed[INTERVAL]
+    radius, mass, fastest = drums[_RADIUS], drums[_MASS], drums[_FASTEST]
+    explained, unexplained, mean = drums[_EXPLAINED], drums[_UNEXPLAINED], drums[_MEAN]
+    last, before, since, travel = drums[_LAST], drums[_BEFORE], drums[_SINCE], drums[_TRAVEL]
+    even, unobserved, misled = counts[_EVEN], counts[_UNOBSERVED], counts[_MISLED]
+    largest_doubt_ns, time, force, share = limits[0], limits[1], limits[2], limits[3]
     most = longest = 0
     for i in range(tension.shape[0]):
         uncertain = skipped or doubt_ns[i] > largest_doubt_ns or age[i] > 0
@@ -111,42 +117,29 @@ class DrumObserver:
     def __init__(self, robot: Robot, settings: Settings) -> None:
         cables, radius, mass = robot.cables, robot.drum_radius, robot.drum_mass
         strongest = robot.torque_limit / radius
-        self.unobserved = np.zeros(cables, dtype=np.int64)
+        self._drums, self._counts = np.zeros((_ROWS, cables)), np.zeros((3, cables), np.int64)
+        self._torques = np.zeros((_UNDER_WAY, cables))
+        self._drums[_RADIUS], self._drums[_MASS] = radius, mass
+        self._drums[_FASTEST] = settings.acceleration * strongest / mass
+        doubt_ns = settings.sample_doubt * 1e9
+        allowed = (settings.torque_s, settings.torque_error, settings.torque_share)
+        self._limits = np.array([doubt_ns, *allowed])
+        self.unobserved = self._counts[_UNOBSERVED]
         """(n,) ticks in a row in which a drum's motion could not be held against its torque"""
-        self.misled = np.zeros(cables, dtype=np.int64)
+        self.misled = self._counts[_MISLED]
         """(n,) ticks in a row in which it did not match"""
-        self.travel = np.zeros(cables)
+        self.travel = self._drums[_TRAVEL]
         """(n,) m that a standing drum should have wound, by the platform's motion"""
         self.most_misled = self.longest_unobserved = 0
         """ticks, of the drum that has been misled or unobserved for longest"""
-        even = np.zeros(cables, dtype=np.int64)
-        self._observed = (np.zeros(cables), np.zeros(cables), np.zeros(cables))
-        self._torques = np.zeros((_UNDER_WAY, cables))
-        self._past = (np.zeros(cables), np.zeros(cables), np.zeros(cables))
-        self._kept = (
-            settings.sample_doubt * 1e9,
-            radius,
-            mass,
-            settings.acceleration * strongest / mass,
-            settings.torque_s,
-            settings.torque_error,
-            settings.torque_share,
-            even,
-            self.unobserved,
-            self.misled,
-            *self._observed,
-            *self._past,
-            self._torques,
-            self.travel,
-        )
 
     def reset(self) -> None:
         """What is counted of the samples goes on."""
         self.misled[:] = 0
         self.most_misled = 0
-        for each in (*self._observed, self._torques, self.travel):
-            each[:] = 0.0
-        self._past[1][:] = np.nan
+        self._drums[_EXPLAINED:_LAST] = 0.0
+        self._torques[:] = 0.0
+        self._drums[_BEFORE] = np.nan
 
     def step(
         self,
@@ -162,19 +155,18 @@ class DrumObserver:
         """From the samples' times in ``image``, what ``sensing`` has of them, the drums that have
         ``failed`` (n,), the last tick's torques (n,) N m, and the rates (n,) rad/s at which they
         would follow the platform; ``skipped``: ticks before this one were missed."""
-        axis = image.axis
         self.most_misled, self.longest_unobserved = _observe(
-            axis.doubt_ns,
-            axis.age,
+            image.axes,
             sensing.usable,
             failed,
-            sensing.angle,
-            sensing.rate,
+            sensing.drums,
             torque,
             following,
             sensing.tension,
-            sensing.interval,
             enabled,
             skipped,
-            *self._kept,
+            self._drums,
+            self._counts,
+            self._torques,
+            self._limits,
         )

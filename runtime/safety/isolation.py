@@ -114,6 +114,11 @@ def _quiet(
     return True
 
 
+# The rows of what is kept of the residuals, and of their counts.
+_DRIFT, _LAST, _THEN, _LEVEL, _ASKED = range(5)
+_JUMPED, _ASTRAY, _SAME, _STILL, _REPEATED = range(5)
+
+
 @njit(cache=True)
 def _residuals(
     innovation: Array,
@@ -124,36 +129,25 @@ def _residuals(
     raw: Array,
     age: NDArray[np.uint16],
     tension: Array,
-    jump: float,
-    error: float,
-    share: float,
-    sigmas: float,
-    taut: float,
-    change: float,
-    band: float,
-    step: float,
-    astray_ticks: int,
-    mean: float,
-    frozen_ticks: int,
-    jumped: Counts,
-    astray: Counts,
-    drift: Array,
-    last: Array,
-    then: Array,
-    same: Counts,
-    held: Array,
-    asked: Array,
-    still: Counts,
-    repeated: Counts,
+    kept: Array,
+    counts: Counts,
+    limits: Array,
+    ticks: Counts,
 ) -> bool:
-    """All of a tick; returns whether no residual can be a fault."""
-    limits = (jump, error, share, sigmas)
-    _count(innovation, doubt, reference, filtered, watched, limits, jumped, astray, drift)
-    _repeat(raw, age, tension, reference, (0.0, change), taut, last, then, same)
-    _repeat(raw, age, tension, reference, (band, step), taut, held, asked, still)
+    """All of a tick; returns whether no residual can be a fault. ``limits``: jump (m), tension
+    error (N), share of a tick in the mean innovation, doubts that an innovation may have; tension
+    of a cable with a load, frozen change, band and step (N); mean innovation (m). ``ticks``: how
+    many may be astray, and repeated."""
+    jumped, astray, drift = counts[_JUMPED], counts[_ASTRAY], kept[_DRIFT]
+    same, still = counts[_SAME], counts[_STILL]
+    taut, change, band, step = limits[4], limits[5], limits[6], limits[7]
+    allowed = (limits[0], limits[1], limits[2], limits[3])
+    _count(innovation, doubt, reference, filtered, watched, allowed, jumped, astray, drift)
+    _repeat(raw, age, tension, reference, (0.0, change), taut, kept[_LAST], kept[_THEN], same)
+    _repeat(raw, age, tension, reference, (band, step), taut, kept[_LEVEL], kept[_ASKED], still)
     for i in range(same.shape[0]):
-        repeated[i] = max(same[i], still[i])
-    return _quiet(jumped, astray, drift, same, (astray_ticks, mean, frozen_ticks))
+        counts[_REPEATED, i] = max(same[i], still[i])
+    return _quiet(jumped, astray, drift, same, (ticks[0], limits[8], ticks[1]))
 
 
 class Isolation:
@@ -164,49 +158,31 @@ class Isolation:
         self.drums = DrumObserver(robot, settings)
         self._share = 1.0 - math.exp(-period / settings.innovation_s)
         self._astray_ticks = round(settings.tension_error_s / period)
-        self._jumped = np.zeros(robot.cables, dtype=np.int64)
-        self._astray = np.zeros(robot.cables, dtype=np.int64)
-        self.drift = np.zeros(robot.cables)
+        kept, counts = np.zeros((5, robot.cables)), np.zeros((5, robot.cables), np.int64)
+        kept[_LAST] = kept[_LEVEL] = np.nan
+        errors = (settings.length_jump, settings.tension_error)
+        frozen = (settings.frozen_change, settings.frozen_band, settings.frozen_step)
+        doubt = (self._share, settings.elongation_doubt, stop.taut_tension)
+        self._kept = (
+            kept,
+            counts,
+            np.array([*errors, *doubt, *frozen, settings.innovation]),
+            np.array([self._astray_ticks, settings.frozen_ticks]),
+        )
+        self._counts = counts
+        self._jumped, self._astray, self._same, _, self._repeated = counts
+        """ticks (n,); repeated in a descent: a cell is frozen whether its noise is, too, or not"""
+        self.drift = kept[_DRIFT]
         """m (n,), mean innovation of each length"""
         self._stray = np.zeros(robot.cables)
         self._stray_ticks = round(settings.innovation_descent_s / period)
         self._strayed, self._straying = 0, -1
-        self._last, self._then = np.full(robot.cables, np.nan), np.zeros(robot.cables)
-        self._same = np.zeros(robot.cables, dtype=np.int64)
-        self._level, self._asked = np.full(robot.cables, np.nan), np.zeros(robot.cables)
-        self._still = np.zeros(robot.cables, dtype=np.int64)
-        self._repeated = np.zeros(robot.cables, dtype=np.int64)
-        """of a descent: a cell is frozen whether its noise is, too, or not"""
         self._overwound = np.zeros(robot.cables, dtype=bool)
-        self._kept = (
-            settings.length_jump,
-            settings.tension_error,
-            self._share,
-            settings.elongation_doubt,
-            stop.taut_tension,
-            settings.frozen_change,
-            settings.frozen_band,
-            settings.frozen_step,
-            self._astray_ticks,
-            settings.innovation,
-            settings.frozen_ticks,
-            self._jumped,
-            self._astray,
-            self.drift,
-            self._last,
-            self._then,
-            self._same,
-            self._level,
-            self._asked,
-            self._still,
-            self._repeated,
-        )
         self._quiet = True
         """no residual of the lengths and cells can be a fault"""
 
     def reset(self) -> None:
-        self._jumped[:] = self._astray[:] = self._same[:] = self._still[:] = 0
-        self._repeated[:] = 0
+        self._counts[:] = 0
         self.drift[:] = self._stray[:] = 0.0
         self._overwound[:] = False
         self._quiet = True

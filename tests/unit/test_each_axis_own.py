@@ -96,7 +96,7 @@ def observer(robot: Robot, _: DriveTrain | None) -> Array:
         torque, tension = 1.0 + 0.1 * drawn(tick + 100), 50.0 + drawn(tick + 200)
         interval = np.full(CABLES, PERIOD)
         observe(made, angle, rate, torque, tension, drawn(tick + 300), EVERY, interval)
-        rows += [each.copy() for each in (*made._observed, made.misled, *made._past)]
+        rows += [*made._drums.copy(), made.misled.copy()]
     return np.array(rows)
 
 

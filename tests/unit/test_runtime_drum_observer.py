@@ -68,10 +68,8 @@ class Drums:
         """Ticks in which each drum has been misled."""
         sensing: Any = SimpleNamespace(
             usable=self.usable,
-            angle=self.angle,
-            rate=self.rate,
+            drums=np.array([self.angle, self.rate, self.interval]),
             tension=self.tension,
-            interval=self.interval,
         )
         for _ in range(count):
             self.observer.step(
