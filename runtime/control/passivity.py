@@ -110,18 +110,15 @@ def _limit(
     force: Array,
     last: Array,
     resistance: float,
-    period: float,
-    mass: float,
-    minimum: float,
-    maximum: float,
-    rising: tuple[float, float, float, float],
-    tank: tuple[float, float, float],
+    numbers: Array,
 ) -> tuple[float, float, bool, float, float, float, float, float]:
     """The stiffness (N/m) after ``before``, the energy ``stored`` in the tank (J), whether the next
     tick is ``followed`` by this one's error, and the account: storage (J), stiffening, dissipated
-    and external power (W), and the stiffness's rate (N/m/s). ``rising``: as `_rise_bound` has
-    them; ``tank``: efficiency, capacity, minimum."""
-    efficiency, capacity, empty = tank
+    and external power (W), and the stiffness's rate (N/m/s). ``numbers``: period (s), mass (kg),
+    least and largest stiffness, of the tank efficiency, capacity and minimum; then as `_rise_bound`
+    has them."""
+    period, mass, minimum, maximum = numbers[0], numbers[1], numbers[2], numbers[3]
+    efficiency, capacity, empty = numbers[4], numbers[5], numbers[6]
     target = min(wanted, cap, maximum)
     if not target >= minimum:  # also when it is not a number
         target = minimum
@@ -133,8 +130,8 @@ def _limit(
     if not follows:
         target = min(target, before)
     if target > before:
-        alpha, ratio, felt, fastest = rising
-        highest = before + period * _rise_bound(before, alpha, ratio, felt, fastest)
+        bound = _rise_bound(before, numbers[7], numbers[8], numbers[9], numbers[10])
+        highest = before + period * bound
         paid, stored = _admit(stored, empty, before, min(target, highest), stretch)
         value = min(max(paid, before), maximum)
     else:
@@ -219,14 +216,9 @@ class Limiter:
         self.account = Account()
         self._last = np.zeros(3)
         self._rising = (self.alpha, damping_ratio, self._mass, law.rise_rate)
-        self._kept = (
-            period,
-            self._mass,
-            law.minimum,
-            law.maximum,
-            self._rising,
-            (passivity.tank_efficiency, passivity.tank_capacity, passivity.tank_minimum),
-        )
+        bounds, tank = (law.minimum, law.maximum), passivity
+        paid = (tank.tank_efficiency, tank.tank_capacity, tank.tank_minimum)
+        self._numbers = np.array([period, self._mass, *bounds, *paid, *self._rising])
         self.reset()
 
     def reset(self) -> None:
@@ -262,6 +254,6 @@ class Limiter:
             force,
             self._last,
             damping(self._ratio, before, self._mass),
-            *self._kept,
+            self._numbers,
         )
         return self.value

@@ -102,42 +102,28 @@ def _foresee(
     last_contact: float,
     swell: float,
     last: Array,
-    over: NDArray[np.int64],
-    under: NDArray[np.int64],
+    beyond: NDArray[np.int64],
     held: Array,
-    low: Array,
-    high: Array,
+    box: Array,
     enabled: bool,
-    horizon: float,
-    period: float,
-    follow: float,
-    least: float,
-    most: float,
-    slack: float,
-    span_high: float,
-    span_low: float,
-    contact_limit: float,
-    speed_limit: float,
-    soft_force: float,
-    warn_force: float,
-    soft_speed: float,
-    warn_speed: float,
-    edge: float,
-    margin: float,
-    band: float,
-    release: float,
+    numbers: Array,
 ) -> tuple[float, float, float, float, float, float, float, float, int, int, int, float]:
     """All that is computed of a tick: the ``swell`` (N/s) of the contact force; the shares that are
     left of the tensions' spans, of contact and of speed, and the distance (m) to the box; then what
     is met now: speed (m/s), place (m) and ticks beyond a tension; last, if ``enabled``, which bound
-    has least left and how much of it, as `_shares` has them. Numbers as `Envelope` keeps them."""
-    bounds = (least, most, slack)
+    has least left and how much of it, as `_shares` has them. ``beyond`` (2, n): ticks that a cable
+    has spent beyond T_max, and slack; ``box`` (2, 3); ``numbers`` as `Envelope` keeps them."""
+    horizon, period, follow = numbers[0], numbers[1], numbers[2]
+    bounds, span_high, span_low = (numbers[3], numbers[4], numbers[5]), numbers[6], numbers[7]
+    contact_limit, speed_limit, soft_force = numbers[8], numbers[9], numbers[10]
+    warn_force, soft_speed, warn_speed = numbers[11], numbers[12], numbers[13]
+    edge, margin, band, release = numbers[14], numbers[15], numbers[16], numbers[17]
     to_high, to_low, longest_over, longest_under = _tension_margins(
-        tension, last, horizon / period, bearing, bounds, over, under
+        tension, last, horizon / period, bearing, bounds, beyond[0], beyond[1]
     )
     swell += follow * ((contact - last_contact) / period - swell)
     force = max(contact, contact + horizon * swell)
-    inside, workspace, speed = _place_and_speed(position, velocity, horizon, low, high)
+    inside, workspace, speed = _place_and_speed(position, velocity, horizon, box[0], box[1])
     tension_high = to_high / span_high
     place, share = 0, 1.0
     if enabled:
@@ -171,12 +157,11 @@ class Envelope:
         self, settings: Settings, tension: Tension, law: StiffnessLaw, robot: Robot, period: float
     ) -> None:
         self._settings, self._law = settings, law
-        box = robot.workspace
-        self._low = np.array([box.x[0], box.y[0], box.z[0]])
-        self._high = np.array([box.x[1], box.y[1], box.z[1]])
-        self._over = np.zeros(len(robot.geometry.frame), dtype=np.int64)
-        self._under = np.zeros(len(robot.geometry.frame), dtype=np.int64)
-        self._last_tension = np.zeros(len(robot.geometry.frame))
+        sides, cables = robot.workspace, robot.cables
+        self._box = np.array([sides.x, sides.y, sides.z]).T.copy()
+        self._beyond = np.zeros((2, cables), dtype=np.int64)
+        self._over, self._under = self._beyond
+        self._last_tension = np.zeros(cables)
         self._last_contact = self._swell = 0.0
         self._held = np.ones(len(_GRADED))
         """what is left of each graded bound, over 1 untouched, as it is acted on"""
@@ -187,30 +172,22 @@ class Envelope:
         s, t = settings, tension
         self._kept = (
             self._last_tension,
-            self._over,
-            self._under,
+            self._beyond,
             self._held,
-            self._low,
-            self._high,
+            self._box,
             s.enabled,
-            s.horizon,
-            period,
-            self._follow,
-            t.min,
-            t.max,
-            t.slack,
-            t.max - t.pre,
-            t.pre - t.min,
-            s.contact_limit,
-            s.speed_limit,
-            s.contact_limit * (1.0 - s.hysteresis),
-            s.contact_limit * s.contact_warning,
-            s.speed_limit * (1.0 - s.hysteresis),
-            s.speed_limit * s.speed_warning,
-            self._edge,
-            s.workspace_margin,
-            s.release_band,
-            s.release_rate * period,
+            np.array(
+                [
+                    *(s.horizon, period, self._follow),
+                    *(t.min, t.max, t.slack, t.max - t.pre, t.pre - t.min),
+                    *(s.contact_limit, s.speed_limit),
+                    s.contact_limit * (1.0 - s.hysteresis),
+                    s.contact_limit * s.contact_warning,
+                    s.speed_limit * (1.0 - s.hysteresis),
+                    s.speed_limit * s.speed_warning,
+                    *(self._edge, s.workspace_margin, s.release_band, s.release_rate * period),
+                ]
+            ),
         )
         self.reset()
 
@@ -224,8 +201,7 @@ class Envelope:
         self.fault = _NO_FAULT
         self.where = -1
         self.tension_high = self.tension_low = self.contact = self.speed = self.workspace = 1.0
-        self._over[:] = 0
-        self._under[:] = 0
+        self._beyond[:] = 0
         self._held[:] = 1.0
         self._first = True
 

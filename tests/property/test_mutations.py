@@ -256,7 +256,7 @@ MUTATIONS = (
              limiter_keeps_bounds_and_cap),
     Mutation(LIMITER, "if not target >= minimum", "if target < minimum",
              limiter_keeps_bounds_and_cap),
-    Mutation(LIMITER, "before + period * _rise_bound(before, alpha, ratio, felt, fastest)",
+    Mutation(LIMITER, "before + period * bound",
              "math.inf", limiter_keeps_the_rate_bound),
     Mutation(LIMITER, "2.0 * alpha * stiffness /", "4.0 * alpha * stiffness /",
              limiter_keeps_the_rate_bound),
