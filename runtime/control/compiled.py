@@ -436,74 +436,73 @@ def carry_forward(
     geometry(there, oriented, anchors[0], anchors[1], lengths, matrix)
 
 
+# The estimate as one array: position, quaternion, velocity, angular velocity, external wrench; and
+# the nominal state in front of what is left of it: position and quaternion.
+POSE, VELOCITY, TURNING, PUSH, PUBLISHED = 7, 7, 10, 13, 19
+# The rows of what is kept of the cables, (4, n).
+STRETCH, AXIAL_STIFFNESS, INNOVATION, DOUBT = range(4)
+
+
 @njit(cache=True)
 def estimate_tick(
-    position: Array,
-    quaternion: Array,
-    rest: Array,
+    state: Array,
     covariance: Array,
-    mean: Array,
-    mass: float,
     inertia: Array,
-    gravity: float,
-    axial_stiffness: Array,
-    period: float,
-    frame: Array,
-    platform: Array,
+    anchors: Array,
     lengths: Array,
     matrix: Array,
-    innovations: Array,
-    doubts: Array,
+    cables: Array,
     believed: NDArray[np.bool_],
-    there: Array,
-    oriented: Array,
-    velocity: Array,
-    turning: Array,
-    external: Array,
-    past_lengths: Array,
-    past_elastic: Array,
-    past_positions: Array,
-    past_quaternions: Array,
+    estimate: Array,
+    past: Array,
+    past_poses: Array,
     past_believed: NDArray[np.bool_],
     noise: Array,
-    length_variance: float,
-    share: float,
-    creep: float,
-    slack: float,
-    gate: float,
+    numbers: Array,
     measured: Array,
     tensions: Array,
     elastic: Array,
     usable: NDArray[np.bool_],
     count: int,
 ) -> float:
-    """What a tick needs of the estimator: the filter; the estimate one period on (position
-    ``there``, quaternion ``oriented``, ``velocity``, ``turning``) and the ``external`` wrench (6,);
-    and the row of this tick, number ``count``, in what is kept of the past. The others as in
+    """What a tick needs of the estimator: the filter; the ``estimate`` (`PUBLISHED`,) one period
+    on; and the row of this tick, number ``count``, in what is kept of the ``past``, lengths and
+    elastic tensions (2, depth, n), poses (depth, 7), and which lengths were believed (depth, n).
+
+    ``state``: position, quaternion and rest in one; ``anchors`` (2, n, 3): of frame and platform;
+    ``cables`` (4, n) has the rows above; ``numbers``: mass, gravity, period, then of the noise a
+    length's variance, the share of a tick and the creep, then the limits. The others as in
     `filter_tick`, and what is returned."""
-    state, body = (position, quaternion, rest, covariance, mean), (mass, inertia, gravity)
-    anchors = (frame, platform)
+    position, quaternion, rest = state[:3], state[3:POSE], state[POSE:]
+    period = numbers[2]
+    body = (numbers[0], inertia, numbers[1], cables[AXIAL_STIFFNESS])
+    frame, platform = anchors[0], anchors[1]
+    nominal = (position, quaternion, rest, covariance, cables[STRETCH])
     squared = filter_tick(
-        state,
-        (*body, axial_stiffness),
+        nominal,
+        body,
         period,
-        (noise, length_variance, share, creep),
-        anchors,
+        (noise, numbers[3], numbers[4], numbers[5]),
+        (frame, platform),
         (measured, tensions, elastic, usable),
-        (slack, gate),
+        (numbers[6], numbers[7]),
         lengths,
         matrix,
-        innovations,
-        doubts,
+        cables[INNOVATION],
+        cables[DOUBT],
         believed,
     )
-    row = count % past_lengths.shape[0]
-    past_lengths[row], past_elastic[row] = measured, elastic
-    past_positions[row], past_quaternions[row] = position, quaternion
+    row = count % past_poses.shape[0]
+    past[0, row], past[1, row] = measured, elastic
+    past_poses[row] = state[:POSE]
     past_believed[row] = believed
-    wrench, estimate = matrix @ tensions, (there, oriented, velocity, turning)
-    carry_forward(
-        state, (*body, axial_stiffness), period, wrench, anchors, lengths, matrix, estimate
+    wrench = matrix @ tensions
+    published = (
+        estimate[:3],
+        estimate[3:POSE],
+        estimate[VELOCITY:TURNING],
+        estimate[TURNING:PUSH],
     )
-    external[:] = rest[EXTERNAL - TWIST : OFFSETS - TWIST]
+    carry_forward(nominal, body, period, wrench, (frame, platform), lengths, matrix, published)
+    estimate[PUSH:] = rest[EXTERNAL - TWIST : OFFSETS - TWIST]
     return squared

@@ -31,9 +31,18 @@ from tonus.config.schema.control import Estimator as Settings
 from tonus.config.schema.robot import Robot
 from tonus.config.schema.tracker import Tracker
 from tonus.runtime.control.compiled import (
+    AXIAL_STIFFNESS,
+    DOUBT,
     EXTERNAL,
+    INNOVATION,
     OFFSETS,
+    POSE,
+    PUBLISHED,
+    PUSH,
+    STRETCH,
+    TURNING,
     TWIST,
+    VELOCITY,
     carry_forward,
     elongation,
     error_size,
@@ -130,13 +139,13 @@ class PoseEstimator:
         doubts = doubts or Doubts()
         self._settings, self._period = settings, period
         self._tracker_period = 1.0 / tracker.rate_hz
-        self._limits = self._usual_limits = (doubts.slack, doubts.jump)
         self._kinematics, self._cables = kinematics, Kinematics(robot.geometry)
         self._seen = Kinematics(robot.geometry)
         inertia = np.array(robot.platform.inertia)
         body = robot.platform
         self._body = (body.mass, inertia, robot.gravity, robot.axial_stiffness)
-        self._anchors = (kinematics.frame, kinematics.platform)
+        anchors = np.stack([kinematics.frame, kinematics.platform])
+        self._anchor_table, self._anchors = anchors, (anchors[0], anchors[1])
         self._moment_length = robot.geometry.moment_length
         cables, errors = robot.cables, error_size(robot.cables)
         length, share = settings.length_sigma**2, period / settings.elongation_time
@@ -144,25 +153,33 @@ class PoseEstimator:
         self._excesses = OFFSETS + cables
         """where the offsets end in the error state, and the excesses of compliance begin"""
         usual = _noise(settings, period, errors, settings.offset_drift)
-        self._usual_noise = (usual, length, share, creep)
-        self._restless_noise = (
-            _noise(settings, period, errors, doubts.offset_drift, doubts),
-            doubts.length_sigma**2,
-            share,
-            creep,
+        fixed = (body.mass, robot.gravity, period)
+        self._usual = (
+            usual,
+            np.array([*fixed, length, share, creep, doubts.slack, doubts.jump]),
         )
-        self._noise = self._usual_noise
+        """what a tick adds to the variances, and the numbers of `estimate_tick`"""
+        self._restless = (
+            _noise(settings, period, errors, doubts.offset_drift, doubts),
+            np.array([*fixed, doubts.length_sigma**2, share, creep, doubts.slack, math.inf]),
+        )
+        self._mode = self._usual
         self._variances = (
             tracker.position_sigma**2,
             tracker.rotation_sigma**2,
             settings.length_sigma**2,
         )
-        self._position, self._quaternion = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-        self._rest = np.zeros(errors - TWIST)
+        state = np.zeros(errors + 1)
+        state[3] = 1.0
+        self._nominal = state
+        """position, quaternion and rest in one"""
+        self._position, self._quaternion, self._rest = state[:3], state[3:POSE], state[POSE:]
         """twist, external wrench, offsets, excesses: the error state without the pose"""
         self.covariance = np.zeros((errors, errors))
         """(errors, errors) of the error state, at the sampling instant"""
-        self._stretch = np.zeros(cables)
+        self._rows = kept = np.zeros((4, cables))
+        kept[AXIAL_STIFFNESS] = robot.axial_stiffness
+        self._stretch = kept[STRETCH]
         """m, mean elongations"""
         self._state = (
             self._position,
@@ -172,17 +189,14 @@ class PoseEstimator:
             self._stretch,
         )
         depth = math.ceil(tracker.maximum_age_ms * 1e-3 / period) + 2
-        self._past_lengths = np.zeros((depth, cables))
-        self._past_elastic = np.zeros((depth, cables))
+        self._past, self._past_poses = np.zeros((2, depth, cables)), np.zeros((depth, POSE))
         self._past_usable = np.zeros((depth, cables), dtype=bool)
-        self._past_positions = np.zeros((depth, 3))
-        self._past_quaternions = np.zeros((depth, 4))
         self._count = 0
         self._tensions = np.zeros(cables)
         self._innovation = np.zeros(cables)
-        self.innovations = np.zeros(cables)
+        self.innovations = kept[INNOVATION]
         """m, of this tick's lengths before they corrected anything; not a number where none was"""
-        self.doubts = np.zeros(cables)
+        self.doubts = kept[DOUBT]
         """m, how uncertain the part of them is that comes from a changing elongation"""
         self.believed = np.zeros(cables, dtype=bool)
         """whose lengths corrected the estimate in this tick"""
@@ -201,31 +215,22 @@ class PoseEstimator:
         self._apart, self._moved = np.zeros(3), np.zeros(3)
         """m (3,): of the last pose from the loose estimate, and by how much the tracker is moved"""
         self._seen_at = 0
-        self.estimate = Estimate(
-            np.zeros(3), self._quaternion.copy(), np.zeros(3), np.zeros(3), np.zeros(6)
-        )
-        self._published = (
-            self.estimate.position,
-            self.estimate.quaternion,
-            self.estimate.velocity,
-            self.estimate.angular_velocity,
-        )
+        whole = self._whole = np.zeros(PUBLISHED)
+        whole[:POSE] = state[:POSE]
+        self._published = (whole[:3], whole[3:POSE], whole[VELOCITY:TURNING], whole[TURNING:PUSH])
+        self.estimate = Estimate(*self._published, whole[PUSH:])
         self._kept = (
-            *self._state,
-            *self._body,
-            period,
-            *self._anchors,
+            state,
+            self.covariance,
+            inertia,
+            anchors,
             kinematics.lengths,
             kinematics.matrix,
-            self.innovations,
-            self.doubts,
+            kept,
             self.believed,
-            *self._published,
-            self.estimate.external,
-            self._past_lengths,
-            self._past_elastic,
-            self._past_positions,
-            self._past_quaternions,
+            whole,
+            self._past,
+            self._past_poses,
             self._past_usable,
         )
 
@@ -297,7 +302,7 @@ class PoseEstimator:
         self._tensions[:] = tensions
         self._begin(samples)
         self._count = 0
-        self._limits, self._noise = self._usual_limits, self._usual_noise
+        self._mode = self._usual
         self.inconsistency, self._odd = 1.0, False
         self.disagreement.reset()
         self._publish()
@@ -333,8 +338,7 @@ class PoseEstimator:
         before, too few lengths may say where it is, and the tracker corrects the pose itself. Each
         length may be wrong by millimetres, but those hardly change: taken for noise of every tick
         they would leave it to the tracker to tell the velocity, late."""
-        self._limits = (self._usual_limits[0], math.inf)
-        self._noise = self._restless_noise
+        self._mode = self._restless
         self._offsets_before[:] = self.offsets
         offsets = range(OFFSETS, self._excesses)
         self.covariance[offsets, offsets] += self._offset_variance
@@ -345,7 +349,7 @@ class PoseEstimator:
 
     @property
     def _loose(self) -> bool:
-        return self._noise is self._restless_noise
+        return self._mode is self._restless
 
     def step(
         self, lengths: Array, tensions: Array, elastic: Array, usable: NDArray[np.bool_]
@@ -365,8 +369,7 @@ class PoseEstimator:
         self._tensions[:] = tensions
         squared = estimate_tick(
             *self._kept,
-            *self._noise,
-            *self._limits,
+            *self._mode,
             lengths,
             tensions,
             elastic,
@@ -402,7 +405,7 @@ class PoseEstimator:
         """
         # What the cables say lags the tick by one period: the newest entry is that far back.
         back = delay / self._period - 1.0
-        depth = len(self._past_lengths)
+        depth = len(self._past_poses)
         if not 0.0 <= back <= min(self._count, depth) - 2:
             return False
         whole = int(back)
@@ -411,9 +414,10 @@ class PoseEstimator:
         older = (newer - 1) % depth
         if self._loose:
             return self._correct(position, quaternion, share, newer, older)
+        lengths, elastic = self._past
         then = (
-            (1.0 - share) * self._past_lengths[newer] + share * self._past_lengths[older],
-            (1.0 - share) * self._past_elastic[newer] + share * self._past_elastic[older],
+            (1.0 - share) * lengths[newer] + share * lengths[older],
+            (1.0 - share) * elastic[newer] + share * elastic[older],
             self._past_usable[newer] & self._past_usable[older],
         )
         seen, gate = self._seen, self._settings.gate
@@ -442,7 +446,7 @@ class PoseEstimator:
         """What a tracker pose differs by from the estimate of its instant is what the present one
         is wrong by: a Kalman step on the pose (Larsen et al., CDC 1998, without their correction of
         the gain)."""
-        places, turns = self._past_positions, self._past_quaternions
+        places, turns = self._past_poses[:, :3], self._past_poses[:, 3:]
         then = (1.0 - share) * places[newer] + share * places[older]
         turn = rotation_between(turns[newer], turns[older])
         innovation = np.concatenate(

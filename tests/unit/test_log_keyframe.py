@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,6 +54,36 @@ def test_a_restored_cycle_goes_on_as_the_first_did(run: Run) -> None:
             image.tracker[...] = given.tracker
             record = cycle.step(image, tick, given.operator)
             assert record.data.tobytes() == run.loop._cycles[tick], tick
+
+
+def test_rows_stay_rows_of_their_tables(run: Run) -> None:
+    """A kernel is handed a table, and everything else reads a row of it."""
+    restored = owners(restore(run.taken[State.ACTIVE][1], run.fresh()))
+    assert owners(run.loop.cycle) == restored
+    assert len(set(restored.values())) < len(restored) / 2
+
+
+def owners(cycle: ControlCycle) -> dict[str, str]:
+    """The array that each array is part of, of those that can be reached, by their paths."""
+    found: dict[str, Any] = {}
+    seen: set[int] = set()
+
+    def walk(path: str, value: object) -> None:
+        if isinstance(value, np.ndarray):
+            found[path] = value
+        elif isinstance(value, tuple):
+            for index, each in enumerate(value):
+                walk(f"{path}.{index}", each)
+        elif type(value).__module__.startswith("tonus.runtime") and id(value) not in seen:
+            seen.add(id(value))
+            for name, each in getattr(value, "__dict__", {}).items():
+                walk(f"{path}.{name}", each)
+
+    walk("", cycle)
+    first: dict[int, str] = {}
+    for path, value in found.items():
+        first.setdefault(id(value), path)
+    return {path: first[id(v.base if id(v.base) in first else v)] for path, v in found.items()}
 
 
 def test_it_can_be_taken_again_from_the_restored_cycle(run: Run) -> None:
