@@ -58,18 +58,17 @@ class Judge:
         self._most_rise = control.stiffness.rise_rate * settings.margin
         self._tare = control.sequence.tare_limit
         self._slack, self._passive_tension = control.tension.slack, control.stop.passive_tension
-        # The daemon's own envelope ends the control of a slack cable after so many ticks.
-        slack_ticks = control.envelope.over_tension_ticks
+        self._tick_ns = control.rates.period_ns
         self._opposed_ns = round(settings.opposed_ms * 1e6)
         self._pulling_ns = round(settings.patience_ms * 1e6)
-        self._slack_ns = self._pulling_ns + slack_ticks * control.rates.period_ns
+        # The daemon's own envelope ends the control of a slack cable after so many ticks.
+        self._slack_ns = self._pulling_ns + control.envelope.over_tension_ticks * self._tick_ns
         # Twice what the daemon itself takes for a fault, for twice as long.
         self._astray = 2.0 * control.isolation.tension_error
         self._astray_ns = round(2e9 * control.isolation.tension_error_s)
         self._rows = _rows(config, settings.spread)
         self._inverted: dict[bytes, Floats] = {}
-        """of these rows, by the cables that are left out"""
-        self._tick_ns = control.rates.period_ns
+        """of these rows, by the cables that tell"""
         self._period_ns = round(settings.period_ms * 1e6)
         self._brakes = config.relay is None
         patience = dict.fromkeys(Requirement, settings.patience_ms) | dict.fromkeys(_AT_ONCE, 0.0)
@@ -273,9 +272,8 @@ class Judge:
         claim, settings, enabled = seen.claim, self._settings, seen.enabled
         if claim is None or claim.state not in CONTROLLED:
             return
-        unexplained = abs(seen.unexplained) - settings.unexplained_share * abs(seen.mean_torque)
-        limit = settings.unexplained_force
-        yield from _at(Requirement.UNEXPLAINED, seen, unexplained, limit, enabled)
+        left = abs(seen.unexplained) - settings.unexplained_share * abs(seen.mean_torque)
+        yield from _at(Requirement.UNEXPLAINED, seen, left, settings.unexplained_force, enabled)
         yield from _at(Requirement.TENSION, seen, seen.tension, self._most_tension)
         if abs(seen.contact) > self._most_contact:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
@@ -366,7 +364,8 @@ class Judge:
         rate[seen.axes] = seen.rate
         key = told.tobytes()
         if key not in self._inverted:
-            self._inverted[key] = np.linalg.pinv(self._rows[:, told])
+            inverse: Floats = np.linalg.pinv(self._rows[:, told])
+            self._inverted[key] = inverse
         twists = (self._inverted[key] @ rate[told]).reshape(-1, 2, 3)
         speeds: list[float] = np.sqrt((twists**2).sum(axis=2).min(axis=0)).tolist()
         return tuple(speeds)
