@@ -364,8 +364,7 @@ class Judge:
         rate[seen.axes] = seen.rate
         key = told.tobytes()
         if key not in self._inverted:
-            inverse: Floats = np.linalg.pinv(self._rows[:, told])
-            self._inverted[key] = inverse
+            self._inverted[key] = np.linalg.pinv(self._rows[:, told]).astype(np.float64)
         twists = (self._inverted[key] @ rate[told]).reshape(-1, 2, 3)
         speeds: list[float] = np.sqrt((twists**2).sum(axis=2).min(axis=0)).tolist()
         return tuple(speeds)
