@@ -95,6 +95,32 @@ LARGEST_SHARES = {
 }
 """The same of the keys in N, as shares of the pretension, which is what a cable without torque
 lacks. All R."""
+SMALLEST = {
+    "stopping_ms": 100.0,
+    "window_ms": 8.0,
+    "opposed_ms": 10.0,
+    "opposed_error": 1.0,
+    "frozen_frames": 3.0,
+    "frozen_rate": 0.01,
+    "frozen_tension": 0.02,
+    "logged_ticks": 2.0,
+    "margin": 1.05,
+    "rotation": 0.3,
+    "rotation_stopping": 3.0,
+    "speed_stopping": 1.5,
+}
+"""What a robot has to state at least, in the keys' units, frames and ticks. All R: between what a
+robot in order was seen to reach (config/supervisor.yaml) and what is shipped."""
+SMALLEST_SHARES = {
+    "unexplained_force": 1.0,
+    "opposed_force": 1.0,
+    "logged_tension": 0.15,
+    "opposed_long_force": 0.3,
+    "opposed_long_error": 0.1,
+    "answered_torque": 0.05,
+    "passive_torque": 0.025,
+}
+"""The same of the keys in N, as shares of the pretension. All R."""
 LARGEST_SPREAD = 0.4
 """of the frame's smallest half-width. R: with 0.2 the speed found is 0.81 of the true one in the
 worst direction, with 0.4 it is 0.65, with 0.7 it is 0.4"""
@@ -211,6 +237,8 @@ __all__ = [
     "LARGEST_SPREAD",
     "LARGEST_TENSION",
     "REQUIREMENT_TEXTS",
+    "SMALLEST",
+    "SMALLEST_SHARES",
     "Requirement",
     "Supervisor",
 ]

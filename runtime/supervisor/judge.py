@@ -58,16 +58,17 @@ class Judge:
         self._most_rise = control.stiffness.rise_rate * settings.margin
         self._tare = control.sequence.tare_limit
         self._slack, self._passive_tension = control.tension.slack, control.stop.passive_tension
-        # The daemon's own envelope ends the control of a slack cable after so many ticks.
-        slack_ticks = control.envelope.over_tension_ticks
+        self._tick_ns = control.rates.period_ns
         self._opposed_ns = round(settings.opposed_ms * 1e6)
         self._pulling_ns = round(settings.patience_ms * 1e6)
-        self._slack_ns = self._pulling_ns + slack_ticks * control.rates.period_ns
+        # The daemon's own envelope ends the control of a slack cable after so many ticks.
+        self._slack_ns = self._pulling_ns + control.envelope.over_tension_ticks * self._tick_ns
         # Twice what the daemon itself takes for a fault, for twice as long.
         self._astray = 2.0 * control.isolation.tension_error
         self._astray_ns = round(2e9 * control.isolation.tension_error_s)
-        self._twists = _twists(config, settings.spread)
-        self._tick_ns = control.rates.period_ns
+        self._rows = _rows(config, settings.spread)
+        self._inverted: dict[bytes, Floats] = {}
+        """of these rows, by the cables that tell"""
         self._period_ns = round(settings.period_ms * 1e6)
         self._brakes = config.relay is None
         patience = dict.fromkeys(Requirement, settings.patience_ms) | dict.fromkeys(_AT_ONCE, 0.0)
@@ -271,9 +272,8 @@ class Judge:
         claim, settings, enabled = seen.claim, self._settings, seen.enabled
         if claim is None or claim.state not in CONTROLLED:
             return
-        unexplained = abs(seen.unexplained) - settings.unexplained_share * abs(seen.mean_torque)
-        limit = settings.unexplained_force
-        yield from _at(Requirement.UNEXPLAINED, seen, unexplained, limit, enabled)
+        left = abs(seen.unexplained) - settings.unexplained_share * abs(seen.mean_torque)
+        yield from _at(Requirement.UNEXPLAINED, seen, left, settings.unexplained_force, enabled)
         yield from _at(Requirement.TENSION, seen, seen.tension, self._most_tension)
         if abs(seen.contact) > self._most_contact:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
@@ -295,7 +295,9 @@ class Judge:
         """SUP-5, wherever tensions follow the references, so in a stop along the path too: a torque
         against them; a smaller one that lasts, such as one that is missing; and, whatever the
         torque, a tension that stays away. Where a tension goes against the torque it is the
-        platform that moves, and its drum has to follow it."""
+        platform that moves, and its drum has to follow it. Where a drum turns the way that its
+        tension has to go, so much of the torque as would not stop it in ``opposed_ms`` brakes it,
+        as a platform that is thrown wants."""
         claim, settings = seen.claim, self._settings
         before = seen.tension if self._tension is None else self._tension
         self._tension = seen.tension
@@ -314,7 +316,8 @@ class Judge:
         for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
             yield each, self._patience_ns[Requirement.OPPOSED]
         if on_path or claim.state in _STIFF:
-            opposed = abs(pull) > settings.opposed_long_force
+            braking = np.fmax(0.0, np.sign(error) * seen.momentum) / (self._opposed_ns * 1e-9)
+            opposed = abs(pull) - braking > settings.opposed_long_force
             opposed &= against & (abs(error) > settings.opposed_long_error)
             for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
                 yield each, self._opposed_ns
@@ -351,12 +354,18 @@ class Judge:
 
     def _speeds(self, seen: Observation) -> tuple[float, ...]:
         """The least speed and turning rate that any of the poses tried needs to give the drums
-        their rates, m/s and rad/s; not a number where a rate is not known."""
-        if len(seen.rate) != self._twists.shape[2]:
+        their rates, m/s and rad/s; not a number where a rate is not known. A drum without power
+        whose cable is slack turns by itself, and tells nothing."""
+        if len(seen.rate) != self._rows.shape[1]:
             return math.nan, math.nan  # some of the axes are on another bus
+        told = np.empty(len(seen.rate), bool)
+        told[seen.axes] = seen.enabled | ~(seen.tension < self._slack)
         rate = np.empty(len(seen.rate))
         rate[seen.axes] = seen.rate
-        twists = (self._twists.reshape(-1, len(rate)) @ rate).reshape(-1, 2, 3)
+        key = told.tobytes()
+        if key not in self._inverted:
+            self._inverted[key] = np.linalg.pinv(self._rows[:, told]).astype(np.float64)
+        twists = (self._inverted[key] @ rate[told]).reshape(-1, 2, 3)
         speeds: list[float] = np.sqrt((twists**2).sum(axis=2).min(axis=0)).tolist()
         return tuple(speeds)
 
@@ -380,10 +389,10 @@ def _at(
         yield Violation(requirement, int(seen.axes[row]), float(values[row]))
 
 
-def _twists(config: Config, spread: float) -> Floats:
-    """From rates of the cables (n,), reeling in, to the platform's velocity and angular velocity
-    (6,) at each of 27 poses round the workspace's middle: (27, 6, n). The cables' rates are the
-    structure matrix, transposed, times the twist."""
+def _rows(config: Config, spread: float) -> Floats:
+    """From the platform's velocity and angular velocity (6,) to the rates of the cables (n,),
+    reeling in, at each of 27 poses round the workspace's middle: the structure matrix, transposed
+    (27, n, 6)."""
     geometry = config.robot.geometry
     frame, platform = np.array(geometry.frame), np.array(geometry.platform)
     space = config.robot.workspace
@@ -393,6 +402,5 @@ def _twists(config: Config, spread: float) -> Floats:
     for position in middle + steps:
         along = frame - position - platform
         along /= np.linalg.norm(along, axis=1, keepdims=True)
-        rows = np.hstack([along, np.cross(platform, along)])
-        found.append(np.linalg.pinv(rows))
+        found.append(np.hstack([along, np.cross(platform, along)]))
     return np.array(found)

@@ -56,6 +56,8 @@ class Observation:
     """the least and the largest of them since the last look (2, n)"""
     rate: Floats
     """m/s, reeling in"""
+    momentum: Floats
+    """N s at the cable, of the drum"""
     tension: Floats
     """N, tared as the daemon says"""
     contact: float
@@ -194,6 +196,7 @@ class Observer:
             mille * self._newton,
             np.sort(torques, axis=0),
             rate,
+            self._mass * rate,
             tension,
             _force(self._contact, heard, tared),
             np.array([_cell_age(now_ns, cell, heard) for cell in cells]),

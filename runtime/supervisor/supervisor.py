@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import Requirement
-from tonus.runtime.states import ARMED
+from tonus.runtime.states import ARMED, State
 from tonus.runtime.supervisor.commands import NMT, REQUEST, Commands, Own, Told, told_by
 from tonus.runtime.supervisor.judge import CONTROLLED, NOWHERE, Judge, Violation
 from tonus.runtime.supervisor.listener import Heard, Listener, Watched
@@ -150,8 +150,8 @@ class Supervisor:
         # A drive that is silent is what it was, unless daemon and all others are disarmed and it
         # sends no heartbeat either: then it was pulled, or has no power.
         present = seen.measured_age < self.settings.stale_ms
-        armed_by_record = seen.claim is not None and seen.claim.state in ARMED
-        seen.enabled &= present | self._alive(seen) | (not present.any()) | armed_by_record
+        state = None if seen.claim is None else seen.claim.state
+        seen.enabled &= present | self._alive(seen) | (not present.any()) | (state in ARMED)
         armed = bool(seen.enabled.any())
         self._judge.note(seen.claims)
         if armed:
@@ -164,7 +164,9 @@ class Supervisor:
                 self._beating = [False] * len(self._listeners)
             if stalled or self._quiet_ns is None:
                 self._quiet_ns = now_ns
-        if armed or seen.claim is None or seen.claim.state not in CONTROLLED:
+        # Drives take their time to be enabled, and are sent no torque meanwhile.
+        enabling = state == State.REFERENCING and not seen.mille.any()
+        if armed or enabling or state not in CONTROLLED:
             self._agreed_ns = now_ns
         self._fall_silent_where_deaf(now_ns, armed)
         silent = bool(seen.measured_age.min() > self.settings.quiet_s * 1e3)

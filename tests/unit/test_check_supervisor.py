@@ -146,7 +146,7 @@ def test_bounds_that_are_far_beyond_the_envelope(key: str, most: float) -> None:
         ("control__stop__passive_tension", 45.0),
         ("control__isolation__tension_error", 22.5),
         ("control__isolation__tension_error_s", 0.25),
-        ("control__envelope__over_tension_ticks", 20),
+        ("control__envelope__over_tension_ticks", 5),
         ("control__tension__slack", 2.41),
         ("supervisor__stop_s", 80.0),
         ("supervisor__frozen_rate", 0.06),
@@ -227,11 +227,8 @@ def test_poses_that_a_small_robot_does_not_have() -> None:
         ("supervisor__tension_stopping", 220.0),
         ("supervisor__contact_stopping", 27.5),
         ("supervisor__contact_at_once", 35.0),
-        ("supervisor__speed_stopping", 0.275),
-        ("supervisor__rotation_stopping", 1.5),
-        ("supervisor__stop_s", 29.5),
-        ("supervisor__stale_ms", 8.0),
-        ("supervisor__patience_ms", 4.0),
+        ("supervisor__speed_stopping", 1.5),
+        ("supervisor__rotation_stopping", 3.0),
     ],
 )
 def test_bounds_that_would_stop_a_daemon_that_is_right(key: str, least: float) -> None:
@@ -239,6 +236,43 @@ def test_bounds_that_would_stop_a_daemon_that_is_right(key: str, least: float) -
         config, _ = load("config/can.yaml", overrides={key.replace("__", "."): value, "lab": None})
         found = [each.where for each in check_supervisor(config) if not each.ok]
         assert (key.replace("__", ".") not in found) is fine
+
+
+def test_bounds_that_a_robot_in_order_may_reach() -> None:
+    config, _ = load("config/can.yaml", overrides={"lab": None})
+    braked, _ = load("config/braked.yaml", overrides={"lab": None})
+    for key, least, robot, others in (
+        ("axis_torque_ms", 22.0, config, {}),
+        ("axis_torque_ms", 32.0, config, {"stale_ms": 30.0}),
+        ("disarmed_ms", 8.0, config, {}),
+        ("disarmed_ms", 28.0, braked, {}),
+        ("stopping_ms", 100.0, config, {}),
+        ("window_ms", 8.0, config, {}),
+        ("opposed_ms", 10.0, config, {}),
+        ("opposed_error", 1.0, config, {}),
+        ("frozen_frames", 3, config, {}),
+        ("frozen_rate", 0.01, config, {}),
+        ("frozen_tension", 0.02, config, {}),
+        ("logged_ticks", 2, config, {}),
+        ("margin", 1.05, config, {}),
+        ("rotation", 0.3, config, {}),
+        ("rotation_stopping", 3.0, config, {}),
+        ("rotation_stopping", 3.2, config, {"rotation": 3.2}),
+        ("speed_stopping", 1.5, config, {}),
+        ("unexplained_force", 45.0, config, {}),
+        ("opposed_force", 45.0, config, {}),
+        ("logged_tension", 6.75, config, {}),
+        ("opposed_long_force", 13.5, config, {}),
+        ("opposed_long_error", 4.5, config, {}),
+        ("answered_torque", 2.25, config, {}),
+        ("passive_torque", 1.125, config, {}),
+    ):
+        assert robot.supervisor is not None
+        for value, count in ((least * 0.999, 1), (least, 0)):
+            settings = robot.supervisor.model_copy(update={**others, key: value})
+            given = robot.model_copy(update={"supervisor": settings})
+            found = [each.where for each in check_supervisor(given) if not each.ok]
+            assert found.count(f"supervisor.{key}") == count
 
 
 def test_drives_that_wait_for_less_than_its_period_allows() -> None:

@@ -48,6 +48,8 @@ def test_what_neither_tension_nor_motion_explain(config: Config) -> None:
             if k < 16:
                 assert np.isnan(found.unexplained).all()
     assert found.rate == pytest.approx(acceleration * 0.037, rel=0.02)
+    mass = np.array([axis.mass for axis in stage.wiring.axes])
+    assert found.momentum == pytest.approx(mass * found.rate)
     assert np.abs(found.unexplained).max() < 2.0
     assert other.unexplained == pytest.approx(100.0, abs=2.5)
     assert found.tension == pytest.approx(force)

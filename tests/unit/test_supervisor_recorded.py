@@ -15,6 +15,7 @@ from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
+from tonus.runtime.supervisor.judge import CONTROLLED
 from tonus.runtime.supervisor.record import Claim, New, claims
 from tonus.runtime.supervisor.recorded import RecordedWiring, Replayed
 from tonus.runtime.supervisor.supervisor import Supervisor
@@ -530,6 +531,24 @@ def test_a_controlled_robot_without_drives_releases_the_relay(held: Held) -> Non
     assert all(sent == [BEAT, HELD] for sent in held.steps(100))
     assert all(sent == [BEAT, HELD] for sent in held.steps(24, undriven))
     assert [RELEASED] in list(held.steps(3, undriven))
+
+
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("torque", [0.0, 0.1])
+def test_drives_that_take_long_to_be_enabled(held: Held, state: State, torque: float) -> None:
+    """The daemon waits for them while it is referencing, and sends no torque until they are."""
+
+    def waiting(record: Any) -> None:
+        disarmed(record)
+        record["state"]["state"] = state
+        record["drives"]["torque_command"][3] = torque
+
+    list(held.steps(160, disarmed))
+    sent = list(held.steps(400, waiting))
+    waits = state not in CONTROLLED or (state is State.REFERENCING and torque == 0.0)
+    assert (sent == [[BEAT, HELD]] * 400) is waits
+    assert waits or sent[:25] == [[BEAT, HELD]] * 25
+    assert waits or sent[27:] == [[]] * 373
 
 
 def test_a_controlled_robot_without_drives_from_the_first_record_on(held: Held) -> None:

@@ -10,6 +10,7 @@ import pytest
 from tests.unit.supervisor_setup import (
     STRICT,
     N,
+    at,
     lasting,
 )
 from tonus.config import Config, load
@@ -62,6 +63,27 @@ def test_the_speed_does_not_depend_on_the_order_of_the_drives(config: Config) ->
     assert found[0] is not None
     assert found[1] is not None
     assert found[1].value == pytest.approx(found[0].value)
+
+
+@pytest.mark.parametrize(
+    ("powered", "tension", "found"),
+    [(False, 4.9, False), (False, 5.0, True), (True, 4.9, True), (False, np.nan, True)],
+)
+def test_a_drum_that_nothing_holds(
+    config: Config, powered: bool, tension: float, found: bool
+) -> None:
+    """Without power and with a slack cable: it may turn as it will, and the others tell."""
+    others = at(2, 0.0, 1.0) > 0.0
+    given = {"enabled": others | powered, "tension": at(2, tension, 45.0)}
+    for order in (np.arange(N), np.array([0, 4, 1, 5, 2, 6, 3, 7])):
+        turned = {key: value[order] for key, value in given.items()}
+        look = {"rate": at(2, -9.0)[order], "axes": order, **turned}
+        verdict = lasting(config, 110.0, State.SAFE_STOP, **look)
+        assert (verdict and verdict.requirement) == (Requirement.SPEED if found else None)
+        fast = {"rate": np.where(order < 4, -4.0, 4.0)}
+        rising = lasting(config, 110.0, State.SAFE_STOP, **look | fast)
+        assert rising is not None, "seven drums are enough"
+        assert rising.requirement is Requirement.SPEED
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.12])

@@ -310,6 +310,32 @@ def test_a_small_torque_against_the_reference_that_lasts(
         assert (judged(config, *looks)[1] is not None) is expected
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0], ids=["less", "more"])
+@pytest.mark.parametrize(
+    ("pull", "momentum", "found"),
+    [
+        *((29.9, 0.2, False), (29.9, 0.19, True), (29.9, 0.0, True), (29.9, -0.2, True)),
+        *((29.9, np.nan, True), (19.9, -0.2, False)),
+    ],
+)
+def test_a_torque_that_brakes_a_drum(
+    config: Config, way: float, pull: float, momentum: float, found: bool
+) -> None:
+    """It turns the way that its tension has to go: 30 N beside the torque that would hold it, less
+    those 10 N that would stop it in 20 ms, are the 20 N that may last."""
+    tension = 53.5 - 9.0 * way
+    given = {"tension": at(5, tension, 53.5), "torque": at(5, tension - pull * way, 53.5)}
+    for state, mode in ((State.ACTIVE, StopMode.NONE), (State.SAFE_STOP, StopMode.ON_PATH)):
+        said = claim(state, tension=given["tension"], reference=np.full(N, 53.5), stop_mode=mode)
+        looks = [
+            seen(at_ms, replace(said, at_ns=round(at_ms * MS)), momentum=at(5, way * momentum))
+            for at_ms in (100.0, 120.0)
+        ]
+        verdict = judged(config, *(replace(look, **given) for look in looks))[1]
+        assert (verdict is not None) is found
+        assert verdict is None or verdict.requirement is Requirement.OPPOSED
+
+
 @pytest.mark.parametrize("state", [*CONTROLLED, State.SAFE_STOP])
 @pytest.mark.parametrize("error", [30.5, -30.5, 29.5])
 def test_a_tension_that_stays_away_from_its_reference(

@@ -14,6 +14,8 @@ from tonus.config.schema.supervisor import (
     LARGEST,
     LARGEST_SHARES,
     LARGEST_SPREAD,
+    SMALLEST,
+    SMALLEST_SHARES,
     Supervisor,
 )
 from tonus.runtime.supervisor.wiring import Wiring
@@ -107,7 +109,7 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
         ("control.stop.passive_tension", control.stop.passive_tension, tension.pre, 1.0),
         ("control.isolation.tension_error", isolation.tension_error, tension.pre, 0.5),
         ("control.isolation.tension_error_s", isolation.tension_error_s, _DRIFTING_S, 1.0),
-        ("control.envelope.over_tension_ticks", slack_ms, settings.patience_ms, 4.0),
+        ("control.envelope.over_tension_ticks", slack_ms, settings.patience_ms, 1.0),
         ("sto_relay.heartbeat_ms", relay_ms, settings.timeout_ms, 2.0),
     ):
         if value > times * bound:
@@ -152,40 +154,46 @@ def _narrow(config: Config, settings: Supervisor) -> Iterator[Finding]:
     tick_ms = control.rates.period * 1e3
     margin = settings.margin
     stop_s = sequence.hold_s + sequence.lower_s + control.stop.passive_s + control.stop.landing_s
-    for name, least, why in (
+    stale_ms = (freshness.stale_stop_ticks + 1) * tick_ms + settings.period_ms
+    missed_ms = (config.realtime.overrun_ticks + 1) * tick_ms
+    brakes = [train.brake.closing_ms for train in config.robot.drive_trains if train.brake]
+    shares = {name: share * control.tension.pre for name, share in SMALLEST_SHARES.items()}
+    least: dict[str, tuple[float, str]] = {}
+    for name, value, why in (
+        *((each, value, "what one may reach") for each, value in (SMALLEST | shares).items()),
+        (
+            "axis_torque_ms",
+            settings.stale_ms + settings.period_ms,
+            "when a channel without answers loses its heartbeat alone (stale_ms and a look)",
+        ),
+        ("disarmed_ms", stale_ms + max(brakes, default=0.0), "what drives and brakes take"),
         ("tension_stopping", margin * control.tension.max, "the bound of a controlled robot"),
         ("contact_stopping", margin * envelope.contact_limit, "the bound of a controlled robot"),
         ("contact_at_once", settings.contact_stopping, "contact_stopping"),
         ("speed_stopping", margin * envelope.speed_limit, "the bound of a controlled robot"),
         ("rotation_stopping", settings.rotation, "rotation"),
         ("stop_s", stop_s, "what a stop that waits and then fails may take"),
-        (
-            "patience_ms",
-            (config.realtime.overrun_ticks + 1) * tick_ms,
-            "what the daemon may miss (realtime.overrun_ticks)",
-        ),
-        (
-            "stale_ms",
-            (freshness.stale_stop_ticks + 1) * tick_ms + settings.period_ms,
-            "when the daemon stops for it (control.freshness.stale_stop_ticks)",
-        ),
+        ("patience_ms", missed_ms, "what the daemon may miss (realtime.overrun_ticks)"),
+        ("stale_ms", stale_ms, "when the daemon stops for it (control.freshness.stale_stop_ticks)"),
     ):
+        least[name] = max((value, why), least.get(name, (value, why)))
+    for name, (bound, why) in least.items():
         value = getattr(settings, name)
-        if value < least:
-            text = f"{value:g} is less than {why}, {least:g}: it would stop a robot in order"
+        if value < bound:
+            text = f"{value:g} is less than {why}, {bound:g}: it would stop a robot in order"
             yield Finding(
-                "supervisor", False, f"{_KEY}.{name}", text, f"set it to at least {least:g}"
+                "supervisor", False, f"{_KEY}.{name}", text, f"set it to at least {bound:g}"
             )
     yield from _ranges(config, settings)
-    cutoff, least = control.filters.force_cutoff_hz, _least_cutoff(config, settings)
-    if cutoff < least:
+    cutoff, bound = control.filters.force_cutoff_hz, _least_cutoff(config, settings)
+    if cutoff < bound:
         yield Finding(
             "supervisor",
             False,
             "control.filters.force_cutoff_hz",
             f"with {cutoff:g} Hz a recorded contact is more than logged_tension behind the one on "
             "the bus for longer than patience_ms: SUP-11 would stop a robot in order",
-            f"set it to at least {least:g}",
+            f"set it to at least {bound:g}",
         )
 
 
