@@ -177,8 +177,10 @@ class ControlCycle:
             self._torque,
             self._drum_rate,
             self._allocation.reference,
+            self._descent.taking_up,
             skipped=self._skipped != 0,
         )
+        self._descent.taking_up[:] = False
         if sequence.passive_share >= 0.0:
             self._give_way(image)
             return

@@ -18,6 +18,7 @@ from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.safety.witness import Witness
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 class CrossCheck:
@@ -34,27 +35,37 @@ class CrossCheck:
     ) -> None:
         self._sensing, self._sequence, self._referencing = sensing, sequence, referencing
         self._estimator, self._isolation, self._witness = estimator, isolation, witness
-        self._before: tuple[Array, Array, Array, bool] | None = None
+        self._before: tuple[Array, Array, Array, Mask, bool] | None = None
         """from `begin` to `finish`"""
 
-    def begin(self, torque: Array, following: Array, reference: Array, *, skipped: bool) -> None:
+    def begin(
+        self,
+        torque: Array,
+        following: Array,
+        reference: Array,
+        taking_up: Mask,
+        *,
+        skipped: bool,
+    ) -> None:
         """Of the tick before, which this one writes over: torques (n,) N m, the rates (n,) rad/s at
         which drums would follow the platform, and tension references (n,) N, of which each tick has
-        an array of its own; ``skipped``: ticks between the two were missed."""
-        self._before = (torque.copy(), following.copy(), reference, skipped)
+        an array of its own; ``taking_up`` (n,): drums of given-up cables that took up slack;
+        ``skipped``: ticks between the two were missed."""
+        self._before = (torque.copy(), following.copy(), reference, taking_up.copy(), skipped)
 
     def finish(self, image: ProcessImage) -> None:
         """Nothing where control has not come as far as `begin`."""
         if self._before is None:
             return
-        torque, following, reference, skipped = self._before
+        torque, following, reference, taking_up, skipped = self._before
         self._before = None
         sensing, sequence, estimator = self._sensing, self._sequence, self._estimator
         failed = sequence.faults.failed
         self._isolation.drums.step(
             image,
             sensing,
-            failed,
+            # Driven by what its cell and encoder say, one that is given up may run away by them.
+            failed & ~taking_up,
             torque,
             following,
             skipped=skipped,

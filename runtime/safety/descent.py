@@ -93,6 +93,10 @@ class Descent:
         self._felt = np.zeros(robot.cables)
         self._paying = np.zeros(robot.cables, dtype=bool)
         """(n,) cables that pull more than they are asked for, after one was torn"""
+        self._pushing = np.zeros(robot.cables, dtype=bool)
+        """(n,) cables that push by their cells, which no cable can: they may well be taut"""
+        self.taking_up = np.zeros(robot.cables, dtype=bool)
+        """(n,) given-up cables whose slack was taken up in this tick, by their cells and drums"""
         self._release = math.exp(-period / control.stop.release_s)
         self._low, self._high = np.zeros(robot.cables), np.zeros(robot.cables)
         self._load = np.zeros(3)
@@ -126,6 +130,7 @@ class Descent:
         if not faults.count or not faults.failed.any():
             self._most[:] = tension
             return tension
+        self._pushing[:] = tension < -0.5 * self._stop.taut_tension
         self._most[~faults.failed] = tension[~faults.failed]
         self._most[faults.let_go] *= self._release
         damping = faults.damping
@@ -197,9 +202,13 @@ class Descent:
         """The tension loop's torques (n,) made safe in place, at drum rates (n,) rad/s;
         ``following``: the rates that would follow the platform, ``desired``: those that the loop
         damps against; ``damping`` (n,): drums of given-up cables that damp by themselves, since a
-        drum without a torque lets its cable go slack, and snap taut under a heavy drum."""
+        drum without a torque lets its cable go slack, and snap taut under a heavy drum. They go on
+        damping if the cell says that the cable pushes: it does not tell a slack one, and a drum
+        that takes up a taut one would pull the platform along."""
         _paid_out(following, desired, self._paying & usable, self.loop.damping, torque)
         if damping.any():
             torque[damping] = self.guard.passive(rate, damping)[damping]
-        self.guard.take_up(torque, rate, following, (usable | damping) & ~self.taut)
+        slack = (usable | damping) & ~self.taut & ~(damping & self._pushing)
+        self.taking_up[:] = damping & slack
+        self.guard.take_up(torque, rate, following, slack)
         self.guard.bound(torque, rate, usable | damping)

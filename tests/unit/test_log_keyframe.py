@@ -60,7 +60,7 @@ def test_rows_stay_rows_of_their_tables(run: Run) -> None:
     """A kernel is handed a table, and everything else reads a row of it."""
     restored = owners(restore(run.taken[State.ACTIVE][1], run.fresh()))
     assert owners(run.loop.cycle) == restored
-    assert len(set(restored.values())) < len(restored) / 2
+    assert sum(owner != path for path, owner in restored.items()) > 50
 
 
 def owners(cycle: ControlCycle) -> dict[str, str]:
