@@ -65,8 +65,8 @@ class Heard:
     """What was received under one identifier: the newest data, when it was read, how many frames,
     how many of them in a row had the first number of the one before, or all its data where they
     have none, the sum of each number, the frames of a drive that had power, or in which it was told
-    to have it; of a command all this counts where it acts. And the first number of each frame since `numbers` was emptied last,
-    whether it acted or not."""
+    to have it; of a command all this counts where it acts. And the first number of each frame since
+    `numbers` was emptied last, whether it acted or not."""
 
     __slots__ = (
         "_newest",

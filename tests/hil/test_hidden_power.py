@@ -286,12 +286,24 @@ def test_power_for_a_silent_drive_on_ethercat(monkeypatch: pytest.MonkeyPatch) -
     assert run.off_ms <= 84.0, "power from tick 80 on"
 
 
+def _by_turns(tick: int) -> int:
+    return 0x0F if tick % 2 else 0x07
+
+
+def _now_and_then(tick: int) -> int:
+    return 0x0F if tick % 18 == 5 else 0x07
+
+
+def _from_off_to_off(tick: int) -> int:
+    phase = (tick - 34) % 18
+    return 0x06 if phase == 3 else 0x0F if 4 <= phase <= 14 else 0x00
+
+
 @pytest.mark.parametrize(
-    ("every", "powered"),
-    [(2, lambda tick: tick % 2), (18, lambda tick: tick % 18 < 11), (18, lambda t: t % 18 == 5)],
+    ("every", "word"), [(2, _by_turns), (18, _now_and_then), (18, _from_off_to_off)]
 )
 def test_power_between_answers(
-    monkeypatch: pytest.MonkeyPatch, every: int, powered: Callable[[int], bool]
+    monkeypatch: pytest.MonkeyPatch, every: int, word: Callable[[int], int]
 ) -> None:
     """Drives that were told to answer every second SYNC, or every eighteenth, and have power only
     where no answer shows it."""
@@ -302,7 +314,7 @@ def test_power_between_answers(
                 return 0, 0
             if tick < 100:
                 return (0x06, 0) if tick < 70 else (0x07, 0)
-            return (0x0F, 1990 + tick % 3) if powered(tick) else (0x07, 0)
+            return word(tick), (1990 + tick % 3) * (word(tick) == 0x0F)
 
     def steps(tick: int, node: int) -> tuple[int, bytes] | None:
         return {
