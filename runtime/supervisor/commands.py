@@ -77,21 +77,21 @@ class Commands:
 
     def __init__(self, told: list[Told], own: list[Own]) -> None:
         self._told, self._own = told, own
-        self.powers = False
-        """a controlword was among what was found last, which no daemon in order writes"""
+        self.led: list[int] = []
+        """where a controlword was among what was found last, which no daemon in order writes"""
 
     def __call__(self) -> Violation | None:
         """An NMT command but to start, or a download but to switch the power off, by a stranger or
         by the daemon, which does so only while no drive is enabled; or a stranger's frame under an
         identifier of the supervisor's own."""
         found = None
-        self.powers = False
+        self.led = []
         for each in self._told:
             for word in map(int, each.requests.numbers):
                 if word & 0xE0 in _WRITES and word != _POWER_OFF:
                     index = word >> 8 & 0xFFFF
                     found = Violation(Requirement.COMMANDED, each.where, index)
-                    self.powers |= index == _CONTROLWORD
+                    self.led += [each.where] * (index == _CONTROLWORD)
             for word in map(int, each.commands.numbers):
                 code, node = word & 0xFF, word >> 8 & 0xFF
                 if code != _START and node in (_EVERY_NODE, each.node):

@@ -27,6 +27,10 @@ STATE, _QUICK_STOP_ACTIVE, OPERATION_ENABLED = 0x6F, 0x07, 0x27
 """CiA 402, statusword"""
 _STARTABLE = frozenset((0x21, 0x23))
 """ready to switch on, and switched on: a controlword alone leads to power"""
+_FAULT_STATE, _FAULTS = 0x4F, frozenset((0x08, 0x0F))
+"""fault, and the reaction to it"""
+_ENABLE = 0x0F
+"""of a controlword (CiA 402)"""
 _COMMUNICATION = (0x81, 0x82)
 """CiA 301, error codes 0x81xx and 0x82xx: the bus is wrong, not what is measured"""
 _POWERED = frozenset((OPERATION_ENABLED, _QUICK_STOP_ACTIVE))
@@ -38,9 +42,9 @@ _LONGEST = 8
 
 class Watched(NamedTuple):
     """An identifier, the length its frames must have, the numbers that are summed, and the
-    statusword where it is a drive's. A ``command`` may be longer: a drive acts on the part that it
-    maps (CiA 301), of the newest at the next frame under ``sync``, where that is not 0. Of
-    ``errors``, emergency frames, those about the bus are left out."""
+    statusword or controlword where it is a drive's. A ``command`` may be longer: a drive acts on
+    the part that it maps (CiA 301), of the newest at the next frame under ``sync``, where that is
+    not 0. Of ``errors``, emergency frames, those about the bus are left out."""
 
     identifier: int
     size: int
@@ -49,6 +53,7 @@ class Watched(NamedTuple):
     command: bool = False
     errors: bool = False
     sync: int = 0
+    controlword: Value | None = None
 
     @property
     def sizes(self) -> range:
@@ -59,13 +64,14 @@ class Watched(NamedTuple):
 class Heard:
     """What was received under one identifier: the newest data, when it was read, how many frames,
     how many of them in a row had the first number of the one before, or all its data where they
-    have none, the sum of each number, the frames of a drive that had power; of a command all this
-    counts where it acts. And the first number of each frame since `numbers` was emptied last,
-    whether it acted or not."""
+    have none, the sum of each number, the frames of a drive that had power, or in which it was told
+    to have it; of a command all this counts where it acts. And the first number of each frame since
+    `numbers` was emptied last, whether it acted or not."""
 
     __slots__ = (
         "_newest",
         "at_ns",
+        "controlword",
         "count",
         "numbers",
         "on",
@@ -76,8 +82,13 @@ class Heard:
         "word",
     )
 
-    def __init__(self, values: tuple[Value, ...], statusword: Value | None = None) -> None:
-        self.values, self.statusword = values, statusword
+    def __init__(
+        self,
+        values: tuple[Value, ...],
+        statusword: Value | None = None,
+        controlword: Value | None = None,
+    ) -> None:
+        self.values, self.statusword, self.controlword = values, statusword, controlword
         self.word = self.at_ns = self.count = self.same = self.on = 0
         self._newest: float | None = None
         self.totals = [0.0] * len(values)
@@ -94,6 +105,17 @@ class Heard:
         """By the newest statusword."""
         found = self.statusword
         return found is not None and self.word >> found.shift & STATE in _STARTABLE
+
+    @property
+    def failed(self) -> bool:
+        """By the newest statusword: no command but a reset leads out of it."""
+        found = self.statusword
+        return found is not None and self.word >> found.shift & _FAULT_STATE in _FAULTS
+
+    @property
+    def enables(self) -> bool:
+        """By the newest controlword."""
+        return self.controlword is not None and _enables(self.word, self.controlword)
 
     @property
     def reports_error(self) -> bool:
@@ -118,6 +140,8 @@ class Heard:
         self.count += len(words)
         if self.statusword is not None:
             self.on += sum(_powered(word, self.statusword) for word in words)
+        if self.controlword is not None:
+            self.on += sum(_enables(word, self.controlword) for word in words)
         for place, numbers in enumerate(found):  # the sum is for ever
             known = (number for number in numbers if abs(number) <= _LARGEST_NUMBER)
             self.totals[place] = sum(known, self.totals[place])
@@ -183,7 +207,8 @@ class Listener:
         self._commands: list[_Command] = []
         self._synced: dict[int, list[_Command]] = {}
         for each in watched:
-            heard = (Errors if each.errors else Heard)(each.values, each.statusword)
+            kind = Errors if each.errors else Heard
+            heard = kind(each.values, each.statusword, each.controlword)
             self.heard[each.identifier] = heard
             words: list[int] = []
             if each.sync:
@@ -219,6 +244,10 @@ class Listener:
 
 def _powered(word: int, statusword: Value) -> bool:
     return word >> statusword.shift & STATE in _POWERED
+
+
+def _enables(word: int, controlword: Value) -> bool:
+    return word >> controlword.shift & _ENABLE == _ENABLE
 
 
 def _fetch(bus: can.BusABC) -> Fetch:

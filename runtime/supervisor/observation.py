@@ -22,6 +22,10 @@ _TICKS = 1.5
 """by which the time between two answers may differ from what their number says"""
 _UNANSWERED = 4
 """ticks without an answer: sampled, read, recorded and looked at, each may take one"""
+_SETTLED = 2
+"""answers after a look, of which one at least is of after each SYNC in it"""
+_LONG_AGO = -1 << 62
+"""ns"""
 _ABSENT = Heard(())
 """of a cell that there is not"""
 Listened = Mapping[tuple[str, int], Heard]
@@ -36,8 +40,9 @@ class Observation:
     axes: NDArray[np.int64]
     """numbers"""
     enabled: NDArray[np.bool_]
-    """powered by any statusword since the last look, or by the newest; or told to be, in a state
-    that leads to it"""
+    """powered by any statusword since the last look, or by the newest; or told to be"""
+    told: NDArray[np.bool_]
+    """told to be lately, and no answer since says otherwise"""
     measured_age: Floats
     """ms since the drive's last PDO"""
     channel_age: Floats
@@ -142,9 +147,15 @@ class Observer:
         self._sent: list[set[float]] = [set() for _ in wiring.axes]
         """to each axis in the look before, per mille"""
         self._samples: deque[_Sample] = deque()
+        self._rates = np.zeros(len(wiring.axes))
+        """m/s, the last that were known"""
         self._since = _Since(len(wiring.axes))
-        self._on = np.zeros(len(wiring.axes), np.int64)
-        """frames of each axis in which it had power"""
+        self._unread = np.array([axis.controlword is None for axis in wiring.axes], bool)
+        """it is not known what the drive is told"""
+        self._on = self._told_on = np.zeros(len(wiring.axes), np.int64)
+        """frames of each axis in which it had power, or was told to have it"""
+        self._told = np.full((2, len(wiring.axes)), _LONG_AGO)
+        """when a command acted last that gives power, and how many answers there were by then"""
 
     def __call__(self, now_ns: int, heard: Listened, claims: list[Claim]) -> Observation:
         if claims:
@@ -166,14 +177,8 @@ class Observer:
         enabled = np.array([each.powered for each in received], bool)
         before, self._on = self._on, np.array([each.on for each in received], np.int64)
         enabled |= self._on > before
-        # A statusword is of before the SYNC that it answers: it may have power since. Where it is
-        # not known what a drive is told, one that answers no more may.
-        late_ns = now_ns - _UNANSWERED * self._tick_ns
-        enabled |= [
-            answer.startable
-            and (answer.at_ns < late_ns if axis.controlword is None else axis.enables(told.word))
-            for axis, told, answer in zip(self._axes, sent, received, strict=True)
-        ]
+        told, waiting = self._powers(now_ns, sent, received, mille)
+        enabled |= told | waiting
         lately = [
             each.numbers or [each_mille]
             for each, each_mille in zip(sent, mille.tolist(), strict=True)
@@ -187,6 +192,7 @@ class Observer:
             now_ns,
             self._numbers,
             enabled,
+            told,
             measured_age,
             np.where(self._together, measured_age, np.inf).min(axis=1),
             _ages(now_ns, sent),
@@ -211,6 +217,28 @@ class Observer:
             *self._compared(sent, mille, len(claims)),
             np.ones(len(enabled), bool),
         )
+
+    def _powers(
+        self, now_ns: int, sent: list[Heard], received: list[Heard], mille: NDArray[np.int64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Drives that were told to have power by whatever acted, until two answers later than that
+        look say otherwise: the first may be of before the SYNC on which it acted. And those in a
+        state that leads to power which hold such a command. Where it is not known what a drive is
+        told, one that answers no more is the first if it is sent a torque, and the second whatever
+        it is sent. A drive in fault that answers is not the first."""
+        on, answers, at_ns, acted_ns = np.array(
+            [(s.on, r.count, r.at_ns, s.at_ns) for s, r in zip(sent, received, strict=True)]
+        ).T
+        gave = on > self._told_on
+        self._told_on = on
+        self._told[0, gave], self._told[1, gave] = now_ns, answers[gave]
+        lately_ns = now_ns - self._settings.stale_ms * 1e6
+        late = at_ns < now_ns - _UNANSWERED * self._tick_ns
+        told = (self._told[0] > lately_ns) & (answers < self._told[1] + _SETTLED)
+        told = np.where(self._unread, late & (mille != 0) & (acted_ns > lately_ns), told)
+        told &= late | [not each.failed for each in received]
+        holds = np.where(self._unread, late, [each.enables for each in sent])
+        return told, holds & [each.startable for each in received]
 
     def _compared(
         self, sent: list[Heard], mille: NDArray[np.int64], new: int
@@ -271,15 +299,19 @@ class Observer:
             samples.popleft()
 
     def _moved(self, tared: Floats | None) -> tuple[Floats, Floats, Floats]:
-        """Rates since the look before, of a drum whose answers are missing 0; over the window, what
-        of the mean torque neither the mean tension nor the drum's change of motion explains, which
-        is not known of such a drum, and that mean."""
+        """Rates since the look before, of a drum whose answers are missing the last one for
+        ``patience_ms`` and then 0; over the window, what of the mean torque neither the mean
+        tension nor the drum's change of motion explains, which is not known of such a drum, and
+        that mean."""
         samples = self._samples
         nothing = np.full(len(self._axes), np.nan)
         if len(samples) < 3:
             return nothing, nothing, nothing
         first, second, before, last = samples[0], samples[1], samples[-2], samples[-1]
-        rate = np.where(np.isnan(last.rate) & np.isfinite(last.length), 0.0, last.rate)
+        self._rates = np.where(np.isnan(last.rate), self._rates, last.rate)
+        recent = last.at_ns - last.read_ns <= self._settings.patience_ms * 1e6
+        held = np.where(recent, self._rates, 0.0)
+        rate = np.where(np.isnan(last.rate) & np.isfinite(last.length), held, last.rate)
         if last.at_ns - first.at_ns < self._settings.window_ms * 1e6:
             return rate, nothing, nothing
         apart_s = (last.at_ns + before.at_ns - second.at_ns - first.at_ns) * 0.5e-9

@@ -86,6 +86,9 @@ class Supervisor:
         self._tick = -1
         self._booted = np.zeros(len(self._axes), bool)
         """drives that have booted since their last measurement"""
+        self._led = np.zeros(len(self._axes), bool)
+        """drives that were told beside their process data to have power, until they answer that
+        they are off"""
         self._agreed_ns = 0
         """when record and statuswords agreed last whether the robot is controlled"""
         self._listeners: list[Listener] = []
@@ -152,6 +155,10 @@ class Supervisor:
         present = seen.measured_age < self.settings.stale_ms
         state = None if seen.claim is None else seen.claim.state
         seen.enabled &= present | self._alive(seen) | (not present.any()) | (state in ARMED)
+        # Nobody in order tells a drive to have power that was pulled.
+        seen.enabled |= seen.told
+        self._led |= np.isin(seen.axes, self._commands.led)
+        self._led &= seen.enabled | (seen.measured_age > 0.0)
         armed = bool(seen.enabled.any())
         self._judge.note(seen.claims)
         if armed:
@@ -188,7 +195,7 @@ class Supervisor:
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
         seen.beating = np.array(self._beating)[self._channel_of]
         seen.enabled &= seen.beating
-        if seen.enabled.any() or self._commands.powers:
+        if seen.enabled.any() or self._commands.led:
             found = self._late(now_ns) or commanded or self._judge(seen)
             if found is not None and found.alone:
                 self._beating[self._channel_of[seen.axes == found.where].item()] = False
@@ -252,12 +259,14 @@ class Supervisor:
         self._tell(0, self._output, _HELD if self._holds else _RELEASED)
 
     def _begin_watches(self, now_ns: int, seen: Observation) -> None:
-        """Drives that keep power although they get no heartbeat have heard none since they were
-        started, or reset: a single one begins their watch (CiA 301). The next one comes when that
-        is over, so that no drive is held, and later where the last one waits still, or was lost."""
+        """Drives that keep power although they get no heartbeat, or were told to beside their
+        process data, have heard none since they were started, or reset: a single one begins their
+        watch (CiA 301). The next one comes when that is over, so that no drive is held, and later
+        where the last one waits still, or was lost."""
         for place, beating in enumerate(self._beating):
             since_ns = self._unwatched_ns[place]
-            if beating or not seen.enabled[self._channel_of == place].any():
+            powered = (seen.enabled | self._led) & (self._channel_of == place)
+            if beating or not powered.any():
                 self._unwatched_ns[place] = None
             elif since_ns is None:
                 self._unwatched_ns[place] = now_ns
@@ -387,7 +396,8 @@ def _watched(wiring: Wiring, channel: str) -> list[Watched]:
     found = told_by(sorted(request - REQUEST for request in requests))
     for axis in axes:
         values = (axis.torque,)
-        found.append(Watched(axis.sent, axis.sent_bytes, values, command=True, sync=axis.sync))
+        told = Watched(axis.sent, axis.sent_bytes, values, command=True, sync=axis.sync)
+        found.append(told._replace(controlword=axis.controlword))
         found.append(Watched(axis.received, axis.received_bytes, (), axis.statusword))
         found.append(Watched(axis.heartbeat, 1, (_STATE,)))
     forces: dict[int, tuple[int, list[Value]]] = {}

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from tonus.config.schema.axis import Motor
-from tonus.config.schema.bus import CanopenBus
+from tonus.config.schema.bus import Amplifier, CanopenBus, ForceCell
 from tonus.config.schema.root import Config
 
 _SYNC = 0x080
 _EMERGENCY, _TPDO, _RPDO, _REQUEST, _HEARTBEAT = 0x080, 0x180, 0x200, 0x600, 0x700
 _CONTROLWORD, _STATUSWORD, _POSITION, _TARGET_TORQUE = 0x6040, 0x6041, 0x6064, 0x6071
-_ENABLE = 0x0F
-"""of a controlword (CiA 402)"""
 _REAL_VALUE = 0x6130
 _PROCESS_VALUES = (_REAL_VALUE, 0x7130, 0x9130)
 _REAL = struct.Struct("<f")
@@ -79,11 +77,6 @@ class Axis:
     """identifier under which its objects are read and written (SDO), the same way"""
     controlword: Value | None = None
     """in what the drive is sent, the same way"""
-
-    def enables(self, word: int) -> bool:
-        """Whether the drive is told to have power."""
-        told = self.controlword
-        return told is not None and int(told.number(word)) & _ENABLE == _ENABLE
 
 
 @dataclass(frozen=True)
@@ -151,16 +144,16 @@ class Wiring:
                 )
             for node in channel.force_cells:
                 mapping = bus.force_cell.mapping(len(node.cells))
-                for entry, number in zip(_process_values(mapping), node.cells, strict=False):
-                    real = entry >> 16 == _REAL_VALUE
+                forces = forces_of(bus.force_cell, len(node.cells))
+                for (force, newton), number in zip(forces, node.cells, strict=False):
                     self.cells.append(
                         Cell(
                             number,
                             channel.name,
                             _TPDO + node.node_id,
                             _bytes(mapping),
-                            _value(mapping, entry >> 16, entry >> 8 & 0xFF),
-                            1.0 if real else 10.0**-bus.force_cell.decimal_digits,
+                            force,
+                            newton,
                             _EMERGENCY + node.node_id,
                             _HEARTBEAT + node.node_id,
                             _REQUEST + node.node_id,
@@ -173,8 +166,17 @@ def limit_of(motor: Motor) -> int:
     return math.floor(1e3 * motor.current_limit / motor.nominal_current)
 
 
-def _process_values(mapping: Sequence[int]) -> Iterator[int]:
-    return (entry for entry in mapping if entry >> 16 in _PROCESS_VALUES)
+def forces_of(kind: ForceCell | Amplifier, cells: int) -> list[tuple[Value, float]]:
+    """Of each cell of a node: where its force is, and N for one unit."""
+    mapping, unit = kind.mapping(cells), 10.0**-kind.decimal_digits
+    return [
+        (
+            _value(mapping, entry >> 16, entry >> 8 & 0xFF),
+            1.0 if entry >> 16 == _REAL_VALUE else unit,
+        )
+        for entry in mapping
+        if entry >> 16 in _PROCESS_VALUES
+    ]
 
 
 def _value(mapping: Sequence[int], index: int, subindex: int = 0) -> Value:

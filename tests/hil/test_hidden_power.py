@@ -5,6 +5,8 @@ never controlled. As in `test_wrong_daemons.py`: in virtual time, on CAN.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import can
@@ -15,6 +17,7 @@ from tests.relayed import PATH, RelayRun
 from tests.supervised import BRIEF, DRIVES, Run, configured
 from tests.wrong_daemons import after, blind, both, opposite, torque_in_control
 from tonus.config.loader import load_scenario
+from tonus.config.schema.faults import Loss
 from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.canopen.channels import Channels
 from tonus.drivers.ethercat.master import EthercatFieldbus
@@ -128,35 +131,237 @@ def test_power_between_frames_on_ethercat(monkeypatch: pytest.MonkeyPatch) -> No
     assert run.off_ms < 150.0
 
 
+@dataclass
+class Commanded(Run):
+    """``steps``: by tick after the change, what each node of ``nodes`` is told beside its process
+    data: identifier without its number, and data."""
+
+    steps: Callable[[int, int], tuple[int, bytes] | None] = lambda *_: None
+    nodes: Sequence[int] = DRIVES
+    ticks: int = 0
+    powered_ms: int = 0
+    """ticks at the begin of which a drive has power"""
+
+    def _before_tick(self, playing: Any) -> None:
+        super()._before_tick(playing)
+        if not self.changed_ns:
+            return
+        self.powered_ms += any(drive.enabled for drive in playing.lab.drives)
+        self.ticks += 1
+        for node in self.nodes:
+            told = self.steps(self.ticks, node)
+            if told is not None:
+                message = can.Message(arbitration_id=told[0], data=told[1], is_extended_id=False)
+                self._buses[(node - 1) // 2].send(message)
+
+
+def written(node: int, index: int, subindex: int, value: int, size: int) -> tuple[int, bytes]:
+    """By SDO."""
+    head = {1: 0x2F, 2: 0x2B, 4: 0x23}[size], index & 0xFF, index >> 8, subindex
+    return 0x600 + node, bytes([*head, *value.to_bytes(4, "little")])
+
+
+def by_sdo(tick: int, node: int) -> tuple[int, bytes] | None:
+    """Power in pre-operational, where drives send no process data."""
+    objects = {5: (0x6040, 0x06), 8: (0x6040, 0x07), 11: (0x6071, 800), 14: (0x6040, 0x0F)}
+    if tick == 1:
+        return 0, bytes([0x80, node])
+    return written(node, objects[tick][0], 0, objects[tick][1], 2) if tick in objects else None
+
+
 def test_drives_that_are_enabled_by_sdo_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In pre-operational, where they send no process data; whoever does it."""
+    """Whoever does it."""
+    idle(monkeypatch)
+    config, scenario = configured(**BRIEF)[0], load_scenario("hold")
+    run = Commanded(config, scenario, state=State.STANDBY, at=0.5, steps=by_sdo)
+    stopped(run, run.play(0.3), Requirement.COMMANDED, 10.0)
 
-    class Commanded(Run):
-        ticks = 0
 
-        def _before_tick(self, playing: Any) -> None:
-            super()._before_tick(playing)
-            if not self.changed_ns:
-                return
-            self.ticks += 1
-            steps = {5: (0x6040, 0x06), 8: (0x6040, 0x07), 11: (0x6071, 800), 14: (0x6040, 0x0F)}
-            for node in DRIVES:
-                bus = self._buses[(node - 1) // 2]
-                if self.ticks == 1:
-                    told = can.Message(arbitration_id=0, data=bytes([0x80, node]))
-                elif self.ticks in steps:
-                    index, value = steps[self.ticks]
-                    data = bytes([0x2B, index & 0xFF, index >> 8, 0, *value.to_bytes(4, "little")])
-                    told = can.Message(arbitration_id=0x600 + node, data=data)
-                else:
-                    continue
-                told.is_extended_id = False
-                bus.send(told)
+def test_drives_that_are_enabled_by_sdo_before_it_has_begun(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Their watch has not begun either, and nothing that they send shows their power: a single
+    heartbeat begins it, 34 ms after the first controlword."""
+    idle(monkeypatch)
+    config, _ = configured(**BRIEF, **{"supervisor.policy": "require"})
+    run = Commanded(config, load_scenario("hold"), state=State.OFF, at=0.02, steps=by_sdo)
+    run.play(0.3)
+    assert sorted(run.stopped_ns) == list(DRIVES)
+    assert not run.said, "it has not begun"
+    assert run.powered_ms <= 34 + TIMEOUT_MS
+
+
+class Silent(Ticks):
+    """Power and torque for the first drives alone, once they have been silent for a while."""
+
+    def __init__(self, drives: int, mille: int = 1000) -> None:
+        super().__init__()
+        self._drives, self._mille = drives, mille
+
+    def commands(self, result: tuple[Any, Any], *_: Any) -> tuple[list[int], list[int]]:
+        words, milles = super().commands(result, *_)
+        off = [0] * (8 - self._drives)
+        return words[: self._drives] + off, milles[: self._drives] + off
+
+    def told(self, tick: int) -> tuple[int, int]:
+        words = ((60, 0x00), (70, 0x06), (80, 0x07))
+        return next(((word, 0) for end, word in words if tick < end), (0x0F, self._mille))
+
+
+@pytest.mark.parametrize("lost", [(0x180,), (0x180, 0x700)])
+@pytest.mark.parametrize("drives", [1, 7, 8])
+def test_power_for_drives_that_were_off_and_are_silent(
+    monkeypatch: pytest.MonkeyPatch, drives: int, lost: tuple[int, ...]
+) -> None:
+    """The last that they have said is that they are off; with or without heartbeats."""
+    ticks = Silent(drives)
+
+    def change() -> None:
+        after(Exchange, "commands", ticks.commands)(monkeypatch)
+        lab = run._playing.lab
+        assert lab is not None
+        for node in DRIVES[:drives]:
+            for base in lost:
+                channel = f"can{(node - 1) // 2}"
+                lab.inject(Loss(channel=channel, identifier=base + node, frames=1_000_000))
 
     idle(monkeypatch)
-    config, _ = configured(**BRIEF)
-    run = Commanded(config, load_scenario("hold"), lambda: None, state=State.STANDBY, at=0.5)
-    stopped(run, run.play(0.3), Requirement.COMMANDED, 10.0)
+    run = Commanded(configured(**BRIEF)[0], load_scenario("hold"), change, State.STANDBY)
+    found = run.play(0.2)
+    assert sorted(run.stopped_ns) == list(DRIVES), found.error
+    assert {number for number, _ in run.said} == {Requirement.STALE}
+    assert run.powered_ms <= TIMEOUT_MS
+
+
+def test_power_for_drives_that_were_told_to_be_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By SDO, as a bring-up may: their TPDO and their heartbeat are off."""
+    ticks = Silent(7)
+
+    def steps(tick: int, node: int) -> tuple[int, bytes] | None:
+        return {
+            1: (0, bytes([0x80, node])),
+            5: written(node, 0x1017, 0, 0, 2),
+            10: written(node, 0x1800, 1, 0xC0000180 + node, 4),
+            20: (0, bytes([0x01, node])),
+        }.get(tick)
+
+    idle(monkeypatch)
+    run = Commanded(
+        configured(**BRIEF)[0],
+        load_scenario("hold"),
+        lambda: after(Exchange, "commands", ticks.commands)(monkeypatch),
+        State.STANDBY,
+        steps=steps,
+        nodes=DRIVES[:7],
+    )
+    found = run.play(0.2)
+    assert sorted(run.stopped_ns) == list(DRIVES), found.error
+    assert {number for number, _ in run.said} == {Requirement.STALE}
+    assert run.powered_ms <= TIMEOUT_MS
+
+
+def test_power_for_a_silent_drive_on_ethercat(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The record has the torque, and that the drive has not answered."""
+    ticks, statusword = Silent(1), {}
+
+    def write(record: Any, *_: Any) -> Any:
+        if ticks.count >= 0:
+            drives = record.drives
+            drives.statusword[0] = statusword.setdefault(0, int(drives.statusword[0]))
+            drives.age[0] = ticks.count + 1
+            drives.torque_command[0] = ticks.told(ticks.count)[1] * newton_metre
+        return record
+
+    def change() -> None:
+        after(Exchange, "commands", ticks.commands)(monkeypatch)
+        after(ControlCycle, "write", write)(monkeypatch)
+
+    idle(monkeypatch)
+    config, _ = configured(PATH, **BRIEF, **{"sto_relay.timeout_ms": 7})
+    train = config.robot.drive_trains[0]
+    newton_metre = 1e-3 * train.motor.rated_torque * train.gearbox.ratio * config.robot.signs[0]
+    run = RelayRun(config, load_scenario("hold"), change, state=State.STANDBY, at=0.7)
+    found = run.play(0.2)
+    assert {number for number, _ in run.said} == {Requirement.STALE}, found.error
+    assert run.off_ms <= 84.0, "power from tick 80 on"
+
+
+def _by_turns(tick: int) -> int:
+    return 0x0F if tick % 2 else 0x07
+
+
+def _now_and_then(tick: int) -> int:
+    return 0x0F if tick % 18 == 5 else 0x07
+
+
+def _from_off_to_off(tick: int) -> int:
+    phase = (tick - 34) % 18
+    return 0x06 if phase == 3 else 0x0F if 4 <= phase <= 14 else 0x00
+
+
+@pytest.mark.parametrize(
+    ("every", "word"), [(2, _by_turns), (18, _now_and_then), (18, _from_off_to_off)]
+)
+def test_power_between_answers(
+    monkeypatch: pytest.MonkeyPatch, every: int, word: Callable[[int], int]
+) -> None:
+    """Drives that were told to answer every second SYNC, or every eighteenth, and have power only
+    where no answer shows it."""
+
+    class Between(Ticks):
+        def told(self, tick: int) -> tuple[int, int]:
+            if tick < 60:
+                return 0, 0
+            if tick < 100:
+                return (0x06, 0) if tick < 70 else (0x07, 0)
+            return word(tick), (1990 + tick % 3) * (word(tick) == 0x0F)
+
+    def steps(tick: int, node: int) -> tuple[int, bytes] | None:
+        return {
+            1: (0, bytes([0x80, node])),
+            5: written(node, 0x1800, 2, every, 1),
+            21: (0, bytes([0x01, node])),
+        }.get(tick)
+
+    idle(monkeypatch)
+    ticks = Between()
+    run = Commanded(
+        configured(**BRIEF)[0],
+        load_scenario("hold"),
+        lambda: after(Exchange, "commands", ticks.commands)(monkeypatch),
+        State.STANDBY,
+        steps=steps,
+    )
+    found = run.play(0.3)
+    assert sorted(run.stopped_ns) == list(DRIVES), found.error
+    assert run.slowest_ms <= 100.0 + 76.0 + TIMEOUT_MS
+
+
+@pytest.mark.parametrize("at", [40, 41])
+def test_power_behind_a_command_of_the_network(monkeypatch: pytest.MonkeyPatch, at: int) -> None:
+    """It acts on one SYNC. Before the next one the drives are sent to pre-operational, so that they
+    neither hear nor say anything of what ends it."""
+
+    class Once(Ticks):
+        def told(self, tick: int) -> tuple[int, int]:
+            if tick == at:
+                return 0x0F, 1000
+            return (0x06, 0) if tick < 4 else (0x07, 0)
+
+    def steps(tick: int, node: int) -> tuple[int, bytes] | None:
+        return (0, bytes([0x80, node])) if tick == at + 3 else None
+
+    idle(monkeypatch)
+    ticks = Once()
+    run = Commanded(
+        configured(**BRIEF)[0],
+        load_scenario("hold"),
+        lambda: after(Exchange, "commands", ticks.commands)(monkeypatch),
+        State.STANDBY,
+        steps=steps,
+    )
+    found = run.play(0.2)
+    stopped(run, found, Requirement.COMMANDED, at + 6.0)
 
 
 def test_a_stop_of_what_was_never_controlled(monkeypatch: pytest.MonkeyPatch) -> None:

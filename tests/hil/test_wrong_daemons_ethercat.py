@@ -15,6 +15,7 @@ import pytest
 from tests.relayed import PATH, RelayRun, relay_of
 from tests.supervised import BRIEF, DRIVES, configured
 from tests.wrong_daemons import AT_ONCE, LATER, Change, blind, opposite, torque_on_the_bus
+from tonus.config import load
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import Loss, PowerCycle, Unplug
 from tonus.config.schema.robot_faults import CableCut
@@ -199,3 +200,17 @@ def test_without_it_a_robot_with_a_relay_is_not_armed(
     assert end is not None
     assert "sto relay: is open: the supervisor does not hold it" in end.reason
     assert ("supervisor of sto: is not heard on sto" in end.reason) == (policy == "require")
+
+
+def test_cells_on_can_beside_a_relay() -> None:
+    """The supervisor beats on the relay's channel alone, and nothing waits for it elsewhere."""
+    relay = load(PATH)[0].sto_relay
+    assert relay is not None
+    own = relay.model_dump(mode="json") | {"timeout_ms": 7}
+    stated = {"sto_relay": own, "supervisor.policy": "require"}
+    config, _ = configured("config/mixed.yaml", **BRIEF, **stated)
+    run = RelayRun(config, load_scenario("hold"), state=State.ACTIVE, at=0.1)
+    seen = run.play(0.1)
+    assert run.changed_ns, "it is armed"
+    assert seen.state[-1] == State.ACTIVE
+    assert not run.off_ns

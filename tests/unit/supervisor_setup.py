@@ -49,6 +49,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         now_ns=round(at_ms * MS),
         axes=np.arange(N),
         enabled=np.ones(N, bool),
+        told=np.zeros(N, bool),
         measured_age=np.zeros(N),
         channel_age=np.zeros(N),
         torque_age=np.zeros(N),
@@ -152,7 +153,7 @@ class Stage:
         self.wiring = Wiring(config)
         self.heard: dict[tuple[str, int], Heard] = {}
         for axis in self.wiring.axes:
-            self.heard[axis.channel, axis.sent] = Heard((axis.torque,))
+            self.heard[axis.channel, axis.sent] = Heard((axis.torque,), None, axis.controlword)
             self.heard[axis.channel, axis.received] = Heard((axis.position,), axis.statusword)
             self.heard[axis.channel, axis.sync] = Heard(())
         for cell in self.wiring.cells:

@@ -13,7 +13,7 @@ from tonus.config.schema.bus import CanopenBus
 from tonus.runtime.control.filters import ButterworthBank
 from tonus.tools.check.finding import Finding
 from tonus.tools.check.rules import check
-from tonus.tools.check.supervisor import check_supervisor
+from tonus.tools.check.supervisor import _ramp_of, check_supervisor
 from tonus.tools.errors import ToolError
 from tonus.tools.run.supervision import require_reach, wanted
 
@@ -467,6 +467,56 @@ def test_a_ramp_that_is_not_the_motors() -> None:
         assert _ramps(*settings) == [f"{_DRIVE}.settings"]
 
 
+@pytest.mark.parametrize(
+    ("lost", "abort", "fault", "quick", "ramp"),
+    [
+        (None, 1, 2, 6, 0x6085),
+        (None, 1, 1, 6, 0x6084),
+        (None, 1, 0, 6, None),
+        (None, 1, None, 1, 0x6085),
+        (None, 3, 1, 2, 0x6085),
+        (None, 3, 2, 1, 0x6084),
+        (None, 3, 2, 5, 0x6084),
+        (None, 3, 2, 0, None),
+        (None, 2, 1, 1, None),
+        ("abort_connection", 3, 1, 6, 0x6085),
+        ("fault_reaction", 2, 2, 1, 0x6085),
+        ("fault_reaction", 3, 1, 6, 0x6084),
+        ("power_off", 3, 1, 1, None),
+    ],
+)
+def test_which_ramp_a_drive_brakes_on(
+    lost: str | None, abort: int, fault: int | None, quick: int, ramp: int | None
+) -> None:
+    """What it makes of error 0x8130, then 0x6007, then 0x605E or 0x605A; the ramp of that has to be
+    the motor's, and no other."""
+    profile = load("config/can.yaml")[0].fieldbus.drive  # type: ignore[union-attr]
+    options = profile.options.model_copy(
+        update={"abort_connection": abort, "fault_reaction": fault, "quick_stop": quick}
+    )
+    errors = [
+        error.model_copy(update={"reaction": lost}) if error.code == 0x8130 else error
+        for error in profile.errors
+    ]
+    assert _ramp_of(profile.model_copy(update={"options": options, "errors": errors})) == ramp
+
+
+def test_a_slow_down_ramp_that_nobody_bounds() -> None:
+    """A drive that brakes on it has to be sent the motor's ramp there (0x6084)."""
+    own = {"index": 0x6084, "length": 4, "quantity": "motor.quick_stop_rpm_s", "unit": "rpm/s"}
+    own, fixed = own | {"why": "ramp"}, {"index": 0x6084, "length": 4, "value": 300, "why": "ramp"}
+    drive = load("config/can.yaml")[0].fieldbus.drive.model_dump()  # type: ignore[union-attr]
+    slow = {
+        f"{_DRIVE}.options.abort_connection": 1,
+        f"{_DRIVE}.options.fault_reaction": 1,
+        f"{_DRIVE}.supported_options.abort_connection": [1],
+    }
+    for more, refused_ in (((), True), ((fixed,), True), ((own,), False)):
+        stated = ROBOT | slow | {f"{_DRIVE}.settings": [*drive["settings"], *more]}
+        found = {each.where for each in findings(*load("config/can.yaml", overrides=stated))}
+        assert (f"{_DRIVE}.settings" in found) == refused_
+
+
 def test_a_slow_drum_in_a_stop_makes_no_slow_ramp_right() -> None:
     """A drum may be fast all the same."""
     stated = {"control.stop.reel_in": 0.05, "robot.motor.quick_stop_rpm_s": 3000}
@@ -487,8 +537,9 @@ def test_cells_whose_numbers_end_below_a_bound(digits: int, refused_: bool) -> N
     cell = {"tpdo": [0x71300110], "decimal_digits": digits}
     stated = ROBOT | {f"fieldbus.force_cell.{key}": value for key, value in cell.items()}
     stated |= {"control.tension.max": 300.0, "supervisor.tension_stopping": 340.0}
-    found = findings(*load("config/can.yaml", overrides=stated))
-    assert ("fieldbus.force_cell" in {each.where for each in found}) == refused_
+    for path in ("config/can.yaml", "config/ethercat.yaml"):
+        found = findings(*load(path, overrides=stated))
+        assert ("fieldbus.force_cell" in {each.where for each in found}) == refused_
 
 
 def test_drives_whose_heartbeats_are_far_apart() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -158,47 +159,79 @@ def test_drives_that_had_power_between_two_looks(config: Config) -> None:
     assert stage.observe(5 * MS, stage.heard, [claim()]).enabled.all(), "nothing new came"
 
 
-@pytest.mark.parametrize(
-    ("statusword", "starts"),
-    [(0x0231, True), (0x0233, True), (0x0250, False), (0x0208, False), (0x020F, False)],
-)
-@pytest.mark.parametrize("answered_ms", [2, 4, 6])
+@pytest.mark.parametrize("answered_ms", [1, 2, 4, 6])
+@pytest.mark.parametrize("statusword", [0x0231, 0x0233, 0x0250, 0x0208, 0x020F])
 def test_drives_that_are_told_to_have_power(
-    config: Config, statusword: int, answered_ms: int, *, starts: bool
+    config: Config, statusword: int, answered_ms: int
 ) -> None:
-    """The answer to the SYNC on which it acts says that they are switched on still, so whenever it
-    came. In a fault, or where switching on is disabled, a controlword alone gives none."""
+    """The answer to the SYNC on which it acts says that they are off still, so whenever it came,
+    and whatever acts after it, it counts until two more have come. A drive in fault that answers
+    takes no such command."""
     stage = Stage(config)
     stage.tick(MS, newton=45.0, metre=1.0, force=45.0)
-    told = [stage.heard[axis.channel, axis.sent] for axis in stage.wiring.axes]
-    for axis, each in zip(stage.wiring.axes, told, strict=True):
-        answer = stage.heard[axis.channel, axis.received]
-        answer.take([statusword << axis.statusword.shift], answered_ms * MS)
-        each.take([0x06], 2 * MS)
-    assert stage.observe(6 * MS, stage.heard, [claim()]).enabled.all(), "it was, in this look"
-    assert not stage.observe(6 * MS, stage.heard, [claim()]).enabled.any()
-    for controlword, enabled in ((0x07, False), (0x0F, starts), (0x06, False)):
-        for each in told:
-            each.take([controlword], 4 * MS)
+    drives = [
+        (axis, stage.heard[axis.channel, axis.sent], stage.heard[axis.channel, axis.received])
+        for axis in stage.wiring.axes
+    ]
+
+    def look(controlwords: Sequence[int], answers: int = 0) -> bool:
+        for axis, told, answer in drives:
+            for word in controlwords:
+                told.take([word], 4 * MS)
+            for _ in range(answers):
+                answer.take([statusword << axis.statusword.shift], answered_ms * MS)
         found = stage.observe(6 * MS, stage.heard, [claim()])
-        assert found.enabled.all() == found.enabled.any() == enabled
+        assert found.enabled.all() == found.enabled.any()
+        return bool(found.enabled.all())
+
+    assert look([0x06], 1), "it was, in this look"
+    assert not look([], 2)
+    assert not look([0x07])
+    fails = statusword in (0x0208, 0x020F)
+    for acting in ([0x0F, 0x06], [0x0F, 0x07, 0x06]):
+        starts = not fails or answered_ms == 1
+        assert look(acting, 1) is starts
+        assert look([0x06], 1) is starts, "this one may be of before"
+        assert look([], 0) is starts
+        assert not look([0x06], 1)
+    held = statusword in (0x0231, 0x0233)
+    look([0x0F])
+    assert look([], 5) is held
+
+
+def test_how_long_drives_are_taken_at_what_they_were_told(config: Config) -> None:
+    """One that never answers may have been pulled since."""
+    stage = Stage(config)
+    for axis in stage.wiring.axes:
+        stage.heard[axis.channel, axis.sent].take([0x0F], MS)
+        stage.heard[axis.channel, axis.sent].take([0x00], MS)
+    for now_ns, told in ((MS, True), (21 * MS - 1, True), (21 * MS, False)):
+        found = stage.observe(now_ns, stage.heard, [claim()])
+        assert found.told.all() == found.told.any() == told
+        assert found.enabled.tolist() == found.told.tolist()
 
 
 def test_where_it_is_not_known_what_drives_are_told(config: Config) -> None:
-    """Drives that are switched on and answer no more may have power; four ticks are no silence."""
+    """Drives that are switched on and answer no more may have power, and so may any that is sent a
+    torque; four ticks are no silence. What was sent long ago is no torque."""
     stage, settings = Stage(config), config.supervisor
     assert settings is not None
     stage.wiring.axes[:] = [replace(axis, controlword=None) for axis in stage.wiring.axes]
     observe = Observer(stage.wiring, settings, config.robot.contact_cell, MS)
     stage.tick(MS, newton=45.0, metre=1.0, force=45.0)
     for statusword, enabled in ((0x0233, True), (0x0231, True), (0x0250, False), (0x0208, False)):
-        for axis in stage.wiring.axes:
-            answer = stage.heard[axis.channel, axis.received]
-            answer.take([statusword << axis.statusword.shift], 2 * MS)
-        observe(2 * MS, stage.heard, [claim()])
-        assert not observe(6 * MS, stage.heard, [claim()]).enabled.any()
-        found = observe(6 * MS + 1, stage.heard, [claim()]).enabled
-        assert found.all() == found.any() == enabled
+        for mille in (0, 1, -1):
+            for axis in stage.wiring.axes:
+                answer = stage.heard[axis.channel, axis.received]
+                answer.take([statusword << axis.statusword.shift], 2 * MS)
+                word = (mille & 0xFFFF) << axis.torque.shift
+                stage.heard[axis.channel, axis.sent].take([word], 2 * MS)
+            observe(2 * MS, stage.heard, [claim()])
+            assert not observe(6 * MS, stage.heard, [claim()]).enabled.any()
+            for now_ns, told in ((6 * MS + 1, mille != 0), (22 * MS, False)):
+                found = observe(now_ns, stage.heard, [claim()])
+                assert found.told.all() == found.told.any() == told
+                assert found.enabled.all() == found.enabled.any() == (enabled or told)
 
 
 def test_the_least_and_the_largest_torque_between_two_looks(config: Config) -> None:
@@ -239,7 +272,7 @@ def test_a_torque_at_the_motors_limit(config: Config, mille: int, limited: bool)
 
 
 def test_positions_that_stop_to_arrive(config: Config) -> None:
-    """No division by nothing: the drum is taken to rest once an answer is missing."""
+    """No division by nothing: the drum is taken to rest after ``patience_ms``."""
     stage = Stage(config)
     for tick in range(20):
         stage.tick(tick * MS, newton=45.0, metre=0.1e-3 * tick, force=45.0)
@@ -250,12 +283,26 @@ def test_positions_that_stop_to_arrive(config: Config) -> None:
     assert found.rate.tolist() == [0.0] * N
 
 
+@pytest.mark.parametrize("every", [1, 3, 4, 6])
+def test_answers_that_come_seldom(config: Config, every: int) -> None:
+    """A SYNC in every sixth tick makes no drum stand in any look."""
+    stage = Stage(config)
+    for tick in range(60):
+        if tick % every == 0:
+            stage.tick(tick * MS, newton=45.0, metre=0.3e-3 * tick, force=45.0)
+        if tick % 2 == 0:
+            found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+            if tick > 20:
+                assert found.rate == pytest.approx(0.3, rel=0.02)
+
+
 @pytest.mark.parametrize("gap", [2, 3, 4, 5, 12])
 def test_answers_that_are_missing_explain_nothing_and_contradict_nothing(
     config: Config, gap: int
 ) -> None:
     """A drum goes on at 0.3 m/s: as long as it does not answer nobody knows, and then it is known
-    over the whole gap. Only for the platform's least speed it is at rest meanwhile."""
+    over the whole gap. Where it has to be known it goes on for ``patience_ms``, and is at rest
+    then."""
     stage, silent = Stage(config), range(40, 40 + gap)
     axis = stage.wiring.axes[3]
     received = (axis.channel, axis.received)
@@ -274,7 +321,8 @@ def test_answers_that_are_missing_explain_nothing_and_contradict_nothing(
         assert found.rate[others] == pytest.approx(0.3, rel=0.02)
         assert np.abs(found.unexplained[others]).max() < 12.0
         missing = tick in silent and tick - 1 in silent
-        assert found.rate[3] == pytest.approx(0.0 if missing else 0.3, rel=0.02)
+        unknown = missing and tick - 39 > 5
+        assert found.rate[3] == pytest.approx(0.0 if unknown else 0.3, rel=0.02)
         assert np.isnan(found.unexplained[3]) or abs(found.unexplained[3]) < 12.0
         assert np.isnan(found.unexplained[3]) >= missing
         assert found.jolt[3] < 0.01

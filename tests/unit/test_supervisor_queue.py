@@ -77,6 +77,25 @@ def test_drives_that_nobody_watches_hear_one_heartbeat(config: Config, required:
         made.supervisor.close()
 
 
+def test_drives_that_are_given_power_beside_their_process_data(required: Config) -> None:
+    """They do not answer, and nothing has begun: their channel hears single heartbeats until they
+    answer that they are off."""
+    made, found = Watchdog(required), []
+    axis, other = made.wiring.axes[:2]
+    deaf = {(each.channel, each.received) for each in (axis, other)}
+    data = bytes.fromhex("2b4060000f000000")
+    for now in range(2, 400, 2):
+        if now == 100:
+            frame = can.Message(arbitration_id=axis.request, is_extended_id=False, data=data)
+            made.buses[0].waiting.append(frame)
+        if made.step(now, enabled=False, deaf=deaf if now <= 200 else ()) == BEAT:
+            found.append(now)
+    assert found == [144, 188]
+    assert not [message for bus in made.buses[1:] for message in bus.sent]
+    assert broken(made) is Requirement.COMMANDED
+    made.supervisor.close()
+
+
 def test_a_heartbeat_for_drives_that_nobody_watches_is_tried_again(required: Config) -> None:
     """Where the interface does not take it."""
     made, found = Watchdog(required, EchoBus), []

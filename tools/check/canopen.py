@@ -24,11 +24,13 @@ class _Node:
 def check_canopen(config: Config, bus: CanopenBus) -> Iterator[Finding]:
     """Every rule's outcome, in a fixed order; nothing raises."""
     period_us = config.control.rates.period_us
+    # One that holds a relay beats on the relay's channel alone.
+    supervisor = config.supervisor if config.relay is None else None
     yield from _period(bus, period_us)
     yield from _channel_names(bus)
     for channel in bus.channels:
-        yield from _load(bus, channel, period_us, config.supervisor)
-        yield from _identifiers(bus, channel, config.supervisor)
+        yield from _load(bus, channel, period_us, supervisor)
+        yield from _identifiers(bus, channel, supervisor)
 
 
 def _period(bus: CanopenBus, period_us: int) -> Iterator[Finding]:

@@ -18,7 +18,7 @@ from tonus.config.schema.supervisor import (
     SMALLEST_SHARES,
     Supervisor,
 )
-from tonus.runtime.supervisor.wiring import Wiring
+from tonus.runtime.supervisor.wiring import Wiring, forces_of
 from tonus.tools.check.finding import Finding
 
 _KEY = "supervisor"
@@ -33,7 +33,13 @@ _LONGEST_BEAT_MS = 200
 _HEARTBEAT_LOST = 0x8130
 _COMPARED = (0x6040, 0x6071)
 """controlword and target torque: the statusword tells of the one, the record of the other"""
-_RAMP, _RAMP_INDEX = "motor.quick_stop_rpm_s", 0x6085
+_RAMP = "motor.quick_stop_rpm_s"
+_SLOW_DOWN, _QUICK_STOP = 0x6084, 0x6085
+"""ramps of a drive (CiA 402)"""
+_FAULT_REACTION = 1
+"""of 0x6007: as 0x605E says; the others that brake are as 0x605A says"""
+_RAMP_BY_CODE = {0: None, 1: _SLOW_DOWN, 5: _SLOW_DOWN}
+"""of 0x605A and 0x605E; any other, and where none is stated, is the quick stop's"""
 _DRIFTING_S = 0.25
 """for which a tension may be away from its reference. R"""
 _LEAST_SLACK = 0.2
@@ -201,18 +207,21 @@ def _ranges(config: Config, settings: Supervisor) -> Iterator[Finding]:
     """Whether load cells can say that a bound is broken: a number that is full says no more."""
     bound = max(settings.tension_stopping, settings.margin * config.control.tension.max)
     bound += config.control.sequence.tare_limit
-    for cell in Wiring(config).cells:
-        most = math.inf if cell.force.real else ((1 << cell.force.bits - 1) - 1) * cell.newton
-        if most < bound:
-            yield Finding(
-                "supervisor",
-                False,
-                "fieldbus.force_cell",
-                f"load cell {cell.number} says {most:g} N at most, and forces are judged up to "
-                f"{bound:g} N, its tare included: SUP-6 would never see them",
-                "use fewer decimal digits, or a PDO of 32 bits a cell",
-            )
-            return
+    for bus in config.fieldbus.parts:
+        for node in bus.nodes():
+            forces = forces_of(bus.force_cell, len(node.cells)) if node.cells else []
+            for (force, newton), number in zip(forces, node.cells, strict=False):
+                most = math.inf if force.real else ((1 << force.bits - 1) - 1) * newton
+                if most < bound:
+                    yield Finding(
+                        "supervisor",
+                        False,
+                        "fieldbus.force_cell",
+                        f"load cell {number} says {most:g} N at most, and forces are judged up to "
+                        f"{bound:g} N, its tare included: SUP-6 would never see them",
+                        "use fewer decimal digits, or a PDO of 32 bits a cell",
+                    )
+                    return
 
 
 def _least_cutoff(config: Config, settings: Supervisor) -> float:
@@ -276,17 +285,17 @@ def check_ramps(config: Config, bus: CanopenBus) -> Iterator[Finding]:
         return
     for axis in sorted(bus.axis_places):
         profile, train = bus.profile(axis), config.robot.drive_trains[axis]
-        lets_go = profile.options.abort_connection in (None, _NOTHING, _POWER_OFF)
-        if lets_go or not profile.watches_supervisor:
+        index = _ramp_of(profile)
+        if index is None or not profile.watches_supervisor:
             continue
-        ramps = [each for each in profile.settings if each.index == _RAMP_INDEX]
+        ramps = [each for each in profile.settings if each.index == index]
         if [each.quantity for each in ramps] != [_RAMP]:
             yield Finding(
                 "supervisor",
                 False,
                 f"{keys[id(profile)]}.settings",
-                f"{profile.name} brakes on a ramp when the heartbeat ends, which (0x6085) is "
-                + (f"not {_RAMP} alone" if ramps else "not written"),
+                f"{profile.name} brakes on a ramp when the heartbeat ends, which (0x{index:04X}) "
+                + (f"is not {_RAMP} alone" if ramps else "is not written"),
                 f"write it once, from the quantity {_RAMP}",
             )
             return
@@ -304,6 +313,21 @@ def check_ramps(config: Config, bus: CanopenBus) -> Iterator[Finding]:
             f"set it to at least {least:.0f}",
         )
         return
+
+
+def _ramp_of(profile: DriveProfile) -> int | None:
+    """The object of the ramp on which a drive brakes when the heartbeat ends; None: on none."""
+    options, error = profile.options, _heartbeat_error(profile)
+    code = options.abort_connection
+    if error is not None and error.reaction is not None:
+        if error.reaction == "fault_reaction":
+            code = _FAULT_REACTION
+        elif error.reaction != "abort_connection":
+            return None
+    if code in (None, _NOTHING, _POWER_OFF):
+        return None
+    reaction = options.fault_reaction if code == _FAULT_REACTION else options.quick_stop
+    return _QUICK_STOP if reaction is None else _RAMP_BY_CODE.get(reaction, _QUICK_STOP)
 
 
 def _times(settings: Supervisor) -> Finding:
