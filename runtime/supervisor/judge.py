@@ -143,7 +143,7 @@ class Judge:
         yield from self._against(seen)
         if seen.claim is not None and seen.claim.state not in ARMED:
             # A drive takes its time to switch off, but it is sent no torque meanwhile.
-            pulling = seen.enabled & (seen.mille != 0)
+            pulling = seen.enabled & seen.pulled
             for each in _at(Requirement.DISARMED, seen, seen.torque, None, pulling):
                 yield each, self._pulling_ns
         long_ns = round(self._settings.stopping_ms * 1e6)
@@ -228,7 +228,7 @@ class Judge:
             yield replace(each, alone=True)
         # Those of a channel without a heartbeat stop by themselves, whatever comes back with it.
         # One that was not enabled when it answered last may be by now.
-        sent = seen.beating & (seen.torque_age < settings.stale_ms) & (seen.mille != 0)
+        sent = seen.beating & (seen.torque_age < settings.stale_ms) & seen.pulled
         yield from _at(Requirement.STALE, seen, seen.measured_age, settings.stale_ms, sent)
         # Nobody could judge, whatever the torques are. Drives that lose the heartbeat brake; those
         # that lose the relay have no torque, which is what they are sent. One that is disabled

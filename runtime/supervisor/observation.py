@@ -53,6 +53,8 @@ class Observation:
     """of those PDOs in a row that were equal to the one before"""
     mille: NDArray[np.int64]
     """torque on the bus, per mille of rated torque"""
+    pulled: NDArray[np.bool_]
+    """that torque, or one that was sent since the last look, is not 0"""
     limited: NDArray[np.bool_]
     """that torque is at the motor's limit"""
     torque: Floats
@@ -198,6 +200,7 @@ class Observer:
             _ages(now_ns, sent),
             same,
             mille,
+            (mille != 0) | [any(each) for each in lately],
             abs(mille) >= self._limit,
             mille * self._newton,
             np.sort(torques, axis=0),
@@ -244,8 +247,8 @@ class Observer:
         self, sent: list[Heard], mille: NDArray[np.int64], new: int
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which are unlogged, and which of them late. A tick is recorded after its torques are
-        sent: those of the look before are compared, or the newest where there was none, with the
-        records since then and ``logged_ticks`` more."""
+        sent: those of the look before are compared, and the one that acts, with the records since
+        then and ``logged_ticks`` more."""
         newest = self._settings.logged_ticks + self._new + new
         while len(self._claimed) > self._late + newest:
             self._claimed.popleft()
@@ -253,7 +256,7 @@ class Observer:
         found, late = known.copy(), known
         claimed = list(zip(*self._claimed, strict=True)) or [()] * len(sent)
         for row, (before, latest) in enumerate(zip(self._sent, mille.tolist(), strict=True)):
-            torques = before or {latest}
+            torques = before | {latest}
             found[row] &= _beyond(torques, set(claimed[row][-newest:]))
             late[row] = found[row] and not _beyond(torques, set(claimed[row]))
         self._new = new

@@ -15,13 +15,14 @@ import pytest
 
 from tests.relayed import PATH, RelayRun
 from tests.supervised import BRIEF, DRIVES, Run, configured
-from tests.wrong_daemons import after, blind, both, opposite, torque_in_control
+from tests.wrong_daemons import after, blind, both, opposite, raises, torque_in_control
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import Loss
 from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.canopen.channels import Channels
 from tonus.drivers.ethercat.master import EthercatFieldbus
 from tonus.drivers.exchange import Exchange
+from tonus.runtime.control.allocation import Allocation
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.states import Operator, State, StopMode
 from tonus.tools.campaign.observed import Observed
@@ -415,3 +416,78 @@ def test_a_torque_that_acts_and_is_not_the_newest(monkeypatch: pytest.MonkeyPatc
 
     run = Run(configured(**BRIEF)[0], load_scenario("sine_z"), change)
     stopped(run, run.play(0.4), Requirement.OPPOSED, 25.0)
+
+
+@pytest.mark.parametrize("second", [0, 1])
+def test_a_torque_in_every_second_tick_of_a_disarmed_robot(
+    monkeypatch: pytest.MonkeyPatch, second: int
+) -> None:
+    """Recorded as it is sent. A look comes every second tick: the newest torque may always be 0."""
+
+    class Alternating(Ticks):
+        def told(self, tick: int) -> tuple[int, int]:
+            word, mille = super().told(tick)
+            return word, mille * (tick % 2 == second)
+
+    ticks = Alternating()
+
+    def write(record: Any, *_: Any) -> Any:
+        if ticks.count >= 0:
+            record.drives.torque_command[...] = ticks.told(ticks.count)[1] * newton_metre
+        return record
+
+    def change() -> None:
+        after(Exchange, "commands", ticks.commands)(monkeypatch)
+        after(ControlCycle, "write", write)(monkeypatch)
+
+    idle(monkeypatch)
+    config, _ = configured(**BRIEF)
+    train = config.robot.drive_trains[0]
+    newton_metre = 1e-3 * train.motor.rated_torque * train.gearbox.ratio
+    newton_metre = newton_metre * np.array(config.robot.signs)
+    run = Run(config, load_scenario("hold"), change, state=State.STANDBY, at=0.5)
+    stopped(run, run.play(0.3), Requirement.DISARMED, 10.0 + 12.0)
+
+
+@pytest.mark.parametrize("mille", [300, 450])
+def test_a_torque_that_acts_where_the_recorded_ones_do_not(
+    monkeypatch: pytest.MonkeyPatch, mille: int
+) -> None:
+    """A passive stop. On two of four channels a SYNC in every 16th tick, and right before it a
+    torque that no record has: it acts until the next one, and is the newest in one look of eight.
+    """
+    ticks = {"now": 0, "acted": 0}
+    config, _ = configured(**BRIEF)
+    signs, apart, channels, axes = config.robot.signs, 16, (2, 3), (4, 5, 6, 7)
+    fill = Exchange.fill
+
+    def commands(result: tuple[Any, Any], *_: Any) -> tuple[list[int], list[int]]:
+        words, torques = list(result[0]), list(result[1])
+        if (ticks["now"] + 1) % apart == 0:
+            for axis in axes:
+                torques[axis] = int(signs[axis] * (mille + ticks["acted"] % 7))
+            ticks["acted"] += 1
+        return words, torques
+
+    def seldom(self: Channels, tick: int) -> None:
+        ticks["now"] = tick
+        for number, channel in enumerate(self._channels):
+            if number not in channels or tick % apart == 0:
+                channel.sync(tick)
+
+    def patient(self: Exchange, tick: int) -> None:
+        self._freshness = 50
+        fill(self, tick)
+
+    def change() -> None:
+        monkeypatch.setattr(Exchange, "fill", patient)
+        after(Exchange, "commands", commands)(monkeypatch)
+        monkeypatch.setattr(Channels, "sync", seldom)
+        monkeypatch.setattr(Allocation, "distribute", raises)
+
+    blind(monkeypatch)
+    run = Run(config, load_scenario("hold"), change, state=State.ACTIVE, at=0.5)
+    seen = run.play(0.4)
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert {number for number, _ in run.said} == {Requirement.COMMAND_LOGGED}
+    assert run.slowest_ms <= 2.0 * apart + TIMEOUT_MS

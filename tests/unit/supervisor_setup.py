@@ -55,6 +55,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         torque_age=np.zeros(N),
         same=np.zeros(N, np.int64),
         mille=np.full(N, 100 * (said.state in ARMED)),
+        pulled=np.full(N, said.state in ARMED),
         limited=np.zeros(N, bool),
         torque=np.full(N, 45.0),
         torques=np.full((2, N), 45.0),
@@ -76,6 +77,8 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         late=np.zeros(N, bool),
         beating=np.ones(N, bool),
     )
+    if "mille" in given:
+        given.setdefault("pulled", given["mille"] != 0)
     if "torque" in given:
         given.setdefault("torques", np.tile(given["torque"], (2, 1)))
     return replace(found, **given)

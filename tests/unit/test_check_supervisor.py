@@ -351,13 +351,23 @@ def test_what_only_a_lab_may_state(key: str, value: Any) -> None:
     ],
 )
 def test_times_that_let_a_mistake_grow(key: str, most: int) -> None:
-    beyond = {f"supervisor__{key}": most + 1}
+    quiet = {"supervisor__quiet_s": 0.5}
+    beyond = quiet | {f"supervisor__{key}": most + 1}
     assert refused("config/can.yaml", **beyond) == []
     found = refused("config/can.yaml", lab=None, **beyond)
     assert [(each.where, each.remedy) for each in found] == [
         (f"supervisor.{key}", f"set it to at most {most}")
     ]
-    assert refused("config/can.yaml", lab=None, **{f"supervisor__{key}": most}) == []
+    at_most = quiet | {f"supervisor__{key}": most}
+    assert refused("config/can.yaml", lab=None, **at_most) == []
+
+
+def test_power_now_and_then_is_not_forgotten_between() -> None:
+    short = {"supervisor__quiet_s": 0.19}
+    assert refused("config/can.yaml", **short) == []
+    (found,) = refused("config/can.yaml", lab=None, **short)
+    assert (found.where, found.remedy) == ("supervisor.quiet_s", "set it to at least 0.2")
+    assert "after 0.19 s without power it forgets power that a disarmed daemon" in found.text
 
 
 def told(path: str, **overrides: Any) -> dict[str, str]:

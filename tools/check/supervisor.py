@@ -44,6 +44,8 @@ _DRIFTING_S = 0.25
 """for which a tension may be away from its reference. R"""
 _LEAST_SLACK = 0.2
 """of the tension while referencing. R"""
+_FORGOTTEN = 4.0
+"""times slower than it is counted is the time forgotten for which a condition held"""
 _IN_TICKS = ("frozen_frames", "logged_ticks")
 
 
@@ -136,6 +138,13 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
             config.response.force_cell_hz,
             1e3 / (2.0 * math.pi * settings.patience_ms),
             "cells of {:g} Hz show a force, by which it judges as well, after patience_ms only",
+        ),
+        (
+            f"{_KEY}.quiet_s",
+            settings.quiet_s,
+            _FORGOTTEN * 1e-3 * settings.disarmed_ms,
+            "after {:g} s without power it forgets power that a disarmed daemon gives for less "
+            "than disarmed_ms, again and again",
         ),
     ):
         if value < least:
