@@ -156,6 +156,24 @@ class Commanded(Run):
                 self._buses[(node - 1) // 2].send(message)
 
 
+def commanded(
+    patch: pytest.MonkeyPatch,
+    ticks: Ticks,
+    steps: Callable[[int, int], tuple[int, bytes] | None],
+    nodes: Sequence[int] = DRIVES,
+) -> Commanded:
+    """In STANDBY, the drives told as ``ticks`` have it besides."""
+    idle(patch)
+    return Commanded(
+        configured(**BRIEF)[0],
+        load_scenario("hold"),
+        lambda: after(Exchange, "commands", ticks.commands)(patch),
+        State.STANDBY,
+        steps=steps,
+        nodes=nodes,
+    )
+
+
 def written(node: int, index: int, subindex: int, value: int, size: int) -> tuple[int, bytes]:
     """By SDO."""
     head = {1: 0x2F, 2: 0x2B, 4: 0x23}[size], index & 0xFF, index >> 8, subindex
@@ -246,15 +264,7 @@ def test_power_for_drives_that_were_told_to_be_silent(monkeypatch: pytest.Monkey
             20: (0, bytes([0x01, node])),
         }.get(tick)
 
-    idle(monkeypatch)
-    run = Commanded(
-        configured(**BRIEF)[0],
-        load_scenario("hold"),
-        lambda: after(Exchange, "commands", ticks.commands)(monkeypatch),
-        State.STANDBY,
-        steps=steps,
-        nodes=DRIVES[:7],
-    )
+    run = commanded(monkeypatch, ticks, steps, DRIVES[:7])
     found = run.play(0.2)
     assert sorted(run.stopped_ns) == list(DRIVES), found.error
     assert {number for number, _ in run.said} == {Requirement.STALE}
@@ -324,15 +334,8 @@ def test_power_between_answers(
             21: (0, bytes([0x01, node])),
         }.get(tick)
 
-    idle(monkeypatch)
     ticks = Between()
-    run = Commanded(
-        configured(**BRIEF)[0],
-        load_scenario("hold"),
-        lambda: after(Exchange, "commands", ticks.commands)(monkeypatch),
-        State.STANDBY,
-        steps=steps,
-    )
+    run = commanded(monkeypatch, ticks, steps)
     found = run.play(0.3)
     assert sorted(run.stopped_ns) == list(DRIVES), found.error
     assert run.slowest_ms <= 100.0 + 76.0 + TIMEOUT_MS
@@ -352,15 +355,8 @@ def test_power_behind_a_command_of_the_network(monkeypatch: pytest.MonkeyPatch, 
     def steps(tick: int, node: int) -> tuple[int, bytes] | None:
         return (0, bytes([0x80, node])) if tick == at + 3 else None
 
-    idle(monkeypatch)
     ticks = Once()
-    run = Commanded(
-        configured(**BRIEF)[0],
-        load_scenario("hold"),
-        lambda: after(Exchange, "commands", ticks.commands)(monkeypatch),
-        State.STANDBY,
-        steps=steps,
-    )
+    run = commanded(monkeypatch, ticks, steps)
     found = run.play(0.2)
     stopped(run, found, Requirement.COMMANDED, at + 6.0)
 
