@@ -256,7 +256,8 @@ class Observer:
         found, late = known.copy(), known
         claimed = list(zip(*self._claimed, strict=True)) or [()] * len(sent)
         for row, (before, latest) in enumerate(zip(self._sent, mille.tolist(), strict=True)):
-            torques = before | {latest}
+            # What acts on a SYNC was recorded before that; what acts at once may not be yet.
+            torques = before | {latest} if self._axes[row].sync else before or {latest}
             found[row] &= _beyond(torques, set(claimed[row][-newest:]))
             late[row] = found[row] and not _beyond(torques, set(claimed[row]))
         self._new = new

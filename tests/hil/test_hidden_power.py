@@ -93,7 +93,7 @@ def test_power_between_syncs(monkeypatch: pytest.MonkeyPatch, apart: int) -> Non
 
     idle(monkeypatch)
     run = Run(configured(**BRIEF)[0], load_scenario("hold"), change, state=State.STANDBY, at=0.5)
-    stopped(run, run.play(0.5), Requirement.TORQUE, 45.0 + apart)
+    stopped(run, run.play(0.5), Requirement.COMMAND_LOGGED, 45.0 + apart)
 
 
 def test_power_between_frames_on_ethercat(monkeypatch: pytest.MonkeyPatch) -> None:
