@@ -11,8 +11,8 @@ from tonus.runtime.supervisor.judge import NOWHERE, Violation
 from tonus.runtime.supervisor.listener import Heard, Watched
 from tonus.runtime.supervisor.wiring import Value
 
-REQUEST, NMT = 0x600, 0x000
-"""Identifiers (CiA 301): of SDO requests, with the node's number added, and of NMT commands"""
+REQUEST, NMT, SYNC = 0x600, 0x000, 0x080
+"""Identifiers (CiA 301): of SDO requests, with the node's number added, of NMT commands, of SYNC"""
 _BYTES, _NMT_BYTES = 8, 2
 _WRITES = (0x00, 0x20, 0xC0)
 """upper three bits of a request that begins a download, goes on with one, or begins one in blocks
@@ -20,20 +20,22 @@ _WRITES = (0x00, 0x20, 0xC0)
 _POWER_OFF = 0x0060402B
 """the request to write 0 to the controlword, with which the daemon ends"""
 _CONTROLWORD = 0x6040
-_START, _EVERY_NODE = 0x01, 0
+_EVERY_NODE = 0
 _COPIES, _ONE_OF = 16, 64
 """of its own frames, that a bus may repeat: at most, and one more for each so many that it sends. A
 stranger that holds drives sends three in the time of these"""
 
 
 class Told(NamedTuple):
-    """A device by its node, and what came of SDO requests to it and of NMT commands."""
+    """A device by its node, and what came of SDO requests to it, of NMT commands, and of frames
+    that a device may take for SYNC or not."""
 
     where: int
     """axis, or `NOWHERE`"""
     node: int
     requests: Heard
     commands: Heard
+    syncs: Heard
 
 
 class Own:
@@ -56,20 +58,16 @@ class Own:
             self._sent += self.heard.count > self._sent
 
     @property
-    def waits(self) -> bool:
-        """One that was sent has not gone out, as far as the interface tells."""
-        return 0 < self.heard.count < self._sent
-
-    @property
     def foreign(self) -> bool:
         """More were heard than it has sent, and than copies explain."""
         return self.heard.count > self._sent + _COPIES
 
 
 def told_by(nodes: Iterable[int]) -> list[Watched]:
-    """What these nodes of a channel are told by."""
+    """What these nodes of a channel are told by. A SYNC of the daemon's has no data."""
     found = [Watched(REQUEST + node, _BYTES, (Value(0, 64),)) for node in nodes]
-    return [*found, Watched(NMT, _NMT_BYTES, (Value(0, 16),), command=True)]
+    found.append(Watched(NMT, _NMT_BYTES, (Value(0, 16),), command=True))
+    return [*found, Watched(SYNC, 1, (Value(0, 8),), command=True)]
 
 
 class Commands:
@@ -81,9 +79,9 @@ class Commands:
         """where a controlword was among what was found last, which no daemon in order writes"""
 
     def __call__(self) -> Violation | None:
-        """An NMT command but to start, or a download but to switch the power off, by a stranger or
-        by the daemon, which does so only while no drive is enabled; or a stranger's frame under an
-        identifier of the supervisor's own."""
+        """An NMT command, or a download but to switch the power off, by a stranger or by the
+        daemon, which does so only while no drive is enabled; a SYNC with data, which a device may
+        ignore or not; or a stranger's frame under an identifier of the supervisor's own."""
         found = None
         self.led = []
         for each in self._told:
@@ -94,11 +92,13 @@ class Commands:
                     self.led += [each.where] * (index == _CONTROLWORD)
             for word in map(int, each.commands.numbers):
                 code, node = word & 0xFF, word >> 8 & 0xFF
-                if code != _START and node in (_EVERY_NODE, each.node):
+                if node in (_EVERY_NODE, each.node):
                     found = Violation(Requirement.COMMANDED, each.where, code)
+            if each.syncs.numbers:
+                found = Violation(Requirement.COMMANDED, NOWHERE, SYNC)
         for each in self._told:
-            each.requests.numbers.clear()
-            each.commands.numbers.clear()
+            for heard in (each.requests, each.commands, each.syncs):
+                heard.numbers.clear()
         if any(each.foreign for each in self._own):
             found = Violation(Requirement.COMMANDED, NOWHERE, 0.0)
         return found

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import ARMED, State
-from tonus.runtime.supervisor.commands import NMT, REQUEST, Commands, Own, Told, told_by
+from tonus.runtime.supervisor.commands import NMT, REQUEST, SYNC, Commands, Own, Told, told_by
+from tonus.runtime.supervisor.heartbeat import Beats
 from tonus.runtime.supervisor.judge import CONTROLLED, NOWHERE, Judge, Violation
 from tonus.runtime.supervisor.listener import Heard, Listener, Watched
 from tonus.runtime.supervisor.observation import Listened, Observation, Observer, age
@@ -34,7 +35,7 @@ _ERROR = struct.Struct("<HBBf")
 _EMERGENCY_BYTES = 8
 """Error code, error register, axis or 0xFF, value; CiA 301 leaves the last five to the device."""
 _ERROR_CODE, _REGISTER, _NO_AXIS = 0xFF00, 0x81, 0xFF
-_NEVER, _ONE_OF = -1, 16
+_NEVER = -1
 _LARGEST = 3.4e38
 """below the largest float of 32 bits"""
 
@@ -106,17 +107,15 @@ class Supervisor:
         self._heard: Listened = frames if self._replayed is None else self._replayed.heard
         self._beating = [False] * len(names)
         """on each channel"""
-        self._beats = [Own(own, frames[name, own]) for name in names]
+        self._beats = [Beats(own, frames[name, own], settings) for name in names]
         self._beat_ns = [_NEVER] * len(names)
         """when each was sent a heartbeat last"""
-        self._prompt = [_ONE_OF] * len(names)
-        """looks in a row that found the last one gone out; since one may be lost, at least"""
         self._unwatched_ns: list[int | None] = [None] * len(names)
         """since when drives of each have power without a heartbeat, or since the last single one"""
         self._channel_of = np.zeros(len(wiring.axes), np.int64)
         self._output: Own | None = None
         """what the relay's node is told"""
-        self._own = self._beats
+        self._own: list[Own] = [*self._beats]
         if relay is None:
             self._channel_of[:] = [names.index(axis.channel) for axis in wiring.axes]
             self._answers = [_answers(wiring, name, frames) for name in names]
@@ -127,11 +126,11 @@ class Supervisor:
         else:
             output = _RPDO + relay.node_id
             self._output = Own(output, frames[relay.channel, output])
-            self._own = [*self._beats, self._output]
+            self._own.append(self._output)
             self._answers = [([frames[relay.channel, _HEARTBEAT + relay.node_id]],) * 2]
             devices = [(NOWHERE, relay.channel, REQUEST + relay.node_id)]
         told = [
-            Told(where, request - REQUEST, frames[name, request], frames[name, NMT])
+            Told(where, request - REQUEST, *(frames[name, each] for each in (request, NMT, SYNC)))
             for where, name, request in devices
         ]
         self._commands = Commands(told, self._own)
@@ -271,9 +270,12 @@ class Supervisor:
             elif since_ns is None:
                 self._unwatched_ns[place] = now_ns
             else:
-                own = self._beats[place]
-                due_ns = (8e6 if own.waits else 2e6) * self.settings.timeout_ms
-                if now_ns - since_ns >= due_ns and self._tell(place, own, _OPERATIONAL):
+                beats = self._beats[place]
+                due_ns = (8e6 if beats.waits else 2e6) * self.settings.timeout_ms
+                if now_ns - since_ns < due_ns:
+                    continue
+                beats.give_up()
+                if self._tell(place, beats, _OPERATIONAL):
                     self._unwatched_ns[place] = now_ns
 
     def _late(self, now_ns: int) -> Violation | None:
@@ -329,26 +331,17 @@ class Supervisor:
             listener.bus.shutdown()
 
     def _beat(self, now_ns: int) -> None:
-        """Two heartbeats at most wait, on an interface that tells what it has sent: those in a full
-        queue hold the drives when it has decided. The second since one may be lost, where `_ONE_OF`
-        before it went out at once. Where none goes out for so long that drives have lost it, none
-        follows. Once a look has lost its processor none is sent: what it saw is too old."""
-        for place, own in enumerate(self._beats):
+        """Where none goes out for so long that drives have lost it, none follows. Once a look has
+        lost its processor none is sent: what it saw is too old."""
+        for place in np.flatnonzero(self._beating).tolist():
             if self._clock is not None and self._clock() - now_ns > self.settings.period_ms * 1e6:
                 return
-            echo = own.heard
-            waits = echo.count > 0 and echo.at_ns <= self._beat_ns[place]
-            if not waits:
-                self._prompt[place] += 1
-            elif self._prompt[place] < _ONE_OF:
-                self._prompt[place] = 0
+            beats = self._beats[place]
+            if not beats.follows():
                 waited_ns = now_ns - self._beat_ns[place]
-                self._beating[place] &= waited_ns <= self.settings.timeout_ms * 1e6
-                continue
-            if self._beating[place] and self._tell(place, own, _OPERATIONAL):
+                self._beating[place] = waited_ns <= self.settings.timeout_ms * 1e6
+            elif self._tell(place, beats, _OPERATIONAL):
                 self._beat_ns[place] = now_ns
-                if waits:
-                    self._prompt[place] = 0
 
     def _tell(self, place: int, own: Own, data: bytes) -> bool:
         """Send what only the supervisor sends."""

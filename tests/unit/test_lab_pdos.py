@@ -104,3 +104,17 @@ def test_a_sync_with_a_counter_is_a_sync() -> None:
             bench.send("can0", 0x080, bytes((counter,)))
             bench.wait(1)
         assert len(data(bench.read("can0"))) == 3
+
+
+def test_a_node_that_is_operational_is_not_started() -> None:
+    """The command leads nowhere (CiA 301), and what waits for the next SYNC acts."""
+    with Bench() as bench:
+        bench.configure_all()
+        bench.enable()
+        bench.tick(0x07)
+        assert all(drive.enabled for drive in bench.lab.drives)
+        for spec in bench.config.fieldbus.channels:
+            bench.send(spec.name, 0x000, b"\1\0")
+            bench.send(spec.name, 0x080)
+        bench.wait(20)
+        assert not any(drive.enabled for drive in bench.lab.drives)

@@ -3,8 +3,9 @@ supervisor's name, and the one that begins the watch of drives that nobody watch
 
 from __future__ import annotations
 
+import random
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import can
 import numpy as np
@@ -14,6 +15,7 @@ from tests.unit.supervisor_setup import STRICT, EchoBus, Watchdog
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.supervisor.commands import Own
+from tonus.runtime.supervisor.heartbeat import Beats
 from tonus.runtime.supervisor.listener import Heard
 from tonus.tools.run.supervision import open_bus
 
@@ -212,22 +214,110 @@ def telling(config: Config) -> Iterator[tuple[Watchdog, EchoBus]]:
 
 
 def test_two_heartbeats_at_most_wait(telling: tuple[Watchdog, EchoBus]) -> None:
-    """In a full queue: nothing but those goes out once it has decided. For each that goes out
-    another is sent."""
+    """In a full queue: nothing but those goes out once it has decided."""
     watchdog, bus = telling
     assert watchdog.step(312, enabled=True) == watchdog.step(314, enabled=True) == BEAT
     assert all(sent == [] for sent in watchdog.steps(316, 334, enabled=True))
     assert len(bus.queue) == 2
-    for now in range(334, 444, 2):
-        bus.waiting.append(bus.queue.pop(0))
-        assert watchdog.step(now, enabled=True) == BEAT
-        assert watchdog.step(now + 1, enabled=True) == []
-        assert len(bus.queue) == 2
     bus.let_out()
     bus.full = True
-    assert watchdog.step(444, enabled=True) == []
+    assert watchdog.step(334, enabled=True) == []
     bus.full = False
-    assert watchdog.step(446, enabled=True) == BEAT, "one that was not taken is not waited for"
+    assert watchdog.step(336, enabled=True) == BEAT, "one that was not taken is not waited for"
+
+
+def at_most(most: int) -> Callable[[int], int]:
+    return lambda _: most
+
+
+def but_for(missing: int, of: int, most: int) -> Callable[[int], int]:
+    return lambda look: most * (look % of >= missing)
+
+
+def at_random(share: float, most: int, seed: int) -> Callable[[int], int]:
+    draw = random.Random(seed)
+    return lambda _: most * (draw.random() < share)
+
+
+@pytest.mark.parametrize(
+    "leaving",
+    [
+        *(but_for(missing, 20, most) for missing in (1, 2, 3) for most in (1, 9)),
+        *(but_for(missing, of, 1) for missing, of in ((1, 2), (1, 3), (2, 3), (4, 5))),
+        *(at_random(share, 1, seed) for share in (0.5, 0.7, 0.8, 0.9, 0.99) for seed in range(4)),
+        *(at_random(share, 2, 4) for share in (0.5, 0.8, 0.95)),
+    ],
+)
+def test_however_late_a_queue_lets_heartbeats_out_two_wait_at_most(
+    config: Config, leaving: Callable[[int], int]
+) -> None:
+    """``leaving``: how many may go out between one look and the next. In 20 s on which drives are
+    held none is given up that waits."""
+    beats, heard = beating(config)
+    queue = most = sent = longest = since = 0
+    for look in range(10_000):
+        follows = beats.follows()
+        if follows:
+            beats.send()
+        queue, sent = queue + follows, sent + follows
+        most = max(most, queue)
+        out = min(leaving(look), queue)
+        since = 0 if out else since + 1
+        longest = max(longest, since)
+        if out:
+            heard.take([5] * out, look)
+        queue -= out
+    assert most <= 2
+    assert sent > 1000, "it goes on"
+
+
+@pytest.mark.parametrize("period_ms", [2, 10])
+def test_one_heartbeat_is_lost_now_and_then(config: Config, period_ms: int) -> None:
+    """Each time drives get the next one before half of their time is over, and the one after it."""
+    beats, heard = beating(config, period_ms)
+    assert config.supervisor is not None
+    lost = {100, 200, 250, 300}
+    last, longest = -1, 0
+    for look in range(400):
+        if not beats.follows():
+            continue
+        beats.send()
+        if look in lost:
+            continue
+        heard.take([5], look)
+        longest, last = max(longest, look - last), look
+    assert period_ms < longest * period_ms <= max(config.supervisor.timeout_ms / 2, 2 * period_ms)
+
+
+def test_what_was_given_up_may_come_after_all(config: Config) -> None:
+    """The one that was taken for lost waits, and the next lets that be seen."""
+    beats, heard = beating(config)
+    for _ in range(2):
+        assert beats.follows()
+        beats.send()
+    heard.take([5], 2)
+    while not beats.follows():  # no other comes
+        pass
+    beats.send()
+    assert beats.waits
+    heard.take([5], 9)
+    assert beats.follows(), "as far as it counts"
+    beats.send()
+    heard.take([5, 5], 10)
+    for look in range(40):  # none is left out to see whether it was lost
+        assert beats.follows()
+        beats.send()
+        heard.take([5], look)
+
+
+def beating(config: Config, period_ms: int = 2) -> tuple[Beats, Heard]:
+    """Heartbeats of which the interface has told, each at once, for long."""
+    assert config.supervisor is not None
+    heard = Heard(())
+    beats = Beats(0x77E, heard, config.supervisor.model_copy(update={"period_ms": period_ms}))
+    beats.send()
+    heard.take([5], 0)
+    return beats, heard
 
 
 def test_heartbeats_that_wait_from_the_second_on(config: Config) -> None:
@@ -241,35 +331,22 @@ def test_heartbeats_that_wait_from_the_second_on(config: Config) -> None:
     watchdog.supervisor.close()
 
 
-@pytest.mark.parametrize(("every", "sent"), [(17, True), (16, False)])
-def test_one_heartbeat_of_sixteen_may_be_lost(
-    telling: tuple[Watchdog, EchoBus], every: int, sent: bool
+@pytest.mark.parametrize(
+    ("lost", "none_sent"), [(29, [*range(5, 9), *range(25, 29)]), (24, [*range(5, 9), 25])]
+)
+def test_after_a_heartbeat_that_was_lost_sixteen_have_to_go_out_at_once(
+    telling: tuple[Watchdog, EchoBus], lost: int, none_sent: list[int]
 ) -> None:
-    """Where the sixteen before it went out at once."""
-    watchdog, bus = telling
-    found = []
-    for place, now in enumerate(range(312, 410, 2)):
-        found.append(watchdog.step(now, enabled=True) == BEAT)
-        if place % every == 3:
-            bus.queue.clear()
-        bus.let_out()
-    assert all(found) is sent
-
-
-@pytest.mark.parametrize(("lost", "sent"), [(24, True), (23, False)])
-def test_after_a_heartbeat_that_waited_sixteen_have_to_go_out_at_once(
-    telling: tuple[Watchdog, EchoBus], lost: int, sent: bool
-) -> None:
-    """One is lost in look 3, and one waits in look 7, which no other may follow."""
+    """One is lost in look 3. The next is sent at once, four looks then find nothing that waits, and
+    four more once sixteen have gone out at once. Another may be lost from then on, not before."""
     watchdog, bus = telling
     found = []
     for place in range(lost + 2):
         found.append(watchdog.step(312 + 2 * place, enabled=True) == BEAT)
         if place in (3, lost):
             bus.queue.clear()
-        if place != 7:
-            bus.let_out()
-    assert found == [place != 8 for place in range(lost + 1)] + [sent]
+        bus.let_out()
+    assert [place for place, each in enumerate(found) if not each] == none_sent
 
 
 def test_a_second_heartbeat_that_the_interface_does_not_take(
@@ -373,16 +450,17 @@ def test_copies_of_its_own_are_forgiven_one_in_sixty_four() -> None:
     assert own.foreign, "there was none to forgive"
 
 
-def test_one_that_was_sent_waits_once_the_interface_has_told_of_any() -> None:
+def test_one_that_was_sent_waits_once_the_interface_has_told_of_any(config: Config) -> None:
+    assert config.supervisor is not None
     heard = Heard(())
-    own = Own(0x77E, heard)
-    own.send()
-    assert not own.waits
-    own.send()
+    beats = Beats(0x77E, heard, config.supervisor)
+    beats.send()
+    assert not beats.waits
+    beats.send()
     heard.take([5], 1)
-    assert own.waits
+    assert beats.waits
     heard.take([5], 1)
-    assert not own.waits
+    assert not beats.waits
 
 
 def test_a_controlword_beside_the_process_data_is_over_in_the_next_look(required: Config) -> None:

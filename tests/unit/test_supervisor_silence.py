@@ -246,7 +246,7 @@ def test_power_that_is_switched_off_beside_the_process_data(watchdog: Watchdog) 
         (0x80, 2, (1, 0x80)),
         (0x81, 0, (1, 0x81)),
         (0x82, 1, (0, 0x82)),
-        (0x01, 2, None),
+        (0x01, 2, (1, 0x01)),
         (0x82, 17, (0xFF, 0x82)),
         (0x82, 3, None),
     ],
@@ -254,13 +254,25 @@ def test_power_that_is_switched_off_beside_the_process_data(watchdog: Watchdog) 
 def test_commands_of_the_network(
     watchdog: Watchdog, code: int, node: int, found: tuple[int, int] | None, more: bytes
 ) -> None:
-    """To start is no harm, and a drive of another channel has not heard it."""
+    """A drive of another channel has not heard it. To start is one: whether a drive then drops the
+    process data that wait for SYNC is its maker's."""
     assert commanded(watchdog, 0x000, bytes((code, node)) + more, enabled=True) == found
 
 
-@pytest.mark.parametrize("data", [b"\x82\0", b"\x23\xb2\x60\0\1\0\0\0"])
+@pytest.mark.parametrize(
+    ("data", "found"), [(b"", None), (b"\1", (0xFF, 0x80)), (bytes(8), (0xFF, 0x80))]
+)
+def test_a_sync_that_a_drive_may_ignore(
+    watchdog: Watchdog, data: bytes, found: tuple[int, int] | None
+) -> None:
+    """Or take for one: it has a counter, and more than that is an error (CiA 301)."""
+    assert commanded(watchdog, 0x080, data, enabled=True) == found
+
+
+@pytest.mark.parametrize("data", [b"\1", b"\x82\0", b"\x23\xb2\x60\0\1\0\0\0"])
 def test_a_command_of_before_is_over(watchdog: Watchdog, data: bytes) -> None:
-    identifier = 0x000 if len(data) == 2 else watchdog.wiring.axes[1].request
+    request = watchdog.wiring.axes[1].request
+    identifier = {1: 0x080, 2: 0x000}.get(len(data), request)
     assert commanded(watchdog, identifier, data, enabled=False) is None
     assert watchdog.step(312, enabled=True) == BEAT
 

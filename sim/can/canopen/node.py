@@ -60,7 +60,9 @@ class Nmt(IntEnum):
     PRE_OPERATIONAL = 0x7F
 
 
-_START, _STOP, _PRE_OPERATE, _RESET_NODE, _RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
+_STATES = {0x01: Nmt.OPERATIONAL, 0x02: Nmt.STOPPED, 0x80: Nmt.PRE_OPERATIONAL}
+"""where an NMT command leads to (CiA 301); to the state of before is no transition"""
+_RESET_NODE, _RESET_COMMUNICATION = 0x81, 0x82
 
 
 def _nothing() -> None:
@@ -263,12 +265,9 @@ class Node:
         if len(frame.data) < 2 or frame.data[1] not in (0, self.node_id):
             return
         command = frame.data[0]
-        if command == _START:
-            self._enter(Nmt.OPERATIONAL)
-        elif command == _STOP:
-            self._enter(Nmt.STOPPED)
-        elif command == _PRE_OPERATE:
-            self._enter(Nmt.PRE_OPERATIONAL)
+        state = _STATES.get(command, self.state)
+        if state is not self.state:
+            self._enter(state)
         elif command == _RESET_NODE:
             self._restart(self.device.reset)
         elif command == _RESET_COMMUNICATION:
