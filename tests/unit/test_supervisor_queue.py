@@ -3,9 +3,8 @@ supervisor's name, and the one that begins the watch of drives that nobody watch
 
 from __future__ import annotations
 
-import random
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import can
 import numpy as np
@@ -15,7 +14,6 @@ from tests.unit.supervisor_setup import STRICT, EchoBus, Watchdog
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.supervisor.commands import Own
-from tonus.runtime.supervisor.heartbeat import Beats
 from tonus.runtime.supervisor.listener import Heard
 from tonus.tools.run.supervision import open_bus
 
@@ -226,100 +224,6 @@ def test_two_heartbeats_at_most_wait(telling: tuple[Watchdog, EchoBus]) -> None:
     assert watchdog.step(336, enabled=True) == BEAT, "one that was not taken is not waited for"
 
 
-def at_most(most: int) -> Callable[[int], int]:
-    return lambda _: most
-
-
-def but_for(missing: int, of: int, most: int) -> Callable[[int], int]:
-    return lambda look: most * (look % of >= missing)
-
-
-def at_random(share: float, most: int, seed: int) -> Callable[[int], int]:
-    draw = random.Random(seed)
-    return lambda _: most * (draw.random() < share)
-
-
-@pytest.mark.parametrize(
-    "leaving",
-    [
-        *(but_for(missing, 20, most) for missing in (1, 2, 3) for most in (1, 9)),
-        *(but_for(missing, of, 1) for missing, of in ((1, 2), (1, 3), (2, 3), (4, 5))),
-        *(at_random(share, 1, seed) for share in (0.5, 0.7, 0.8, 0.9, 0.99) for seed in range(4)),
-        *(at_random(share, 2, 4) for share in (0.5, 0.8, 0.95)),
-    ],
-)
-def test_however_late_a_queue_lets_heartbeats_out_two_wait_at_most(
-    config: Config, leaving: Callable[[int], int]
-) -> None:
-    """``leaving``: how many may go out between one look and the next. In 20 s on which drives are
-    held none is given up that waits."""
-    beats, heard = beating(config)
-    queue = most = sent = longest = since = 0
-    for look in range(10_000):
-        follows = beats.follows()
-        if follows:
-            beats.send()
-        queue, sent = queue + follows, sent + follows
-        most = max(most, queue)
-        out = min(leaving(look), queue)
-        since = 0 if out else since + 1
-        longest = max(longest, since)
-        if out:
-            heard.take([5] * out, look)
-        queue -= out
-    assert most <= 2
-    assert sent > 1000, "it goes on"
-
-
-@pytest.mark.parametrize("period_ms", [2, 10])
-def test_one_heartbeat_is_lost_now_and_then(config: Config, period_ms: int) -> None:
-    """Each time drives get the next one before half of their time is over, and the one after it."""
-    beats, heard = beating(config, period_ms)
-    assert config.supervisor is not None
-    lost = {100, 200, 250, 300}
-    last, longest = -1, 0
-    for look in range(400):
-        if not beats.follows():
-            continue
-        beats.send()
-        if look in lost:
-            continue
-        heard.take([5], look)
-        longest, last = max(longest, look - last), look
-    assert period_ms < longest * period_ms <= max(config.supervisor.timeout_ms / 2, 2 * period_ms)
-
-
-def test_what_was_given_up_may_come_after_all(config: Config) -> None:
-    """The one that was taken for lost waits, and the next lets that be seen."""
-    beats, heard = beating(config)
-    for _ in range(2):
-        assert beats.follows()
-        beats.send()
-    heard.take([5], 2)
-    while not beats.follows():  # no other comes
-        pass
-    beats.send()
-    assert beats.waits
-    heard.take([5], 9)
-    assert beats.follows(), "as far as it counts"
-    beats.send()
-    heard.take([5, 5], 10)
-    for look in range(40):  # none is left out to see whether it was lost
-        assert beats.follows()
-        beats.send()
-        heard.take([5], look)
-
-
-def beating(config: Config, period_ms: int = 2) -> tuple[Beats, Heard]:
-    """Heartbeats of which the interface has told, each at once, for long."""
-    assert config.supervisor is not None
-    heard = Heard(())
-    beats = Beats(0x77E, heard, config.supervisor.model_copy(update={"period_ms": period_ms}))
-    beats.send()
-    heard.take([5], 0)
-    return beats, heard
-
-
 def test_heartbeats_that_wait_from_the_second_on(config: Config) -> None:
     """The first one told that the interface tells what it has sent."""
     watchdog = Watchdog(config, EchoBus)
@@ -448,19 +352,6 @@ def test_copies_of_its_own_are_forgiven_one_in_sixty_four() -> None:
     assert not own.foreign
     heard.take([5], 1)
     assert own.foreign, "there was none to forgive"
-
-
-def test_one_that_was_sent_waits_once_the_interface_has_told_of_any(config: Config) -> None:
-    assert config.supervisor is not None
-    heard = Heard(())
-    beats = Beats(0x77E, heard, config.supervisor)
-    beats.send()
-    assert not beats.waits
-    beats.send()
-    heard.take([5], 1)
-    assert beats.waits
-    heard.take([5], 1)
-    assert not beats.waits
 
 
 def test_a_controlword_beside_the_process_data_is_over_in_the_next_look(required: Config) -> None:

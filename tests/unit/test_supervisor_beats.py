@@ -1,0 +1,121 @@
+"""Heartbeats that are counted: which wait in a transmit queue, and which were lost."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+
+from tests.unit.supervisor_setup import STRICT
+from tonus.config import Config, load
+from tonus.runtime.supervisor.heartbeat import Beats
+from tonus.runtime.supervisor.listener import Heard
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+def beating(config: Config, period_ms: int = 2) -> tuple[Beats, Heard]:
+    """Heartbeats of which the interface has told, each at once, for long."""
+    assert config.supervisor is not None
+    heard = Heard(())
+    beats = Beats(0x77E, heard, config.supervisor.model_copy(update={"period_ms": period_ms}))
+    beats.send()
+    heard.take([5], 0)
+    return beats, heard
+
+
+def but_for(missing: int, of: int, most: int) -> Callable[[int], int]:
+    return lambda look: most * (look % of >= missing)
+
+
+def at_random(share: float, most: int, seed: int) -> Callable[[int], int]:
+    draw = random.Random(seed)
+    return lambda _: most * (draw.random() < share)
+
+
+@pytest.mark.parametrize(
+    "leaving",
+    [
+        *(but_for(missing, 20, most) for missing in (1, 2, 3) for most in (1, 9)),
+        *(but_for(missing, of, 1) for missing, of in ((1, 2), (1, 3), (2, 3), (4, 5))),
+        *(at_random(share, 1, seed) for share in (0.5, 0.7, 0.8, 0.9, 0.99) for seed in range(4)),
+        *(at_random(share, 2, 4) for share in (0.5, 0.8, 0.95)),
+    ],
+)
+def test_however_late_a_queue_lets_heartbeats_out_two_wait_at_most(
+    config: Config, leaving: Callable[[int], int]
+) -> None:
+    """``leaving``: how many may go out between one look and the next. In 20 s on which drives are
+    held none is given up that waits."""
+    beats, heard = beating(config)
+    queue = most = sent = longest = since = 0
+    for look in range(10_000):
+        follows = beats.follows()
+        if follows:
+            beats.send()
+        queue, sent = queue + follows, sent + follows
+        most = max(most, queue)
+        out = min(leaving(look), queue)
+        since = 0 if out else since + 1
+        longest = max(longest, since)
+        if out:
+            heard.take([5] * out, look)
+        queue -= out
+    assert most <= 2
+    assert sent > 1000, "it goes on"
+
+
+@pytest.mark.parametrize("period_ms", [2, 10])
+def test_one_heartbeat_is_lost_now_and_then(config: Config, period_ms: int) -> None:
+    """Each time drives get the next one before half of their time is over, and the one after it."""
+    beats, heard = beating(config, period_ms)
+    assert config.supervisor is not None
+    lost = {100, 200, 250, 300}
+    last, longest = -1, 0
+    for look in range(400):
+        if not beats.follows():
+            continue
+        beats.send()
+        if look in lost:
+            continue
+        heard.take([5], look)
+        longest, last = max(longest, look - last), look
+    assert period_ms < longest * period_ms <= max(config.supervisor.timeout_ms / 2, 2 * period_ms)
+
+
+def test_what_was_given_up_may_come_after_all(config: Config) -> None:
+    """The one that was taken for lost waits, and the next lets that be seen."""
+    beats, heard = beating(config)
+    for _ in range(2):
+        assert beats.follows()
+        beats.send()
+    heard.take([5], 2)
+    while not beats.follows():  # no other comes
+        pass
+    beats.send()
+    assert beats.waits
+    heard.take([5], 9)
+    assert beats.follows(), "as far as it counts"
+    beats.send()
+    heard.take([5, 5], 10)
+    for look in range(40):  # none is left out to see whether it was lost
+        assert beats.follows()
+        beats.send()
+        heard.take([5], look)
+
+
+def test_one_that_was_sent_waits_once_the_interface_has_told_of_any(config: Config) -> None:
+    assert config.supervisor is not None
+    heard = Heard(())
+    beats = Beats(0x77E, heard, config.supervisor)
+    beats.send()
+    assert not beats.waits
+    beats.send()
+    heard.take([5], 1)
+    assert beats.waits
+    heard.take([5], 1)
+    assert not beats.waits
