@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.unit.supervisor_setup import (
+    MS,
     STRICT,
     N,
+    Stage,
     at,
+    claim,
     lasting,
+    seen,
 )
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
+from tonus.runtime.supervisor.judge import Judge
 
 
 @pytest.fixture(scope="module")
@@ -128,3 +134,39 @@ def test_the_bound_of_the_platforms_speed_is_the_least_over_the_poses(
         limit = 1.1 * config.control.envelope.speed_limit
         assert (found is not None) is (least > limit)
         assert found is None or found.value == pytest.approx(least, rel=1e-9)
+
+
+@pytest.mark.parametrize("every", range(1, 20))
+def test_the_speed_of_a_platform_of_which_half_of_the_drums_answer_seldom(
+    config: Config, every: int
+) -> None:
+    """In each ``every``-th tick, and not together. At 0.6 m/s, in the direction in which the drums
+    that answer in each tick show the least of it."""
+    assert config.supervisor is not None
+    stage, judge = Stage(config), Judge(config, config.supervisor)
+    geometry = config.robot.geometry
+    attachments = np.array(geometry.frame) - np.array(geometry.platform)
+    direction, seldom = np.array([0.0, -1.0, 1.0]) / np.sqrt(2.0), (2, 3, 4, 5)
+
+    def lengths(metre: float) -> Any:
+        return np.linalg.norm(attachments - metre * direction, axis=1)
+
+    begins, found = 40, None
+    for tick in range(1, begins + 80):
+        reeled = lengths(0.0) - lengths(0.6e-3 * max(tick - begins, 0))
+        for axis in stage.wiring.axes:
+            if axis.number in seldom and (tick + axis.number) % every:
+                continue
+            place = round(reeled[axis.number] / axis.metre) & 0xFFFFFFFF
+            word = place << axis.position.shift | 0x0237
+            stage.heard[axis.channel, axis.received].take([word], tick * MS)
+        if tick % 2:
+            continue
+        looked = stage.observe(tick * MS, stage.heard, [claim(at_ms=float(tick))])
+        # What the others tell is not what is asked here.
+        found = judge(replace(seen(at_ms=float(tick)), rate=looked.rate))
+        if found is not None:
+            break
+    assert found is not None
+    assert found.requirement is Requirement.SPEED
+    assert tick - begins <= 10 + 2 * every
