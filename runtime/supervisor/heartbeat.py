@@ -18,6 +18,8 @@ class Beats(Own):
     def __init__(self, identifier: int, heard: Heard, settings: Supervisor) -> None:
         self._silent_looks = max(1, settings.timeout_ms // (2 * settings.period_ms) - 1)
         """that show that nothing waits: with the one before, half of what drives wait"""
+        self._left_out = 0
+        """looks in a row that sent none, to see whether any comes"""
         super().__init__(identifier, heard)
 
     def begin(self) -> None:
@@ -29,14 +31,10 @@ class Beats(Own):
         """looks in a row that found all of them; since one may be lost, at least"""
         self._doubted = False
         """the one that was lost last may wait after all"""
-        self._left_out = 0
-        """looks in a row that sent none, to see whether any comes"""
 
     def send(self) -> None:
         """One is sent."""
         super().send()
-        if self.waits:
-            self._prompt = 0
         self._counted += 1
 
     @property
@@ -55,27 +53,24 @@ class Beats(Own):
         `_ONE_OF`, before the next one may be lost."""
         heard = self.heard.count
         came, self._told = heard > self._told, heard
+        left_out, self._left_out = self._left_out, 0
         if heard > self._counted:  # one that was given up, or the bus has repeated one
             self.give_up()
             self._doubted = False
         waiting = self._counted - heard
-        self._prompt += not waiting
-        seasoned = self._prompt >= _ONE_OF
-        if not heard or not (waiting or (self._doubted and seasoned)):
-            self._left_out = 0
+        if not heard:
             return True
-        if waiting > 1 or (waiting and not came and not self._left_out):
-            self._left_out = 0
-            if waiting > 1 or self._doubted or not seasoned:
-                self._prompt = 0
-                return False
-            return True
-        self._left_out = 1 if came else self._left_out + 1
-        if self._left_out <= self._silent_looks:
-            return False
-        self._left_out = 0
-        self._doubted = waiting > 0
-        if waiting:
-            self.give_up()
+        if not waiting:
+            self._prompt += 1
+            if self._prompt < _ONE_OF or not self._doubted:
+                return True
+        elif waiting > 1 or not (came or left_out):
+            second = waiting == 1 and self._prompt >= _ONE_OF
             self._prompt = 0
+            return second
+        if left_out < self._silent_looks:
+            self._left_out = left_out + 1
+            return False
+        self._doubted = waiting > 0
+        self.give_up()
         return True
