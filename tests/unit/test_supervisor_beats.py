@@ -49,10 +49,10 @@ def at_random(share: float, most: int, seed: int) -> Callable[[int], int]:
 def test_however_late_a_queue_lets_heartbeats_out_two_wait_at_most(
     config: Config, leaving: Callable[[int], int]
 ) -> None:
-    """``leaving``: how many may go out between one look and the next. In 20 s on which drives are
-    held none is given up that waits."""
+    """``leaving``: how many may go out between one look and the next. In 20 s none is given up that
+    waits."""
     beats, heard = beating(config)
-    queue = most = sent = longest = since = 0
+    queue = most = sent = 0
     for look in range(10_000):
         follows = beats.follows()
         if follows:
@@ -60,13 +60,39 @@ def test_however_late_a_queue_lets_heartbeats_out_two_wait_at_most(
         queue, sent = queue + follows, sent + follows
         most = max(most, queue)
         out = min(leaving(look), queue)
-        since = 0 if out else since + 1
-        longest = max(longest, since)
         if out:
             heard.take([5] * out, look)
         queue -= out
     assert most <= 2
     assert sent > 1000, "it goes on"
+
+
+def test_one_look_at_least_shows_that_nothing_waits(config: Config) -> None:
+    """Where drives wait hardly longer than two looks take."""
+    beats, heard = beating(config, period_ms=10)
+    for _ in range(2):
+        assert beats.follows()
+        beats.send()
+    heard.take([5], 2)
+    assert not beats.follows()
+    heard.take([5], 3)
+    assert beats.follows()
+
+
+@pytest.mark.parametrize(("looks", "second"), [(15, False), (16, True)])
+def test_a_second_one_only_where_sixteen_before_went_out_at_once(
+    config: Config, looks: int, second: bool
+) -> None:
+    """After two that were late and not lost."""
+    beats, heard = beating(config)
+    for _ in range(2):
+        assert beats.follows()
+        beats.send()
+    for look in range(looks):
+        heard.take([5, 5] if look == 0 else [5], look)
+        assert beats.follows()
+        beats.send()
+    assert beats.follows() is second
 
 
 @pytest.mark.parametrize(("period_ms", "looks"), [(2, 5), (10, 2)])
@@ -120,10 +146,12 @@ def test_one_that_was_sent_waits_once_the_interface_has_told_of_any(config: Conf
     heard.take([5], 1)
     assert beats.waits
     assert not beats.follows()
-    heard.take([5, 5], 1)
+    heard.take([5], 2)
+    assert not any(beats.follows() for _ in range(9)), "two wait, however long"
+    heard.take([5], 3)
     assert beats.waits
     assert not beats.follows()
-    heard.take([5], 1)
+    heard.take([5], 4)
     assert not beats.waits
     assert beats.follows()
 
