@@ -125,7 +125,7 @@ class Isolation(Section):
     torque_ticks: Count
     """in a row"""
     torque_descent_ticks: Count
-    """in a row, in a descent or a passive stop"""
+    """in a row, in a descent or a passive stop, of a drum that turns"""
     sample_doubt: Positive
     """s of uncertainty of the time of a sample, beyond which it is not compared with its torque"""
     unobserved_s: Positive
