@@ -85,6 +85,9 @@ class Stop(Section):
     """N that a drum gives by itself"""
     passive_damping: Positive
     """N s/m by which it damps its own motion"""
+    passive_damping_in: Positive | None = None
+    """N s/m, the same of a drum that reels in: with less of it a slack cable keeps up with a
+    platform that sinks; none: `passive_damping`"""
     passive_speed: Positive = 0.15
     """m/s beyond which the damping is `reel_damping`; once all drums have been slower for as long
     as lowering takes on the path, a passive stop reduces its tension"""
@@ -102,6 +105,8 @@ class Stop(Section):
     def _ordered(self) -> Stop:
         if not self.least_tension <= self.passive_tension <= self.most_tension:
             raise ValueError("least_tension <= passive_tension <= most_tension must hold")
+        if self.passive_damping_in is not None and self.passive_damping_in > self.passive_damping:
+            raise ValueError("passive_damping_in <= passive_damping must hold")
         return self
 
 
@@ -125,7 +130,7 @@ class Isolation(Section):
     torque_ticks: Count
     """in a row"""
     torque_descent_ticks: Count
-    """in a row, in a descent or a passive stop"""
+    """in a row, in a descent or a passive stop, of a drum that turns"""
     sample_doubt: Positive
     """s of uncertainty of the time of a sample, beyond which it is not compared with its torque"""
     unobserved_s: Positive

@@ -40,7 +40,7 @@ _EVEN_TICKS = _UNDER_WAY + 1
     _SINCE,
 ) = range(10)
 _ROWS = _SINCE + 1
-_EVEN, _UNOBSERVED, _MISLED = range(3)
+_EVEN, _UNOBSERVED, _MISLED, _STANDING = range(4)
 
 
 @njit(cache=True)
@@ -66,7 +66,8 @@ def _observe(
     (rad/s) at which the drum would be ``following`` the platform. Rows of ``drums``: radius, mass
     at the cable, and the fastest acceleration (m/s2); momentum that is explained, force that is
     unexplained, mean force of the torque; travel (m); last angles, speeds before, intervals since.
-    Rows of ``counts``: ticks that were even, unobserved, misled. ``torques`` (`_UNDER_WAY`, n),
+    Rows of ``counts``: ticks that were even, unobserved, misled, and in which the
+    angle stayed as it was. ``torques`` (`_UNDER_WAY`, n),
     those on their way. ``limits``: largest doubt (ns), the observer's time (s), force (N) and share
     of the torque's that may be unexplained.
     """
@@ -76,6 +77,7 @@ def _observe(
     explained, unexplained, mean = drums[_EXPLAINED], drums[_UNEXPLAINED], drums[_MEAN]
     last, before, since, travel = drums[_LAST], drums[_BEFORE], drums[_SINCE], drums[_TRAVEL]
     even, unobserved, misled = counts[_EVEN], counts[_UNOBSERVED], counts[_MISLED]
+    standing = counts[_STANDING]
     largest_doubt_ns, time, force, share = limits[0], limits[1], limits[2], limits[3]
     most = longest = 0
     for i in range(tension.shape[0]):
@@ -94,7 +96,7 @@ def _observe(
         if not (watched and math.isfinite(speed + pull + tension[i] + ahead + known)):
             explained[i], unexplained[i], mean[i] = mass[i] * speed, 0.0, abs(pull)
             misled[i], travel[i], last[i], before[i] = 0, 0.0, angle[i], speed
-            since[i] = interval[i]
+            standing[i], since[i] = 0, interval[i]
             continue
         period = interval[i]
         explained[i] += period * (pull - tension[i] + unexplained[i])
@@ -105,7 +107,9 @@ def _observe(
         if abs(speed - before[i]) > fastest[i] * 0.5 * (period + since[i]):
             misled[i] = _CERTAIN
         before[i], since[i] = speed, period
-        travel[i] = travel[i] + period * ahead if angle[i] == last[i] else 0.0
+        stands = angle[i] == last[i]
+        standing[i] = standing[i] + 1 if stands else 0
+        travel[i] = travel[i] + period * ahead if stands else 0.0
         last[i] = angle[i]
         most = max(most, misled[i])
     return most, longest
@@ -117,7 +121,7 @@ class DrumObserver:
     def __init__(self, robot: Robot, settings: Settings) -> None:
         cables, radius, mass = robot.cables, robot.drum_radius, robot.drum_mass
         strongest = robot.torque_limit / radius
-        self._drums, self._counts = np.zeros((_ROWS, cables)), np.zeros((3, cables), np.int64)
+        self._drums, self._counts = np.zeros((_ROWS, cables)), np.zeros((4, cables), np.int64)
         self._torques = np.zeros((_UNDER_WAY, cables))
         self._drums[_RADIUS], self._drums[_MASS] = radius, mass
         self._drums[_FASTEST] = settings.acceleration * strongest / mass
@@ -128,6 +132,8 @@ class DrumObserver:
         """(n,) ticks in a row in which a drum's motion could not be held against its torque"""
         self.misled = self._counts[_MISLED]
         """(n,) ticks in a row in which it did not match"""
+        self.standing = self._counts[_STANDING]
+        """(n,) ticks in a row in which its encoder showed no motion at all"""
         self.travel = self._drums[_TRAVEL]
         """(n,) m that a standing drum should have wound, by the platform's motion"""
         self.most_misled = self.longest_unobserved = 0

@@ -4,11 +4,12 @@ The *passive* stop uses only the drum's own rate v (m/s, reeling in positive):
 
     F = T_0 - d v,  |F| <= F_max
 
-where d is larger for the part of v beyond ``passive_speed``. With the storage function
-V = kinetic + strain + weight - T_0 (sum of reeled-in lengths), which has a lower bound since no
-cable can be shorter than nothing, V' = -d sum v^2 - friction <= 0 for any subset of cables, torn,
-slipped or wrong: no cable's torque depends on another's measurement. The rate is a period and a
-half old; d must stay below m_drum / (3 periods) for the sampled loop to remove energy
+where d is larger for the part of v beyond ``passive_speed``, and smaller for a drum that reels in
+(``passive_damping_in``), so that a slack cable keeps up with a platform that sinks. With the
+storage function V = kinetic + strain + weight - T_0 (sum of reeled-in lengths), which has a lower
+bound since no cable can be shorter than nothing, V' = -d sum v^2 - friction <= 0 for any subset of
+cables, torn, slipped or wrong: no cable's torque depends on another's measurement. The rate is a
+period and a half old; d must stay below m_drum / (3 periods) for the sampled loop to remove energy
 (`tests/property/test_any_passive_stop.py` verifies both).
 
 A *descent* plans forces, and the guard bounds the effect of a wrong plan: reeling in faster than
@@ -36,21 +37,23 @@ def _passive(
     chosen: NDArray[np.bool_],
     share: Array,
     radius: Array,
-    law: tuple[float, float, float],
-    brake: tuple[float, float],
+    law: tuple[float, float, float, float],
+    brake: tuple[float, float, float],
     torque: Array,
 ) -> None:
-    """``radius`` (n,) of the drums; ``law``: T_0, d, F_max; ``brake``: speed, and what the
-    damping grows by beyond it; ``share`` (n,): of T_0, 0 to 1."""
-    tension, damping, largest = law
-    fastest, harder = brake
+    """``radius`` (n,) of the drums; ``law``: T_0, d in and out, F_max; ``brake``: speed, and
+    what the damping in and out grows by beyond it; ``share`` (n,): of T_0, 0 to 1."""
+    tension, inward, outward, largest = law
+    fastest, harder_in, harder_out = brake
     for i in range(rate.shape[0]):
         if not chosen[i]:
             continue
         torque[i] = 0.0
         speed = radius[i] * rate[i]
-        beyond = max(speed - fastest, 0.0) + min(speed + fastest, 0.0)
-        force = share[i] * tension - damping * speed - harder * beyond
+        reeled_in, reeled_out = max(speed, 0.0), min(speed, 0.0)
+        force = share[i] * tension - inward * reeled_in - outward * reeled_out
+        force -= harder_in * max(reeled_in - fastest, 0.0)
+        force -= harder_out * min(reeled_out + fastest, 0.0)
         if math.isfinite(force):
             torque[i] = radius[i] * min(max(force, -largest), largest)
 
@@ -113,9 +116,10 @@ class Guard:
     def __init__(self, robot: Robot, settings: Stop, period: float) -> None:
         s = settings
         self._radius = robot.drum_radius
-        self._law = (s.passive_tension, s.passive_damping, s.passive_force)
-        harder = max(s.reel_damping - s.passive_damping, 0.0)
-        self._brake = (s.passive_speed, harder)
+        damping = (s.passive_damping_in or s.passive_damping, s.passive_damping)
+        self._law = (s.passive_tension, *damping, s.passive_force)
+        harder = [max(s.reel_damping - each, 0.0) for each in damping]
+        self._brake = (s.passive_speed, harder[0], harder[1])
         self._speeds = (s.reel_in, s.reel_out, s.reel_damping)
         self._slack = (s.take_up_speed, s.take_up_damping, s.reel_in)
         self._period, self._capacity = period, s.tank

@@ -150,12 +150,23 @@ def _residuals(
     return _quiet(jumped, astray, drift, same, (ticks[0], limits[8], ticks[1]))
 
 
+def _turned(robot: Robot, settings: Settings) -> Array:
+    """s (n,) in which the smallest unexplained force turns a drum that is at rest, and free, by two
+    increments of its encoder."""
+    trains = robot.drive_trains
+    turn = [2.0 * math.pi / (t.motor.increments_per_revolution * t.gearbox.ratio) for t in trains]
+    way = 2.0 * robot.drum_radius * np.array(turn)
+    return np.asarray(np.sqrt(2.0 * way * robot.drum_mass / settings.torque_error))
+
+
 class Isolation:
     """One tick of residuals; `found` is the first fault they show, and where."""
 
     def __init__(self, robot: Robot, settings: Settings, stop: Stop, period: float) -> None:
         self._settings, self._taut = settings, stop.taut_tension
         self.drums = DrumObserver(robot, settings)
+        self._stuck_ticks = np.maximum(_turned(robot, settings) / period, settings.torque_ticks)
+        """(n,) in which a drum that stands all the time has contradicted its torque for certain"""
         self._share = 1.0 - math.exp(-period / settings.innovation_s)
         self._astray_ticks = round(settings.tension_error_s / period)
         kept, counts = np.zeros((5, robot.cables)), np.zeros((5, robot.cables), np.int64)
@@ -248,7 +259,8 @@ class Isolation:
     def disobedient(self, mode: StopMode, failed: NDArray[np.bool_]) -> tuple[Fault, int]:
         """The first drum whose motion does not match its torque, independent of the estimate. In a
         stop that leaves the path (``mode``) drums work at their limits, where losses are least
-        certain, and slack cables snap taut. In a descent a slack cable may be torn, and a cell
+        certain, and slack cables snap taut; but no such drum stands to the last increment. In a
+        descent a slack cable may be torn, and a cell
         frozen: of those that have not ``failed`` (n,), since each is named once and would hide the
         next."""
         s = self._settings
@@ -259,9 +271,14 @@ class Isolation:
             frozen = (self._repeated >= s.frozen_ticks) & ~failed
             if frozen.any():
                 return Fault.CELL_FROZEN, int(frozen.argmax())
-        if self.drums.most_misled < (s.torque_descent_ticks if rough else s.torque_ticks):
+        drums = self.drums
+        if rough and drums.most_misled >= s.torque_ticks:
+            stuck = np.minimum(drums.misled, drums.standing) >= self._stuck_ticks
+            if stuck.any():
+                return Fault.DRUM_TORQUE, int(stuck.argmax())
+        if drums.most_misled < (s.torque_descent_ticks if rough else s.torque_ticks):
             return Fault.NONE, -1
-        return Fault.DRUM_TORQUE, int(self.drums.misled.argmax())
+        return Fault.DRUM_TORQUE, int(drums.misled.argmax())
 
     def _contradiction(self, tension: Array) -> tuple[Fault, int]:
         s = self._settings

@@ -60,6 +60,8 @@ class PassiveStop:
 
     def __init__(self, plant: Plant, damping: float = STOP.passive_damping) -> None:
         settings = STOP.model_copy(update={"passive_damping": damping})
+        if damping != STOP.passive_damping:
+            settings = settings.model_copy(update={"passive_damping_in": damping})
         self.plant, self._guard = plant, Guard(ROBOT, settings, PERIOD)
         turn = PERIOD * plant.drum_rate
         self._samples = [_counted(plant.drum_angle - n * turn) for n in (3, 2, 1)]

@@ -219,7 +219,8 @@ def test_the_drum_of_a_given_up_cable_damps_if_it_can_and_follows_a_slack_one(
     torque, rate, following = np.zeros(8), np.full(8, 1.0), np.full(8, 2.0)
     descent.bound(torque, rate, following, np.zeros(8), carrying, found.damping)
     radius = ROBOT.drum_radius[2]
-    damped = radius * (stop.passive_tension - stop.passive_damping * radius)
+    assert stop.passive_damping_in is not None
+    damped = radius * (stop.passive_tension - stop.passive_damping_in * radius)
     assert torque[2] == pytest.approx(damped)
     closing = stop.take_up_damping * (stop.take_up_speed + radius)
     assert torque[5] == pytest.approx(radius * closing)

@@ -178,6 +178,23 @@ def test_a_torque_makes_its_motion_two_ticks_later(drums: Drums) -> None:
     assert drums.tick() == only(1, 1)
 
 
+def test_ticks_are_counted_in_which_an_encoder_shows_no_motion_at_all(drums: Drums) -> None:
+    def standing() -> list[int]:
+        drums.tick()
+        return drums.observer.standing.tolist()
+
+    began = int(drums.observer.standing[0])
+    assert standing() == [began + 1] * N
+    drums.angle[1] += BIT
+    assert standing() == [began + 2, 0, began + 2]
+    assert standing() == [began + 3, 1, began + 3]
+    drums.angle[1] -= BIT
+    drums.failed[2] = True
+    assert standing() == [began + 4, 0, 0], "nor of one that is not observed"
+    drums.failed[2] = False
+    assert standing() == [began + 5, 1, 1]
+
+
 def test_a_drum_in_motion_is_observed_from_its_momentum_on() -> None:
     """Ten metres a second before it is observed; afterwards nothing that accelerates it."""
     drums = Drums(0)

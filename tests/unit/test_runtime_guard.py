@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tonus.config import load
+from tonus.config.schema.safety import Stop
 from tonus.runtime.safety.guard import Guard
 
 CONFIG, _ = load("config/can.yaml")
@@ -18,6 +19,7 @@ SETTINGS = CONFIG.control.stop.model_copy(
     update={
         "passive_tension": 30.0,
         "passive_damping": 100.0,
+        "passive_damping_in": None,
         "passive_force": 80.0,
         "passive_speed": 0.4,
         "reel_in": 0.2,
@@ -59,6 +61,35 @@ def test_a_drum_that_turns_faster_brakes() -> None:
     speeds = each(0.4, 0.5, -0.4, -0.5)
     torque = strong.passive(speeds / RADIUS, EVERY)
     assert torque[:4] / RADIUS[:4] == pytest.approx([-10.0, -60.0, 70.0, 120.0])
+
+
+def test_a_drum_that_reels_in_is_damped_less() -> None:
+    """With 20 N s/m, up to 0.4 m/s; with 500 N s/m beyond, as one that reels out with 100."""
+    changes = {"passive_force": 300.0, "passive_damping_in": 20.0}
+    soft = Guard(ROBOT, SETTINGS.model_copy(update=changes), PERIOD)
+    torque = soft.passive(each(0.1, 0.4, 0.5, -0.1, -0.4, -0.5) / RADIUS, EVERY)
+    assert torque[:6] / RADIUS[:6] == pytest.approx([28.0, 22.0, -28.0, 40.0, 70.0, 120.0])
+
+
+def test_a_drum_that_reels_in_is_damped_more_by_no_configuration() -> None:
+    """`tonus check` holds the larger damping against the delay."""
+    damping = CONFIG.control.stop.passive_damping
+    for inward in (damping, None):
+        Stop.model_validate(CONFIG.control.stop.model_dump() | {"passive_damping_in": inward})
+    more = CONFIG.control.stop.model_dump() | {"passive_damping_in": damping + 1.0}
+    with pytest.raises(ValueError, match="passive_damping_in <= passive_damping"):
+        Stop.model_validate(more)
+
+
+def test_a_slack_cable_comes_in_at_the_speed_up_to_which_a_passive_stop_does_not_brake() -> None:
+    """Against friction and bearings; a platform that sinks faster is braked by the other cables."""
+    stop, lab = CONFIG.control.stop, CONFIG.lab
+    assert lab is not None
+    bearings = ROBOT.viscous_friction[0] / RADIUS[0] ** 2
+    inward = stop.passive_damping_in
+    assert inward is not None
+    speed = (stop.passive_tension - lab.plant.coulomb_friction) / (inward + bearings)
+    assert speed == pytest.approx(stop.passive_speed, rel=0.05)
 
 
 def test_a_brake_that_is_weaker_than_the_damping_adds_nothing() -> None:

@@ -52,6 +52,7 @@ class Watched:
     def tick(self, count: int = 1) -> tuple[Fault, int]:
         given = self.given
         for _ in range(count):
+            given["angle"] = given["angle"] + PERIOD * given["rate"]
             raw = self._random.normal(PULL, NOISE, CELLS)
             if self.repeats is not None:
                 raw[self.repeats] = self._raw[self.repeats]
@@ -172,12 +173,22 @@ def test_a_drum_that_does_not_turn_as_its_torque_has_it_is_named(cables: Watched
 
 @pytest.mark.parametrize("mode", [StopMode.DESCENT, StopMode.PASSIVE])
 def test_a_stop_off_the_path_has_more_patience_with_a_drum(cables: Watched, mode: StopMode) -> None:
-    """In a passive stop a drum that was named wrongly would lose its damping."""
+    """In a passive stop a drum that was named wrongly would lose its damping; none with one that
+    stands, which no cable that snaps taut makes of a sound one."""
     cables.mode = mode
+    cables.given["rate"][5] = 0.1
+    cables.tick(100)
     cables.given["torque"][5] = RADIUS * (PULL + 10.0 * SETTINGS.torque_error)
     fault, place, tick = cables.found_after(100)
     assert (fault, place) == (Fault.DRUM_TORQUE, 5)
     assert tick >= SETTINGS.torque_descent_ticks > SETTINGS.torque_ticks
+    standing = Watched()
+    standing.tick(200)
+    standing.mode = mode
+    standing.given["torque"][5] = RADIUS * (PULL + 10.0 * SETTINGS.torque_error)
+    fault, place, found = standing.found_after(100)
+    assert (fault, place) == (Fault.DRUM_TORQUE, 5)
+    assert SETTINGS.torque_ticks <= found < tick - 10
 
 
 def test_friction_within_its_bound_is_none(cables: Watched) -> None:

@@ -419,6 +419,51 @@ def test_a_drum_is_misled_for_the_ticks_that_are_set(given: Residuals, mode: Sto
     assert given.isolation.disobedient(mode, ~given.watched) == NOTHING
 
 
+@pytest.mark.parametrize("mode", StopMode)
+def test_a_drum_that_stands_against_its_torque_is_found_as_fast_in_a_descent(
+    given: Residuals, mode: StopMode
+) -> None:
+    """Cables that snap taut turn their drums: none of these stands to the last increment."""
+    ticks, drums = SETTINGS.torque_ticks, given.isolation.drums
+    drums.misled[5] = drums.most_misled = ticks
+    rough = mode > StopMode.ON_PATH
+    for standing in range(2 * ticks):
+        drums.standing[:] = 1000
+        drums.standing[5] = standing
+        stuck = not rough or standing >= ticks
+        found = (Fault.DRUM_TORQUE, 5) if stuck else NOTHING
+        assert given.isolation.disobedient(mode, ~given.watched) == found
+
+
+@pytest.mark.parametrize("mode", [StopMode.DESCENT, StopMode.PASSIVE])
+def test_one_that_stands_is_found_beside_one_that_turns(given: Residuals, mode: StopMode) -> None:
+    drums, ticks = given.isolation.drums, SETTINGS.torque_ticks
+    drums.misled[2] = drums.most_misled = SETTINGS.torque_descent_ticks - 1
+    assert given.isolation.disobedient(mode, ~given.watched) == NOTHING
+    drums.misled[6], drums.standing[6] = ticks, 1000
+    assert given.isolation.disobedient(mode, ~given.watched) == (Fault.DRUM_TORQUE, 6)
+
+
+@pytest.mark.parametrize(("pulses", "ticks"), [(1024, 3), (64, 9), (16, 17)])
+def test_a_drum_has_to_stand_for_as_long_as_a_coarse_encoder_may_hide_a_motion(
+    pulses: int, ticks: int
+) -> None:
+    """Until the smallest force that counts would have turned it by two increments."""
+    robot = CONFIG.robot
+    motor = robot.motor.model_copy(update={"encoder_pulses": pulses})
+    robot = robot.model_copy(update={"motor": motor})
+    increment = 2.0 * math.pi / (4 * pulses * robot.gearbox.ratio) * robot.drum.radius
+    mass = robot.drum.inertia / robot.drum.radius**2
+    turned = math.sqrt(2.0 * 2.0 * increment * mass / SETTINGS.torque_error)
+    assert ticks == max(SETTINGS.torque_ticks, math.ceil(turned / PERIOD))
+    isolation = Isolation(robot, SETTINGS, CONTROL.stop, PERIOD)
+    none = np.zeros(CABLES, dtype=bool)
+    drums = isolation.drums
+    for standing, found in ((ticks - 1, NOTHING), (ticks, (Fault.DRUM_TORQUE, 3))):
+        drums.misled[3] = drums.most_misled = drums.standing[3] = standing
+        assert isolation.disobedient(StopMode.DESCENT, none) == found
+
+
 def test_a_drum_is_stuck_only_where_a_length_contradicts(given: Residuals) -> None:
     travel = given.isolation.drums.travel
     travel[:] = 0.5 * SETTINGS.travel

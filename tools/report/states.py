@@ -103,7 +103,8 @@ every motion; no position is held, and the platform comes down. The values are i
 ### Passive
 
 It uses no pose, no cell and no plan. Each drum with a usable encoder gets the force
-`passive_tension` minus `passive_damping` times its own rate, at most `passive_force`, and is braked
+`passive_tension` minus `passive_damping` times its own rate (`passive_damping_in` when it reels
+in), at most `passive_force`, and is braked
 with `reel_damping` beyond `passive_speed`. When all drums have been at rest for `rest_s`, or slower
 than that for as long as lowering takes on the path, and after `passive_s` in any case, the tension
 goes to zero within `stop_s`; the damping stays, and the platform comes down against it. Every
