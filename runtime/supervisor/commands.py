@@ -11,8 +11,8 @@ from tonus.runtime.supervisor.judge import NOWHERE, Violation
 from tonus.runtime.supervisor.listener import Heard, Watched
 from tonus.runtime.supervisor.wiring import Value
 
-REQUEST, NMT, SYNC = 0x600, 0x000, 0x080
-"""Identifiers (CiA 301): of SDO requests, with the node's number added, of NMT commands, of SYNC"""
+REQUEST, NMT = 0x600, 0x000
+"""Identifiers (CiA 301): of SDO requests, with the node's number added, and of NMT commands"""
 _BYTES, _NMT_BYTES = 8, 2
 _WRITES = (0x00, 0x20, 0xC0)
 """upper three bits of a request that begins a download, goes on with one, or begins one in blocks
@@ -27,15 +27,13 @@ stranger that holds drives sends three in the time of these"""
 
 
 class Told(NamedTuple):
-    """A device by its node, and what came of SDO requests to it, of NMT commands, and of frames
-    that a device may take for SYNC or not."""
+    """A device by its node, and what came of SDO requests to it and of NMT commands."""
 
     where: int
     """axis, or `NOWHERE`"""
     node: int
     requests: Heard
     commands: Heard
-    syncs: Heard
 
 
 class Own:
@@ -64,10 +62,9 @@ class Own:
 
 
 def told_by(nodes: Iterable[int]) -> list[Watched]:
-    """What these nodes of a channel are told by. A SYNC of the daemon's has no data."""
+    """What these nodes of a channel are told by."""
     found = [Watched(REQUEST + node, _BYTES, (Value(0, 64),)) for node in nodes]
-    found.append(Watched(NMT, _NMT_BYTES, (Value(0, 16),), command=True))
-    return [*found, Watched(SYNC, 1, (Value(0, 8),), command=True)]
+    return [*found, Watched(NMT, _NMT_BYTES, (Value(0, 16),), command=True)]
 
 
 class Commands:
@@ -80,8 +77,8 @@ class Commands:
 
     def __call__(self) -> Violation | None:
         """An NMT command, or a download but to switch the power off, by a stranger or by the
-        daemon, which does so only while no drive is enabled; a SYNC with data, which a device may
-        ignore or not; or a stranger's frame under an identifier of the supervisor's own."""
+        daemon, which does so only while no drive is enabled; or a stranger's frame under an
+        identifier of the supervisor's own."""
         found = None
         self.led = []
         for each in self._told:
@@ -94,11 +91,9 @@ class Commands:
                 code, node = word & 0xFF, word >> 8 & 0xFF
                 if node in (_EVERY_NODE, each.node):
                     found = Violation(Requirement.COMMANDED, each.where, code)
-            if each.syncs.numbers:
-                found = Violation(Requirement.COMMANDED, NOWHERE, SYNC)
         for each in self._told:
-            for heard in (each.requests, each.commands, each.syncs):
-                heard.numbers.clear()
+            each.requests.numbers.clear()
+            each.commands.numbers.clear()
         if any(each.foreign for each in self._own):
             found = Violation(Requirement.COMMANDED, NOWHERE, 0.0)
         return found

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import ARMED, State
-from tonus.runtime.supervisor.commands import NMT, REQUEST, SYNC, Commands, Own, Told, told_by
+from tonus.runtime.supervisor.commands import NMT, REQUEST, Commands, Own, Told, told_by
 from tonus.runtime.supervisor.heartbeat import Beats
 from tonus.runtime.supervisor.judge import CONTROLLED, NOWHERE, Judge, Violation
 from tonus.runtime.supervisor.listener import Heard, Listener, Watched
@@ -130,7 +130,7 @@ class Supervisor:
             self._answers = [([frames[relay.channel, _HEARTBEAT + relay.node_id]],) * 2]
             devices = [(NOWHERE, relay.channel, REQUEST + relay.node_id)]
         told = [
-            Told(where, request - REQUEST, *(frames[name, each] for each in (request, NMT, SYNC)))
+            Told(where, request - REQUEST, frames[name, request], frames[name, NMT])
             for where, name, request in devices
         ]
         self._commands = Commands(told, self._own)

@@ -215,9 +215,8 @@ def test_frames_that_are_longer_than_a_drive_maps(monkeypatch: pytest.MonkeyPatc
         (0x603, b"\x23\xb2\x60\0\x64\0\0\0", None),
         (0x603, b"\x23\x16\x10\x02\0\0\0\0", 3),
         (0x000, b"\x01\0", None),
-        (0x080, b"\x01", None),
     ],
-    ids=["reset communication", "torque offset", "the watch itself", "start", "a SYNC with data"],
+    ids=["reset communication", "torque offset", "the watch itself", "start"],
 )
 def test_another_node_commands_a_drive(
     monkeypatch: pytest.MonkeyPatch, identifier: int, data: bytes, kept: int | None

@@ -259,20 +259,9 @@ def test_commands_of_the_network(
     assert commanded(watchdog, 0x000, bytes((code, node)) + more, enabled=True) == found
 
 
-@pytest.mark.parametrize(
-    ("data", "found"), [(b"", None), (b"\1", (0xFF, 0x80)), (bytes(8), (0xFF, 0x80))]
-)
-def test_a_sync_that_a_drive_may_ignore(
-    watchdog: Watchdog, data: bytes, found: tuple[int, int] | None
-) -> None:
-    """Or take for one: it has a counter, and more than that is an error (CiA 301)."""
-    assert commanded(watchdog, 0x080, data, enabled=True) == found
-
-
-@pytest.mark.parametrize("data", [b"\1", b"\x82\0", b"\x23\xb2\x60\0\1\0\0\0"])
+@pytest.mark.parametrize("data", [b"\x82\0", b"\x23\xb2\x60\0\1\0\0\0"])
 def test_a_command_of_before_is_over(watchdog: Watchdog, data: bytes) -> None:
-    request = watchdog.wiring.axes[1].request
-    identifier = {1: 0x080, 2: 0x000}.get(len(data), request)
+    identifier = 0x000 if len(data) == 2 else watchdog.wiring.axes[1].request
     assert commanded(watchdog, identifier, data, enabled=False) is None
     assert watchdog.step(312, enabled=True) == BEAT
 
