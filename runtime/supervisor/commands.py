@@ -14,12 +14,12 @@ from tonus.runtime.supervisor.wiring import Value
 REQUEST, NMT = 0x600, 0x000
 """Identifiers (CiA 301): of SDO requests, with the node's number added, and of NMT commands"""
 _BYTES, _NMT_BYTES = 8, 2
-_WRITES = (0x00, 0x20, 0xC0)
-"""upper three bits of a request that begins a download, goes on with one, or begins one in blocks
-(CiA 301)"""
+_BEGINS, _GOES_ON, _EXPEDITED = (0x20, 0xC0), 0x00, 0x22
+"""upper three bits of a request that begins a download, also in blocks, or goes on with one; and of
+one that has its data in it, the second lowest too (CiA 301)"""
 _POWER_OFF = 0x0060402B
 """the request to write 0 to the controlword, with which the daemon ends"""
-_CONTROLWORD = 0x6040
+_CONTROLWORD, _ENABLE = 0x6040, 0x0F
 _EVERY_NODE = 0
 _COPIES, _ONE_OF = 16, 64
 """of its own frames, that a bus may repeat: at most, and one more for each so many that it sends. A
@@ -73,7 +73,8 @@ class Commands:
     def __init__(self, told: list[Told], own: list[Own]) -> None:
         self._told, self._own = told, own
         self.led: list[int] = []
-        """where a controlword was among what was found last, which no daemon in order writes"""
+        """where among what was found last was a controlword that may lead to power, which no daemon
+        in order writes: it resets faults"""
 
     def __call__(self) -> Violation | None:
         """An NMT command, or a download but to switch the power off, by a stranger or by the
@@ -83,10 +84,12 @@ class Commands:
         self.led = []
         for each in self._told:
             for word in map(int, each.requests.numbers):
-                if word & 0xE0 in _WRITES and word != _POWER_OFF:
-                    index = word >> 8 & 0xFFFF
+                begins = word & 0xE0 in _BEGINS
+                if (begins or word & 0xE0 == _GOES_ON) and word != _POWER_OFF:
+                    index = begins * (word >> 8 & 0xFFFF)  # what goes on names no object
                     found = Violation(Requirement.COMMANDED, each.where, index)
-                    self.led += [each.where] * (index == _CONTROLWORD)
+                    if index == _CONTROLWORD and _may_lead_to_power(word):
+                        self.led.append(each.where)
             for word in map(int, each.commands.numbers):
                 code, node = word & 0xFF, word >> 8 & 0xFF
                 if node in (_EVERY_NODE, each.node):
@@ -97,3 +100,8 @@ class Commands:
         if any(each.foreign for each in self._own):
             found = Violation(Requirement.COMMANDED, NOWHERE, 0.0)
         return found
+
+
+def _may_lead_to_power(word: int) -> bool:
+    """A request that writes the controlword, which later ones may have."""
+    return word & _EXPEDITED != _EXPEDITED or word >> 32 & _ENABLE != 0

@@ -45,7 +45,8 @@ class Judge:
     once none has been for a while.
 
     A condition has a patience: how long it may hold. Where it ends its time is forgotten slowly,
-    so that one which comes and goes is found too."""
+    so that one which comes and goes is found too; that of a torque while the record is disarmed is
+    not."""
 
     def __init__(self, config: Config, settings: Supervisor) -> None:
         control = config.control
@@ -123,7 +124,9 @@ class Judge:
         self._looked_ns = now_ns
         least_ns = -min(elapsed_ns, self._period_ns)
         held = {
-            key: max(held_ns - elapsed_ns // _FORGETTING, least_ns)
+            key: held_ns
+            if key == (Requirement.DISARMED, self._pulling_ns)
+            else max(held_ns - elapsed_ns // _FORGETTING, least_ns)
             for key, held_ns in self._held.items()
             if key not in broken and held_ns > least_ns
         }
@@ -141,7 +144,7 @@ class Judge:
         ):
             yield each, self._patience_ns[each.requirement]
         yield from self._against(seen)
-        if seen.claim is not None and seen.claim.state not in ARMED:
+        if seen.claim is not None and self._is_disarmed(seen.claim):
             # A drive takes its time to switch off, but it is sent no torque meanwhile.
             pulling = seen.enabled & seen.pulled
             for each in _at(Requirement.DISARMED, seen, seen.torque, None, pulling):
@@ -154,6 +157,11 @@ class Judge:
             for each in _at(Requirement.TENSION, seen, seen.tension, None, loose):
                 yield each, self._slack_ns
 
+    def _is_disarmed(self, claim: Claim) -> bool:
+        """A stop is of what was controlled: power that begins with one has no measured bound
+        yet."""
+        return claim.state not in ARMED or not (self._was_controlled or claim.state in CONTROLLED)
+
     def _daemon(self, seen: Observation) -> Iterator[Violation]:
         """Of the record alone: SUP-1, 9, 12, 13, 25."""
         claim, settings = seen.claim, self._settings
@@ -163,8 +171,7 @@ class Judge:
         if claim is None:
             return
         yield from self._stiffness(seen.claims)
-        # A stop is of what was controlled: power that begins with one has no measured bound yet.
-        if claim.state not in ARMED or not (self._was_controlled or claim.state in CONTROLLED):
+        if self._is_disarmed(claim):
             yield Violation(Requirement.DISARMED, NOWHERE, claim.state)
         most = float(np.abs(claim.tare).max())
         if not most <= self._tare:

@@ -214,7 +214,7 @@ class Observer:
             _defective(self._contact, heard),
             unexplained,
             mean,
-            *self._since.spans(changed, tension, self._samples[-1].rate),
+            *self._since.spans(enabled, changed, tension, self._samples[-1].rate),
             claims,
             self._claim,
             *self._compared(sent, mille, len(claims)),
@@ -345,17 +345,22 @@ class Observer:
 
 
 class _Since:
-    """How far each tension and rate has gone since its drive's torque changed last."""
+    """How far each tension and rate has gone since its drive's torque changed last, or the drive
+    was enabled."""
 
     def __init__(self, axes: int) -> None:
         self._changed = np.zeros(axes, np.int64)
         self._low = self._high = np.full((2, axes), np.nan)
 
     def spans(
-        self, changed: NDArray[np.int64], tension: Floats, rate: Floats
+        self,
+        enabled: NDArray[np.bool_],
+        changed: NDArray[np.int64],
+        tension: Floats,
+        rate: Floats,
     ) -> tuple[Floats, Floats]:
         """``changed``: number of the PDO to each drive with which its torque changed last."""
-        present, anew = np.array([tension, rate]), changed != self._changed
+        present, anew = np.array([tension, rate]), (changed != self._changed) | ~enabled
         self._changed = changed
         self._low = np.where(anew, present, np.fmin(self._low, present))
         self._high = np.where(anew, present, np.fmax(self._high, present))

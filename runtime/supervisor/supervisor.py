@@ -35,7 +35,6 @@ _ERROR = struct.Struct("<HBBf")
 _EMERGENCY_BYTES = 8
 """Error code, error register, axis or 0xFF, value; CiA 301 leaves the last five to the device."""
 _ERROR_CODE, _REGISTER, _NO_AXIS = 0xFF00, 0x81, 0xFF
-_NEVER = -1
 _LARGEST = 3.4e38
 """below the largest float of 32 bits"""
 
@@ -108,7 +107,7 @@ class Supervisor:
         self._beating = [False] * len(names)
         """on each channel"""
         self._beats = [Beats(own, frames[name, own], settings) for name in names]
-        self._beat_ns = [_NEVER] * len(names)
+        self._beat_ns = [0] * len(names)
         """when each was sent a heartbeat last"""
         self._unwatched_ns: list[int | None] = [None] * len(names)
         """since when drives of each have power without a heartbeat, or since the last single one"""
@@ -154,6 +153,9 @@ class Supervisor:
         present = seen.measured_age < self.settings.stale_ms
         state = None if seen.claim is None else seen.claim.state
         seen.enabled &= present | self._alive(seen) | (not present.any()) | (state in ARMED)
+        if state not in ARMED:
+            seen.enabled &= ~self._booted
+            self._led &= ~self._booted
         # Nobody in order tells a drive to have power that was pulled.
         seen.enabled |= seen.told
         self._led |= np.isin(seen.axes, self._commands.led)
@@ -185,7 +187,7 @@ class Supervisor:
             self._judge.forget()
         if quiet and not all(self._beating) and self._hears(seen) and self._sees(seen):
             self._beating = [True] * len(self._listeners)
-            self._beat_ns = [_NEVER] * len(self._listeners)
+            self._beat_ns = [now_ns] * len(self._listeners)
             for own in self._own:
                 own.begin()
             self.violation = None
@@ -267,7 +269,7 @@ class Supervisor:
             powered = (seen.enabled | self._led) & (self._channel_of == place)
             if beating or not powered.any():
                 self._unwatched_ns[place] = None
-            elif since_ns is None:
+            elif since_ns is None or self._beats[place].heard.at_ns > since_ns:
                 self._unwatched_ns[place] = now_ns
             else:
                 beats = self._beats[place]
@@ -337,11 +339,10 @@ class Supervisor:
             if self._clock is not None and self._clock() - now_ns > self.settings.period_ms * 1e6:
                 return
             beats = self._beats[place]
-            if not beats.follows():
-                waited_ns = now_ns - self._beat_ns[place]
-                self._beating[place] = waited_ns <= self.settings.timeout_ms * 1e6
-            elif self._tell(place, beats, _OPERATIONAL):
+            if beats.follows() and self._tell(place, beats, _OPERATIONAL):
                 self._beat_ns[place] = now_ns
+            waited_ns = now_ns - self._beat_ns[place]
+            self._beating[place] = waited_ns <= self.settings.timeout_ms * 1e6
 
     def _tell(self, place: int, own: Own, data: bytes) -> bool:
         """Send what only the supervisor sends."""

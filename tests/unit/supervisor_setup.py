@@ -164,13 +164,18 @@ class Stage:
             self.heard[cell.channel, cell.emergency] = Errors(())
         self.observe = Observer(self.wiring, config.supervisor, config.robot.contact_cell, MS)
 
-    def tick(self, now_ns: int, *, newton: float, metre: float, force: float) -> None:
+    def tick(
+        self, now_ns: int, *, newton: float, metre: float, force: float, on: bool = True
+    ) -> None:
+        """``on``: drives are told to have power, and have it."""
+        controlword, statusword = (0x0F, 0x0237) if on else (0x00, 0x0240)
         for axis in self.wiring.axes:
             assert axis.newton is not None
             mille = round(newton / axis.newton) & 0xFFFF
-            self.heard[axis.channel, axis.sent].take([mille << axis.torque.shift | 0xF], now_ns)
+            sent = mille << axis.torque.shift | controlword
+            self.heard[axis.channel, axis.sent].take([sent], now_ns)
             place = round(metre / axis.metre) & 0xFFFFFFFF
-            word = place << axis.position.shift | 0x0237
+            word = place << axis.position.shift | statusword
             self.heard[axis.channel, axis.received].take([word], now_ns)
             self.heard[axis.channel, axis.sync].take([0], now_ns)
         for cell in self.wiring.cells:

@@ -21,6 +21,7 @@ from tests.unit.supervisor_setup import (
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
+from tonus.runtime.supervisor.judge import Judge
 
 
 @pytest.fixture(scope="module")
@@ -240,3 +241,31 @@ def test_a_cell_that_reports_its_own_defect(config: Config) -> None:
     other = {"contact": 500.0, "defective": np.ones(N, bool)}
     found = lasting(config, 200.0, State.SAFE_STOP, **other)
     assert found.requirement is Requirement.CONTACT
+
+
+@pytest.mark.parametrize("of", [5, 15, 100])
+@pytest.mark.parametrize("state", [State.STANDBY, State.SAFE_STOP])
+def test_torque_that_comes_and_goes_where_the_record_is_disarmed(
+    config: Config, state: State, of: int
+) -> None:
+    """In one look of so many, and none is enabled in the others: nothing of it is forgotten before
+    the drives were off for long. A stop that was never controlled is as disarmed."""
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    judge.forget()
+    for look in range(4 * of):
+        at_ms = 100.0 + 2.0 * look
+        if look % of:
+            judge.rest(round(at_ms * MS))
+            continue
+        found = judge(
+            seen(at_ms, claim(state, at_ms), mille=np.full(N, 100), pulled=np.ones(N, bool))
+        )
+        assert (found is not None) is (look == 3 * of)
+    assert found is not None
+    assert found.requirement is Requirement.DISARMED
+    judge.forget()
+    assert (
+        judge(seen(at_ms, claim(state, at_ms), mille=np.full(N, 100), pulled=np.ones(N, bool)))
+        is None
+    )

@@ -458,3 +458,19 @@ def test_a_torque_is_as_old_as_what_it_acted_on_last(config: Config) -> None:
     assert found.torque_age.tolist() == [2.0, *[5.0] * 7]
     assert found.mille[7] != 77
     assert found.torques[:, 7].max() >= 77 * abs(axes[7].newton or 0.0)
+
+
+def test_how_far_drums_go_without_power_is_nothing_that_a_torque_has_left_as_it_is(
+    config: Config,
+) -> None:
+    """They are turned by hand, or the platform comes down; then they are enabled."""
+    stage = Stage(config)
+    metre = 0.0
+    for tick in range(80):
+        metre += 0.2e-3 * (10 <= tick < 30)
+        on = tick >= 50
+        stage.tick(tick * MS, newton=0.0, metre=metre, force=1.0 if tick < 40 else 3.0, on=on)
+        found = stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+    assert found.enabled.all()
+    assert found.jolt.max() < 0.01
+    assert found.swing.max() < 0.1

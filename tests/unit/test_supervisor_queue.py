@@ -153,7 +153,7 @@ def test_drives_of_one_channel_that_nobody_watches(required: Config) -> None:
         let_out(made)
         if silent and len(made.buses[place].sent) > before:
             sent.append(now)
-    assert sent == [*range(310, 328, 2), *range(372, 480, 44)]
+    assert sent == [*range(310, 328, 2), *range(372, 480, 46)]
     assert made.supervisor.violation is None
     frame = can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\5")
     made.buses[place].waiting += [frame] * 17
@@ -300,6 +300,46 @@ def test_heartbeats_that_never_went_out(telling: tuple[Watchdog, EchoBus]) -> No
     bus.queue.clear()
     assert all(sent == [] for sent in watchdog.steps(340, 640, enabled=False))
     assert watchdog.step(640, enabled=False) == BEAT
+
+
+def test_heartbeats_that_the_interface_refuses_until_drives_have_lost_them(
+    telling: tuple[Watchdog, EchoBus],
+) -> None:
+    """None follows before everything is off, as of those that wait."""
+    watchdog, bus = telling
+    for now in range(312, 440, 2):
+        bus.full = 314 <= now < (334 if now < 336 else 400)
+        sent = watchdog.step(now, enabled=True)
+        let_out(watchdog)
+        if bus.full:
+            assert sent == []
+        elif now < 400:
+            assert sent == BEAT, "22 ms after the last one"
+        else:
+            assert sent == []
+
+
+def test_a_single_heartbeat_comes_after_what_has_waited(required: Config) -> None:
+    """Twice their time after the last one that went out, and not after the decision."""
+    made = Watchdog(required, EchoBus)
+    first = made.buses[0]
+    assert isinstance(first, EchoBus)
+    for now in range(0, 332, 2):
+        made.step(now, enabled=now == 330)
+        let_out(made)
+    singles = []
+    for now in range(332, 460, 2):
+        found = made.step(now, enabled=True, tick=False)
+        if found == BEAT and now > 340:
+            singles.append(now)
+        if now in (360, 374):
+            first.waiting.append(first.queue.pop(0))
+        for other in made.buses[1:]:
+            assert isinstance(other, EchoBus)
+            other.let_out()
+    assert not first.queue or singles
+    assert singles[:1] == [376 + 44]
+    made.supervisor.close()
 
 
 def test_a_heartbeat_of_its_number_before_it_begins(watchdog: Watchdog) -> None:

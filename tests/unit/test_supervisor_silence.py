@@ -221,13 +221,38 @@ OBJECTS = {
 def test_what_is_asked_of_a_drive_beside_its_process_data(
     watchdog: Watchdog, request_: tuple[int, int], stopped: bool, enabled: bool
 ) -> None:
-    """To read is allowed, and to write while none is enabled: a bring-up does. A controlword other
-    than 0 is never written: what it leads to no process data may show."""
+    """To read is allowed, and to write while none is enabled: a bring-up does. What goes on with a
+    download names no object."""
     axis = watchdog.wiring.axes[1]
     data = struct.pack("<BHBi", *request_, 0, 1)
     found = commanded(watchdog, axis.request, data, enabled=enabled)
-    stops = stopped and (enabled or request_[1] == 0x6040)
-    assert found == ((1, request_[1]) if stops else None)
+    index = request_[1] if request_[0] & 0xE0 else 0
+    stops = stopped and (enabled or index == 0x6040)
+    assert found == ((1, index) if stops else None)
+
+
+@pytest.mark.parametrize(
+    ("kind", "word", "stopped"),
+    [
+        (0x2B, 0x01, True),
+        (0x2B, 0x06, True),
+        (0x2B, 0x08, True),
+        (0x2B, 0x80, False),
+        (0x2B, 0x8F, True),
+        (0x22, 0x0F, True),
+        (0x21, 0x00, True),
+        (0xC2, 0x00, True),
+        (0x00, 0x0F, False),
+    ],
+)
+def test_a_controlword_beside_the_process_data_where_no_drive_is_enabled(
+    watchdog: Watchdog, kind: int, word: int, stopped: bool
+) -> None:
+    """One that leads to power is never written, nor one of which the word comes later: what it
+    leads to no process data may show. A bring-up resets faults."""
+    data = struct.pack("<BHBi", kind, 0x6040, 0, word)
+    found = commanded(watchdog, watchdog.wiring.axes[1].request, data, enabled=False)
+    assert found == ((1, 0x6040) if stopped else None)
 
 
 def test_power_that_is_switched_off_beside_the_process_data(watchdog: Watchdog) -> None:

@@ -1,0 +1,85 @@
+"""The supervisor lets a robot in order begin again: after a stop, and after a fault of a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Listed
+from typing import Any
+
+import pytest
+
+from tests.supervised import BRIEF, Run, configured
+from tonus.config.loader import load_scenario
+from tonus.drivers.canopen.node import Node
+from tonus.runtime.states import Operator, State
+from tonus.tools.campaign.play import Operated
+
+ROBOT = {**BRIEF, "supervisor.timeout_ms": 22}
+FOLLOWING_ERROR = 0x8611
+"""of an EPOS4: a fault reset clears it"""
+Order = tuple[State, float, Operator]
+"""in which state, after how many s, what"""
+
+
+class Noted(Run):
+    """Keeps the states that it has been through."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self.states: list[State] = []
+
+    def _before_tick(self, playing: Any) -> None:
+        super()._before_tick(playing)
+        last = playing._cycles.last
+        if last is not None and [int(last["state"]["state"])] != self.states[-1:]:
+            self.states.append(State(int(last["state"]["state"])))
+
+
+def ordered(monkeypatch: pytest.MonkeyPatch, orders: Listed[Order]) -> None:
+    """After the scenario's own commands, once the first order is due, these alone."""
+    left, told = list(orders), Operated.next
+
+    def told_then_ordered(script: Operated, sequence: Any) -> Operator:
+        state, elapsed_s, operator = left[0] if left else (None, 0.0, Operator.NONE)
+        if sequence.state is state and sequence.elapsed >= elapsed_s:
+            left.pop(0)
+            return operator
+        return told(script, sequence) if len(left) == len(orders) else Operator.NONE
+
+    monkeypatch.setattr(Operated, "next", told_then_ordered)
+
+
+@pytest.mark.parametrize(("policy", "reset_s"), [("use", 0.7), ("require", 0.718)])
+def test_arming_after_an_emergency_stop(
+    monkeypatch: pytest.MonkeyPatch, policy: str, reset_s: float
+) -> None:
+    """The platform has come down without power, so that all drums have turned under one torque; and
+    drives are configured anew, at a phase in which a single heartbeat once fell between."""
+    orders = [
+        (State.ACTIVE, 0.3, Operator.ESTOP),
+        (State.FAULT, reset_s, Operator.RESET),
+        (State.STANDBY, 0.5, Operator.ARM),
+    ]
+    ordered(monkeypatch, orders)
+    config, _ = configured(**ROBOT, **{"supervisor.policy": policy})
+    run = Noted(config, load_scenario("hold"), at=0.2)
+    run.play(1.9)
+    assert run.states[-4:] == [State.ACTIVE, State.FAULT, State.STANDBY, State.REFERENCING]
+    assert (run.said, run.stopped_ns) == ([], {})
+
+
+def test_a_drive_that_has_a_fault_when_it_is_configured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The daemon resets it by SDO before the supervisor has begun, which is no power."""
+    config, _ = configured(**ROBOT, **{"supervisor.policy": "require"})
+    run = Noted(config, load_scenario("hold"), at=0.1)
+    configure = Node.configure
+
+    async def with_a_fault(node: Node, *given: Any) -> None:
+        if node.node_id == 1:
+            assert run._playing.lab is not None
+            run._playing.lab.drives[0].fail(FOLLOWING_ERROR)
+        await configure(node, *given)
+
+    monkeypatch.setattr(Node, "configure", with_a_fault)
+    run.play(0.1)
+    assert run.states[-1] is State.ACTIVE
+    assert (run.said, run.stopped_ns) == ([], {})
