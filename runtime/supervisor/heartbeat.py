@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from tonus.config.schema.supervisor import Supervisor
 from tonus.runtime.supervisor.commands import Own
 from tonus.runtime.supervisor.listener import Heard
 
@@ -15,9 +14,10 @@ class Beats(Own):
     an interface that tells what it has sent. It tells of each, in their order: those that it has
     not told of wait, or were lost."""
 
-    def __init__(self, identifier: int, heard: Heard, settings: Supervisor) -> None:
-        self._silent_looks = max(1, settings.timeout_ms // (2 * settings.period_ms) - 1)
-        """that show that nothing waits: with the one before, half of what drives wait"""
+    def __init__(self, identifier: int, heard: Heard, period_ms: int, timeout_ms: int) -> None:
+        """``timeout_ms``: how long whoever watches waits for the next one."""
+        self._silent_looks = max(1, timeout_ms // (2 * period_ms) - 1)
+        """that show that nothing waits: with the one before, half of that time"""
         self._left_out = 0
         """looks in a row that sent none, to see whether any comes"""
         super().__init__(identifier, heard)

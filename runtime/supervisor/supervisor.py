@@ -106,7 +106,10 @@ class Supervisor:
         self._heard: Listened = frames if self._replayed is None else self._replayed.heard
         self._beating = [False] * len(names)
         """on each channel"""
-        self._beats = [Beats(own, frames[name, own], settings) for name in names]
+        timeout_ms = settings.timeout_ms if relay is None else relay.timeout_ms
+        self._beats = [
+            Beats(own, frames[name, own], settings.period_ms, timeout_ms) for name in names
+        ]
         self._beat_ns = [0] * len(names)
         """when each was sent a heartbeat last"""
         self._unwatched_ns: list[int | None] = [None] * len(names)

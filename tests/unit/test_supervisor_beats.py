@@ -22,7 +22,7 @@ def beating(config: Config, period_ms: int = 2) -> tuple[Beats, Heard]:
     """Heartbeats of which the interface has told, each at once, for long."""
     assert config.supervisor is not None
     heard = Heard(())
-    beats = Beats(0x77E, heard, config.supervisor.model_copy(update={"period_ms": period_ms}))
+    beats = Beats(0x77E, heard, period_ms, config.supervisor.timeout_ms)
     beats.send()
     heard.take([5], 0)
     return beats, heard
@@ -138,7 +138,7 @@ def test_one_that_was_sent_waits_once_the_interface_has_told_of_any(config: Conf
     """Until then each look sends one; then none before all but one have gone out."""
     assert config.supervisor is not None
     heard = Heard(())
-    beats = Beats(0x77E, heard, config.supervisor)
+    beats = Beats(0x77E, heard, 2, config.supervisor.timeout_ms)
     for _ in range(4):
         assert beats.follows()
         beats.send()
