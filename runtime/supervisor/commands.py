@@ -49,11 +49,11 @@ class Own:
 
     def send(self) -> None:
         """One is sent."""
-        self._sent += 1
         self._until -= 1
         if not self._until:
             self._until = _ONE_OF
             self._sent += self.heard.count > self._sent
+        self._sent += 1
 
     @property
     def foreign(self) -> bool:

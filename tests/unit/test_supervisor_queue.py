@@ -395,6 +395,20 @@ def test_copies_of_its_own_are_forgiven_one_in_sixty_four() -> None:
     assert own.foreign, "there was none to forgive"
 
 
+def test_a_single_copy_is_forgiven_too() -> None:
+    """After the 64th heartbeat sixteen more may come, although that one has not come back yet."""
+    heard = Heard(())
+    own = Own(0x77E, heard)
+    heard.take([5], 1)
+    for _ in range(64):
+        own.send()
+        heard.take([5], 1)
+    heard.take([5] * 16, 1)
+    assert not own.foreign
+    heard.take([5], 1)
+    assert own.foreign
+
+
 def test_a_controlword_beside_the_process_data_is_over_in_the_next_look(required: Config) -> None:
     """It begins anew after a silence of its own, since no drive is enabled."""
     made = Watchdog(required)
