@@ -58,6 +58,30 @@ def test_what_has_no_statusword_is_not_powered() -> None:
         assert drive.startable == startable
 
 
+@pytest.mark.parametrize("shift", [0, 16])
+def test_a_drive_that_failed_and_one_that_is_told_to_have_power(shift: int) -> None:
+    """Wherever its statusword and controlword stand in a frame."""
+    drive, command = Heard((), Value(shift, 16)), Heard((), None, Value(shift, 16))
+    for statusword, failed in ((0x0208, True), (0x020F, True), (0x0237, False), (0x0250, False)):
+        drive.take([statusword << shift], 1)
+        assert drive.failed is failed
+    for number, (controlword, enables) in enumerate(((0x0F, True), (0x07, False), (0x1F, True))):
+        command.take([controlword << shift], 1)
+        assert command.enables is enables
+        assert command.on == (1, 1, 2)[number]
+
+
+def test_the_first_number_of_every_command_is_kept() -> None:
+    """Whether it acts on a SYNC or at once, and whatever else the frame has."""
+    bus, values = FakeBus(), (Value(16, 16), Value(0, 16))
+    syncs = {0x201: 0x80, 0x202: 0}
+    watched = [Watched(each, 4, values, command=True, sync=sync) for each, sync in syncs.items()]
+    listener = Listener(bus, watched)
+    bus.waiting = _frames((0x201, 5), (0x202, 5), (0x201, 7), (0x202, 7))
+    listener.read(1)
+    assert [list(listener.heard[each].numbers) for each in syncs] == [[5.0, 7.0]] * 2
+
+
 def test_a_listener_on_messages() -> None:
     bus = FakeBus()
     listener = Listener(bus, WATCHED)
