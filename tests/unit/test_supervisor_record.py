@@ -85,6 +85,23 @@ def test_a_drive_enabled_while_disarmed(config: Config) -> None:
         assert lasting(config, 50.0, state).requirement is Requirement.DISARMED
 
 
+@pytest.mark.parametrize("before", State)
+def test_what_was_recorded_before_a_stop_tells_whether_it_was_controlled(
+    config: Config, before: State
+) -> None:
+    """Whether or not a drive was enabled then. Power that begins with a stop is as disarmed."""
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    judge.forget()
+    judge.note([claim(State.STANDBY, 97.0), claim(before, 98.0), claim(State.SAFE_STOP, 99.0)])
+    found = [judge(seen(at_ms, claim(State.SAFE_STOP, at_ms))) for at_ms in (100.0, 150.0)][-1]
+    if before in (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE):
+        assert found is None
+    else:
+        assert found is not None
+        assert found.requirement is Requirement.DISARMED
+
+
 def test_a_stop_that_does_not_end(config: Config) -> None:
     def stopping(at_ms: float, state: State = State.SAFE_STOP) -> Observation:
         return seen(at_ms, claim(state, at_ms))
