@@ -283,6 +283,46 @@ def test_positions_that_stop_to_arrive(config: Config) -> None:
     assert found.rate.tolist() == [0.0] * N
 
 
+def test_how_long_a_drum_that_does_not_answer_goes_on(config: Config) -> None:
+    """``patience_ms`` after its last answer, and not a nanosecond longer."""
+    stage = Stage(config)
+    assert config.supervisor is not None
+    assert config.supervisor.patience_ms == 5
+    for tick in range(20):
+        stage.tick(tick * MS, newton=45.0, metre=0.1e-3 * tick, force=45.0)
+        stage.observe(tick * MS, stage.heard, [claim(at_ms=tick)])
+    for now_ns, rate in ((24 * MS, 0.1), (24 * MS + 1, 0.0)):
+        found = stage.observe(now_ns, stage.heard, [claim(at_ms=24.0)])
+        assert found.rate == pytest.approx(rate, rel=0.02)
+
+
+def test_which_drives_are_sent_a_torque(config: Config) -> None:
+    """By the one that acts, and by any that was sent since the last look, whether or not it
+    acted."""
+    stage = Stage(config)
+
+    def look(acting: Sequence[int], waiting: Sequence[int] = ()) -> bool:
+        for axis in stage.wiring.axes:
+            told = stage.heard[axis.channel, axis.sent]
+            for mille in acting:
+                told.take([(mille & 0xFFFF) << axis.torque.shift], MS)
+            told.send([(mille & 0xFFFF) << axis.torque.shift for mille in waiting])
+        found = stage.observe(MS, stage.heard, [claim()]).pulled
+        assert found.all() == found.any()
+        return bool(found.all())
+
+    for mille in (1, -1, 300):
+        assert not look([0])
+        assert not look([]), "nothing new"
+        assert look([0], [mille]), "that one waits"
+        assert not look([])
+        assert look([0, mille, 0])
+        assert not look([])
+        assert look([mille])
+        assert look([])
+        assert look([], [0]), "another acts still"
+
+
 @pytest.mark.parametrize("every", [1, 3, 4, 6])
 def test_answers_that_come_seldom(config: Config, every: int) -> None:
     """A SYNC in every sixth tick makes no drum stand in any look."""

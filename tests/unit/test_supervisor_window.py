@@ -184,6 +184,18 @@ def test_a_torque_of_a_record_of_long_ago_is_late(
     assert logged.late is (late and off < 2)
 
 
+def test_a_torque_that_acts_at_once_is_compared_in_the_next_look(stage: Stage) -> None:
+    """It may not be recorded yet in its own. Where none was sent the last one is."""
+    stage.wiring.axes[:] = [replace(each, sync=0) for each in stage.wiring.axes]
+    logged = Logged(stage)
+    for _ in range(9):
+        assert not logged.look([100], [100])
+    assert not logged.look([500], [100])
+    assert logged.look([], [100])
+    assert logged.look([], [100])
+    assert not logged.look([100], [100])
+
+
 @pytest.mark.parametrize(("off", "broken"), [(-2, True), (-1, False), (1, False), (2, True)])
 def test_how_far_a_torque_may_be_from_its_record(stage: Stage, off: int, broken: bool) -> None:
     logged = Logged(stage)
