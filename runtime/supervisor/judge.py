@@ -23,8 +23,9 @@ _AT_ONCE = (
     *(Requirement.STIFFNESS, Requirement.STOP_ENDS),
 )
 """what lasts already when it is seen, and what may not be for any time"""
-_FORGETTING = 4
-"""times slower than it was counted is the time forgotten for which a condition held"""
+_FORGETTING, _PULLED_FORGETTING = 4, 64
+"""times slower than it was counted is the time forgotten for which a condition held, and that for
+which a drive that has to be off had a torque: its drum keeps the speed of each burst"""
 Key = tuple[Requirement, int]
 """requirement and patience in ns: that it is broken at one axis now and then at another is no
 excuse"""
@@ -123,10 +124,12 @@ class Judge:
         elapsed_ns = 0 if self._looked_ns is None else now_ns - self._looked_ns
         self._looked_ns = now_ns
         least_ns = -min(elapsed_ns, self._period_ns)
+        pulled = Requirement.DISARMED, self._pulling_ns
         held = {
-            key: held_ns
-            if key == (Requirement.DISARMED, self._pulling_ns)
-            else max(held_ns - elapsed_ns // _FORGETTING, least_ns)
+            key: max(
+                held_ns - elapsed_ns // (_PULLED_FORGETTING if key == pulled else _FORGETTING),
+                least_ns,
+            )
             for key, held_ns in self._held.items()
             if key not in broken and held_ns > least_ns
         }

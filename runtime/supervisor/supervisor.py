@@ -161,7 +161,9 @@ class Supervisor:
             self._led &= ~self._booted
         # Nobody in order tells a drive to have power that was pulled.
         seen.enabled |= seen.told
-        self._led |= np.isin(seen.axes, self._commands.led)
+        led = np.isin(seen.axes, self._commands.led)
+        self._booted &= ~led
+        self._led |= led | seen.told
         self._led &= seen.enabled | (seen.measured_age > 0.0)
         armed = bool(seen.enabled.any())
         self._judge.note(seen.claims)

@@ -210,6 +210,81 @@ def test_drives_that_are_enabled_by_sdo_before_it_has_begun(
     assert run.powered_ms <= 34 + TIMEOUT_MS
 
 
+WATCHED = (0x1016, 2, 126 << 16 | round(TIMEOUT_MS), 4)
+TORQUE_MODE = (0x6060, 0, 10, 1)
+
+
+def after_a_boot(tick: int, node: int) -> tuple[int, bytes] | None:
+    """Reset, watched as before, then power by SDO in pre-operational."""
+    objects = {
+        40: WATCHED,
+        44: TORQUE_MODE,
+        50: (0x6040, 0, 0x06, 2),
+        54: (0x6040, 0, 0x07, 2),
+        58: (0x6071, 0, 800, 2),
+        62: (0x6040, 0, 0x0F, 2),
+    }
+    if tick == 1:
+        return 0, bytes([0x82, node])
+    return written(node, *objects[tick]) if tick in objects else None
+
+
+def test_drives_that_boot_and_are_enabled_by_sdo_before_it_has_begun(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What they are told after their boot-up counts as for those that have not booted."""
+    idle(monkeypatch)
+    config, _ = configured(**BRIEF, **{"supervisor.policy": "require"})
+    run = Commanded(config, load_scenario("hold"), state=State.OFF, at=0.02, steps=after_a_boot)
+    run.play(0.3)
+    assert sorted(run.stopped_ns) == list(DRIVES)
+    assert not run.said, "it has not begun"
+    assert run.powered_ms <= 34 + TIMEOUT_MS
+
+
+def test_drives_that_are_silent_and_enabled_by_process_data_before_it_has_begun(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Their answers are switched off by SDO, a few RPDOs give power, and then no more come: what
+    they were told last lasts until they answer."""
+
+    class Few(Ticks):
+        def told(self, tick: int) -> tuple[int, int]:
+            words = ((50, 0x00), (60, 0x06), (70, 0x07))
+            return next(((word, 0) for end, word in words if tick < end), (0x0F, 1000))
+
+    def steps(tick: int, node: int) -> tuple[int, bytes] | None:
+        if tick == 85 and node == 1:
+            for drive in DRIVES:
+                channel = f"can{(drive - 1) // 2}"
+                lost = Loss(channel=channel, identifier=0x200 + drive, frames=1_000_000)
+                run._playing.lab.inject(lost)
+        told = {
+            1: (0, bytes([0x80, node])),
+            10: written(node, 0x1800, 1, 0xC0000180 + node, 4),
+            15: written(node, *WATCHED),
+            20: written(node, *TORQUE_MODE),
+            30: (0, bytes([0x01, node])),
+        }
+        return told.get(tick)
+
+    idle(monkeypatch)
+    config, _ = configured(**BRIEF, **{"supervisor.policy": "require"})
+    ticks = Few()
+    run = Commanded(
+        config,
+        load_scenario("hold"),
+        lambda: after(Exchange, "commands", ticks.commands)(monkeypatch),
+        State.OFF,
+        at=0.02,
+        steps=steps,
+    )
+    run.play(0.3)
+    assert sorted(run.stopped_ns) == list(DRIVES)
+    assert not run.said, "it has not begun"
+    assert run.powered_ms <= 40 + TIMEOUT_MS
+
+
 class Silent(Ticks):
     """Power and torque for the first drives alone, once they have been silent for a while."""
 
