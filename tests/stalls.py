@@ -92,6 +92,23 @@ def throttled(stall: Stall) -> bool:
     return abs(stall.end_ns - stall.begin_ns - pause_ns) < pause_ns * _THROTTLED_WITHIN
 
 
+def most_within(found: Iterable[Stall], window_ns: int) -> int:
+    """The most ns of any ``window_ns`` in which a processor was not there; two at once count once,
+    since a tick needs both."""
+    spans: list[tuple[int, int]] = []
+    for stall in sorted(found):
+        begin_ns = max(stall.begin_ns, spans[-1][1] if spans else stall.begin_ns)
+        if stall.end_ns > begin_ns:
+            spans.append((begin_ns, stall.end_ns))
+    return max(
+        (
+            sum(max(0, min(end, first + window_ns) - begin) for begin, end in spans[number:])
+            for number, (first, _) in enumerate(spans)
+        ),
+        default=0,
+    )
+
+
 @functools.cache
 def watching() -> Watch:
     """On every processor that this process may use, from the first call on."""

@@ -18,6 +18,7 @@ from tonus.runtime.timing import clock
 pytest_plugins = ["pytester"]
 
 STALL_NS, LONG_NS = 5_000_000, 20_000_000
+MS = 1_000_000
 MODULE = """
 from itertools import count
 from pathlib import Path
@@ -152,6 +153,25 @@ def test_what_stalled_a_fixture_excuses_each_test_of_it(
 ) -> None:
     module = SHARES.format(path=str(watch.path), good=good, during=during)
     assert played(pytester, module).parseoutcomes() == outcome
+
+
+@pytest.mark.parametrize(
+    ("found", "most_ms"),
+    [
+        ([], 0),
+        ([(0, 9)], 9),
+        ([(0, 40)], 25),
+        ([(0, 9), (12, 14), (24, 26), (40, 41)], 12),
+        ([(0, 2), (20, 26), (27, 31), (40, 45)], 15),
+        ([(0, 9), (3, 5), (4, 12)], 12),
+    ],
+)
+def test_stalls_in_pieces_count_together(found: list[tuple[int, int]], most_ms: int) -> None:
+    """Of 25 ms; on two processors at once they count once."""
+    spans = [(begin * 1_000_000, end * 1_000_000) for begin, end in reversed(found)]
+    assert (
+        stalls.most_within([Stall(*span, 0) for span in spans], 25_000_000) == most_ms * 1_000_000
+    )
 
 
 @pytest.mark.usefixtures("watch")
