@@ -120,7 +120,9 @@ def printed(step: Command, folder: Path, *, whole: bool) -> tuple[str, int]:
 
 
 def shape(line: str) -> str:
-    """A line without what differs from run to run: numbers, dates, and the room they take."""
+    """A line without what differs from run to run: numbers, dates, the room they take, and the
+    minutes that pytest adds after a minute."""
+    line = re.sub(r"(in [\d.]+s) \([\d:]+\)$", r"\1", line.rstrip())
     return re.sub(r"\s+", " ", re.sub(r"[-+]?\d[\d.:-]*", "#", line)).strip()
 
 
