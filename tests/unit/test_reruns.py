@@ -168,10 +168,8 @@ def test_what_stalled_a_fixture_excuses_each_test_of_it(
 )
 def test_stalls_in_pieces_count_together(found: list[tuple[int, int]], most_ms: int) -> None:
     """Of 25 ms; on two processors at once they count once."""
-    spans = [(begin * 1_000_000, end * 1_000_000) for begin, end in reversed(found)]
-    assert (
-        stalls.most_within([Stall(*span, 0) for span in spans], 25_000_000) == most_ms * 1_000_000
-    )
+    seen = [Stall(begin * MS, end * MS, 0) for begin, end in reversed(found)]
+    assert stalls.most_within(seen, 25 * MS) == most_ms * MS
 
 
 @pytest.mark.usefixtures("watch")
