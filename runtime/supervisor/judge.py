@@ -131,7 +131,7 @@ class Judge:
                 least_ns,
             )
             for key, held_ns in self._held.items()
-            if key not in broken and held_ns > least_ns
+            if held_ns > least_ns
         }
         for key in broken:
             held[key] = self._held[key] + elapsed_ns if key in self._held else 0
