@@ -28,9 +28,9 @@ from tonus.runtime.timing.clock import Stopwatch
 from tonus.sim.can import packet
 
 ROUNDS = 3000
-ANSWERS = (0x181, 0x182, 0x191, 0x192, 0x193)
+ANSWERS = (0x182, 0x188, 0x192, 0x198, 0x199)
 """Two drives, two cells and the contact cell: the fullest channel."""
-SET_POINTS = (0x201, 0x202)
+SET_POINTS = (0x202, 0x208)
 _ENABLED = 0x237
 
 

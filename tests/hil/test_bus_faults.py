@@ -11,6 +11,7 @@ import can
 import pytest
 from hil.can_bench import CONFIG, PERIOD_S, Bench, enabled, on_lab
 from loop import QUICK
+from wired import CHANNEL
 
 from tonus.config import load
 from tonus.config.schema.bus import CanopenBus
@@ -82,7 +83,7 @@ def test_drives_that_lost_the_masters_heartbeat_are_brought_back_by_a_reset() ->
         assert sum(event.name == "left_operational" for event in events) == 8
         await recovered(bench)
         back = told(bench, "recovered")
-        assert {event.where for event in back} == {f"can{n // 2}/{n + 1}" for n in range(8)}
+        assert {event.where for event in back} == {f"{CHANNEL[n]}/{n}" for n in range(1, 9)}
         await bench.ticks(20)
         assert set(bench.image.axes["state"]) == {AxisState.SWITCH_ON_DISABLED}
         assert not bench.image.axes["error_code"].any()
@@ -97,14 +98,14 @@ def test_drives_that_lost_the_masters_heartbeat_are_brought_back_by_a_reset() ->
 def test_a_drive_in_passive_error_needs_its_communication_reset_and_no_other_node() -> None:
     async def script(bench: Bench) -> None:
         await enabled(bench)
-        bench.lab.nodes["can2", 5].device.fail(0x8120)
+        bench.lab.nodes["can1", 5].device.fail(0x8120)
         await bench.ticks(700)
         assert bench.image.axes["state"][4] == AxisState.FAULT
         bench.image.commands["command"] = AxisCommand.RESET_FAULT
         await bench.ticks(10)
         assert bench.image.axes["state"][4] == AxisState.FAULT
         await recovered(bench)
-        assert [event.where for event in told(bench, "recovered")] == ["can2/5"]
+        assert [event.where for event in told(bench, "recovered")] == ["can1/5"]
         await bench.ticks(10)
         assert set(bench.image.axes["state"]) == {AxisState.SWITCH_ON_DISABLED}
 
@@ -114,7 +115,7 @@ def test_a_drive_in_passive_error_needs_its_communication_reset_and_no_other_nod
 def test_an_ordinary_fault_needs_the_controlword_only() -> None:
     async def script(bench: Bench) -> None:
         await enabled(bench)
-        bench.lab.nodes["can0", 2].device.fail(0x2310)
+        bench.lab.nodes["can3", 2].device.fail(0x2310)
         bench.image.commands["command"] = AxisCommand.RESET_FAULT
         await recovered(bench)
         await bench.ticks(10)
@@ -165,12 +166,12 @@ def test_a_node_that_restarts_is_lost_until_it_is_configured_again(node: int) ->
 def test_a_fault_that_is_there_at_the_start_is_said_and_reset() -> None:
     async def script(bench: Bench) -> None:
         said: list[str] = []
-        bench.lab.nodes["can3", 7].device.fail(0x3210)
-        bench.lab.nodes["can3", 7].device.fail(0x8130)
+        bench.lab.nodes["can0", 7].device.fail(0x3210)
+        bench.lab.nodes["can0", 7].device.fail(0x8130)
         await bench.fieldbus.start(said.append)
         (line,) = [line for line in said if "has a fault" in line]
         assert line.startswith(
-            "can3/7 drive of axis 6: has a fault, 0x8130 heartbeat of the master"
+            "can0/7 drive of axis 6: has a fault, 0x8130 heartbeat of the master"
         )
         assert line.endswith("before it 0x3210")
         bench.image.commands["command"] = AxisCommand.ENABLE

@@ -19,7 +19,7 @@ from tonus.sim.lab.engine import Lab
 from tonus.tools.testing.held import HeldFactory
 from tonus.tools.testing.player import Player
 
-DRIVES, CELLS = (1, 2), (17, 18)
+DRIVES, CELLS = (1, 7), (17, 23)
 
 
 def test_a_plain_listener_sees_the_documented_frames() -> None:
@@ -103,7 +103,7 @@ def test_when_the_master_falls_silent_every_drive_leaves_operation_enabled() -> 
         after = [drive.statusword() & 0x6F for drive in lab.drives]
         codes = set()
         while (message := listener.recv(timeout=0)) is not None:
-            if message.arbitration_id in (0x081, 0x082):
+            if message.arbitration_id in (0x081, 0x087):
                 codes.add(int.from_bytes(message.data[:2], "little"))
         listener.shutdown()
         lab.close()
@@ -137,8 +137,8 @@ def test_the_log_holds_every_frame_of_a_channel(tonus_held: HeldFactory) -> None
     held.advance(500)
     log = held.end().log
     channels = (
-        ("can0", (1, 2), (1, 2, 17, 18)),
-        ("can3", (7, 8), (7, 8, 23, 24, 25)),
+        ("can0", (1, 7), (1, 7, 17, 23)),
+        ("can3", (2, 8), (2, 8, 18, 24, 25)),
     )
     for channel, drives, nodes in channels:
         identifiers = log[f"/can/{channel}"]["id"]

@@ -16,7 +16,7 @@ import pytest
 def test_a_lost_drive(tonus_daemon):
     daemon = tonus_daemon("hold")
     daemon.arm()
-    daemon.fault("unplug", channel="can0", node=2)
+    daemon.fault("unplug", channel="can3", node=2)
     daemon.wait_for("FAULT")
     run = daemon.end()
     assert [strike.kind for strike in run.faults] == ["unplug"]

@@ -15,6 +15,7 @@ import pytest
 
 from tests.relayed import PATH, RelayRun
 from tests.supervised import BRIEF, DRIVES, Run, configured
+from tests.wired import CHANNEL
 from tests.wrong_daemons import after, blind, both, opposite, raises, torque_in_control
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import Loss
@@ -153,7 +154,7 @@ class Commanded(Run):
             told = self.steps(self.ticks, node)
             if told is not None:
                 message = can.Message(arbitration_id=told[0], data=told[1], is_extended_id=False)
-                self._buses[(node - 1) // 2].send(message)
+                self._buses[self._channels().index(CHANNEL[node])].send(message)
 
 
 def commanded(
@@ -256,8 +257,7 @@ def test_drives_that_are_silent_and_enabled_by_process_data_before_it_has_begun(
     def steps(tick: int, node: int) -> tuple[int, bytes] | None:
         if tick == 85 and node == 1:
             for drive in DRIVES:
-                channel = f"can{(drive - 1) // 2}"
-                lost = Loss(channel=channel, identifier=0x200 + drive, frames=1_000_000)
+                lost = Loss(channel=CHANNEL[drive], identifier=0x200 + drive, frames=1_000_000)
                 run._playing.lab.inject(lost)
         told = {
             1: (0, bytes([0x80, node])),
@@ -316,8 +316,8 @@ def test_power_for_drives_that_were_off_and_are_silent(
         assert lab is not None
         for node in DRIVES[:drives]:
             for base in lost:
-                channel = f"can{(node - 1) // 2}"
-                lab.inject(Loss(channel=channel, identifier=base + node, frames=1_000_000))
+                channel, identifier = CHANNEL[node], base + node
+                lab.inject(Loss(channel=channel, identifier=identifier, frames=1_000_000))
 
     idle(monkeypatch)
     run = Commanded(configured(**BRIEF)[0], load_scenario("hold"), change, State.STANDBY)
@@ -529,7 +529,7 @@ def test_a_torque_that_acts_where_the_recorded_ones_do_not(
     """
     ticks = {"now": 0, "acted": 0}
     config, _ = configured(**BRIEF)
-    signs, apart, channels, axes = config.robot.signs, 16, (2, 3), (4, 5, 6, 7)
+    signs, apart, channels, axes = config.robot.signs, 16, (2, 3), (1, 3, 5, 7)
     fill = Exchange.fill
 
     def commands(result: tuple[Any, Any], *_: Any) -> tuple[list[int], list[int]]:

@@ -9,6 +9,7 @@ from typing import Any
 import can
 import pytest
 from hil.can_bench import CONFIG, PERIOD_S, Bench, enabled, on_lab
+from wired import CHANNEL
 
 from tonus.config.schema.faults import FAULT
 from tonus.drivers.events import EVENTS
@@ -18,6 +19,7 @@ LIMIT_S = (CONFIG.control.freshness.measurement_ticks + 2) * PERIOD_S
 """between two ends on the wire: the measurement's age, the tick in which it was made, and the way
 of the torque"""
 TICKS = 400
+ELSEWHERE = [axis for axis in range(CONFIG.robot.cables) if CHANNEL[axis + 1] != "can0"]
 
 
 def inject(bench: Bench, kind: str, fields: dict[str, Any]) -> None:
@@ -38,7 +40,7 @@ class Witness:
             number, stamp = message.arbitration_id, message.timestamp
             if message.is_error_frame:
                 continue
-            if number in (0x181, 0x182) and message.dlc == 8:
+            if number in (0x181, 0x187) and message.dlc == 8:
                 self._measured[number] = stamp
             elif number - 0x80 in self._measured:
                 _, torque = struct.unpack("<Hh", message.data)
@@ -65,15 +67,15 @@ def told(bench: Bench) -> set[tuple[str, str]]:
         ("loss", {"identifier": 0x181, "frames": 1}, {("missing_pdo", "can0/1")}),
         ("loss", {"identifier": 0x181, "frames": 30}, {("silent_pdo", "can0/1")}),
         ("delay", {"identifier": 0x181, "frames": 1, "delay_us": 1500}, {("late_pdo", "can0/1")}),
-        ("duplicate", {"identifier": 0x182, "frames": 1}, {("duplicate_pdo", "can0/2")}),
-        ("corruption", {"identifier": 0x182, "frames": 1}, {("bus_error", "can0")}),
+        ("duplicate", {"identifier": 0x187, "frames": 1}, {("duplicate_pdo", "can0/7")}),
+        ("corruption", {"identifier": 0x187, "frames": 1}, {("bus_error", "can0")}),
         ("babble", {"duration": 0.1}, {("bus_flooded", "can0"), ("bus_stalled", "can0")}),
         ("babble", {"identifier": 0x7FF, "duration": 0.1}, {("foreign_frame", "can0/0x7FF")}),
         ("stuck", {"duration": 0.003}, {("bus_passive", "can0")}),
         ("stuck", {"duration": 0.05}, {("bus_passive", "can0"), ("bus_stalled", "can0")}),
         ("disconnect", {"duration": 0.05}, {("bus_passive", "can0"), ("bus_stalled", "can0")}),
-        ("unplug", {"node": 2}, {("heartbeat_lost", "can0/2")}),
-        ("power_cycle", {"node": 2}, {("boot_up", "can0/2")}),
+        ("unplug", {"node": 7}, {("heartbeat_lost", "can0/7")}),
+        ("power_cycle", {"node": 7}, {("boot_up", "can0/7")}),
     ],
 )
 def test_a_fault_is_a_named_event_and_no_torque_rests_on_an_old_measurement(
@@ -100,6 +102,6 @@ def test_a_fault_is_a_named_event_and_no_torque_rests_on_an_old_measurement(
         assert wanted <= seen, seen
         # What happens on one channel stays there.
         assert {where.split("/")[0] for _, where in seen} == {"can0"}
-        assert (bench.image.axes["state"][2:] == AxisState.OPERATION_ENABLED).all()
+        assert (bench.image.axes["state"][ELSEWHERE] == AxisState.OPERATION_ENABLED).all()
 
     on_lab(script)

@@ -21,7 +21,7 @@ FIRST_S, APART_S = 2.6, 0.0687
 """after the drives were enabled: in ACTIVE; apart by no multiple of any period"""
 LOSSES = 24
 DURATION_S = FIRST_S + LOSSES * APART_S - 2.0
-CAN1 = (0x77F, 0x703, 0x713, 0x080, 0x203, 0x204, 0x183, 0x193)
+CAN1 = (0x77F, 0x703, 0x713, 0x080, 0x203, 0x205, 0x183, 0x193)
 """heartbeats of master, drive and cell, SYNC, torques, measurements"""
 
 

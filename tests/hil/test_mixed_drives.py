@@ -60,14 +60,14 @@ def test_a_fault_is_reported_in_the_words_of_its_drives_profile_and_reset() -> N
     async def script(bench: Bench) -> None:
         await enabled(bench)
         bench.lab.nodes["can0", 1].device.fail(0x7320)
-        bench.lab.nodes["can2", 5].device.fail(0x7305)
+        bench.lab.nodes["can1", 5].device.fail(0x7305)
         await bench.ticks(1500)
         states = bench.image.axes["state"]
         assert states[0] == states[4] == AxisState.FAULT
         assert set(states[[1, 2, 3, 5, 6, 7]]) == {AxisState.OPERATION_ENABLED}
         told = {event.where: event.text for event in bench.fieldbus.take_events()}
         assert "position sensor error; power off at once" in told["can0/1"]
-        assert ENCODER in told["can2/5"]
+        assert ENCODER in told["can1/5"]
         bench.image.commands["command"] = AxisCommand.RESET_FAULT
         await bench.ticks(50)
         assert not set(bench.image.axes["state"]) & {AxisState.FAULT}
@@ -106,7 +106,7 @@ def test_a_drive_that_is_not_set_up_is_named() -> None:
     async def script(bench: Bench) -> None:
         for drive in bench.lab.drives[6:]:
             drive.objects.find(0x6076, 0).set(0)
-        with pytest.raises(BringUpError, match=r"2 of 17 .*can3/7 .*axis 6.* 0x6076:0 reads 0"):
+        with pytest.raises(BringUpError, match=r"2 of 17 .*can0/7 .*axis 6.* 0x6076:0 reads 0"):
             await bench.fieldbus.start(lambda _: None)
 
     on_lab(script, config=MIXED)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from loop import QUICK
+from wired import CHANNEL
 
 from tonus.config import load
 from tonus.config.loader import load_bounds
@@ -22,7 +23,7 @@ LOST, AT_ONCE = "control.freshness.stale_stop_ticks + 1 tick", "2 ticks"
 """the times that docs/fmea.md has for a silent device, and for one that reports by itself"""
 REVERSED = "control.isolation.torque_s + 2 ticks"
 WEAK = "control.isolation.tension_error_s + 1 tick"
-ALL = [(f"can{axis // 2}", axis + 1) for axis in range(CONFIG.robot.cables)]
+ALL = [(CHANNEL[axis + 1], axis + 1) for axis in range(CONFIG.robot.cables)]
 """channel and node of every drive"""
 pytestmark = [pytest.mark.tonus(overrides=QUICK), pytest.mark.tonus_expect("*"), pytest.mark.wide]
 

@@ -185,7 +185,7 @@ def test_a_brake_that_does_not_hold_lets_its_drum_turn(tonus_held: HeldFactory) 
     assert turned.argmax() == 1
     assert turned[1] > 5.0 * np.delete(turned, 1).max()
     (told,) = [each for each in held.events if each.name == "brake_slipped"]
-    assert told.where == "can0/2 (axis 1)"
+    assert told.where == "can3/2 (axis 1)"
     held.end()
 
 

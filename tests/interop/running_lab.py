@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 COMMAND = (sys.executable, "-m", "tonus.tools.cli", "lab", "config/can.yaml")
-DRIVES = {"can0": (1, 2), "can1": (3, 4), "can2": (5, 6), "can3": (7, 8)}
-CELLS = {"can0": (17, 18), "can1": (19, 20), "can2": (21, 22), "can3": (23, 24, 25)}
+DRIVES = {"can0": (1, 7), "can1": (3, 5), "can2": (4, 6), "can3": (2, 8)}
+CELLS = {"can0": (17, 23), "can1": (19, 21), "can2": (20, 22), "can3": (18, 24, 25)}
 
 
 def environment(directory: Path) -> dict[str, str]:

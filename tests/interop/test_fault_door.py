@@ -144,7 +144,7 @@ def test_a_cable_pulled_by_command_is_seen_on_the_bus(
 
     with can.Bus(interface="tonus", channel="can1") as bus:
         assert "done at" in command("unplug", "--channel", "can1", "--node", "3")
-        assert booted() == {0x704, 0x713, 0x714}
+        assert booted() == {0x705, 0x713, 0x715}
         assert "unplugged" in command("get")
         command("replug", "--channel", "can1", "--node", "3")
-        assert booted() == {0x703, 0x704, 0x713, 0x714}
+        assert booted() == {0x703, 0x705, 0x713, 0x715}

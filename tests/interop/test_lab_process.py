@@ -109,17 +109,17 @@ def test_python_cans_viewer_shows_a_node(lab: Path) -> None:
     )
     shown = b""
     for _ in range(200):
-        bus.send(can.Message(arbitration_id=0, is_extended_id=False, data=b"\x82\x07"))
+        bus.send(can.Message(arbitration_id=0, is_extended_id=False, data=b"\x82\x08"))
         if select.select([screen], [], [], 0.1)[0]:
             shown += os.read(screen, 65536)
-        if b"0x707" in shown:
+        if b"0x708" in shown:
             break
     viewer.terminate()
     viewer.wait(10)
     bus.shutdown()
     os.close(screen)
     os.close(terminal)
-    assert b"0x707" in shown
+    assert b"0x708" in shown
 
 
 def test_who_reads_by_file_descriptor_misses_nothing(lab: Path) -> None:
@@ -133,7 +133,7 @@ def test_who_reads_by_file_descriptor_misses_nothing(lab: Path) -> None:
         assert done.get_message(5) is not None
     notifier.stop()
     bus.shutdown()
-    assert sorted(m.arbitration_id for m in notifier_seen) == [0x705, 0x706, 0x715, 0x716]
+    assert sorted(m.arbitration_id for m in notifier_seen) == [0x704, 0x706, 0x714, 0x716]
     stamps = [m.timestamp for m in notifier_seen]
     assert stamps == sorted(stamps)
 

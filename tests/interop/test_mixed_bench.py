@@ -67,7 +67,7 @@ def test_only_the_chosen_nodes_are_emulated(
     for channel, expected in (
         ("can0", [0x701, 0x711]),
         ("can1", []),
-        ("can2", [0x705, 0x706, 0x715, 0x716]),
+        ("can2", [0x704, 0x706, 0x714, 0x716]),
         ("can3", []),
     ):
         with can.Bus(interface="tonus", channel=channel) as bus:
@@ -87,8 +87,8 @@ def test_a_node_of_another_process_joins_the_emulated_ones(
     there.connect(interface="tonus", channel="can0")
     here.connect(interface="tonus", channel="can0")
     try:
-        there.create_node(2, objects).data_store.update({0x1008: {0: b"elsewhere"}})
-        for node_id, expected in ((1, "EPOS4"), (2, "elsewhere"), (17, "force cell")):
+        there.create_node(7, objects).data_store.update({0x1008: {0: b"elsewhere"}})
+        for node_id, expected in ((1, "EPOS4"), (7, "elsewhere"), (17, "force cell")):
             assert here.add_node(node_id, objects).sdo["name"].raw == expected
     finally:
         here.disconnect()
@@ -98,14 +98,14 @@ def test_a_node_of_another_process_joins_the_emulated_ones(
 def test_a_fault_of_a_node_that_is_elsewhere_is_refused(directory: Path) -> None:
     door = str(directory / "lab.sock")
     asked = subprocess.run(
-        [*TONUS, "fault", "unplug", "--channel", "can0", "--node", "2", "--socket", door],
+        [*TONUS, "fault", "unplug", "--channel", "can0", "--node", "7", "--socket", door],
         capture_output=True,
         text=True,
         check=False,
         timeout=30,
     )
     assert asked.returncode == 2
-    assert asked.stderr.startswith("tonus: the lab refuses: there is no node 2 on channel 'can0'")
+    assert asked.stderr.startswith("tonus: the lab refuses: there is no node 7 on channel 'can0'")
     assert asked.stderr.count("\n") == 1
 
 
@@ -152,7 +152,7 @@ def bridged(directory: Path, interface: str) -> Iterator[None]:
 def test_emulated_nodes_sit_on_a_bus_of_another_interface(tmp_path: Path) -> None:
     with can.Bus(interface="virtual", channel="can0") as bus:
         with bridged(tmp_path, "virtual"):
-            assert heard(bus) == [0x701, 0x702, 0x711, 0x712]  # they boot
+            assert heard(bus) == [0x701, 0x707, 0x711, 0x717]  # they boot
             network = canopen.Network(bus)
             network.notifier = can.Notifier(bus, network.listeners, 0.05)
             try:
@@ -206,7 +206,7 @@ def test_a_bus_that_fails_ends_the_lab_in_one_clear_line(
         bridge.close()
 
     asyncio.run(main())
-    assert {0x703, 0x704, 0x713, 0x714} <= set(heard_there)
+    assert {0x703, 0x705, 0x713, 0x715} <= set(heard_there)
     assert isinstance(failures[0], LabError)
     assert "channel can1 has failed" in str(failures[0])
 

@@ -189,11 +189,11 @@ def test_two_clients_on_one_bus_read_two_drives_at_once(drive: Drive, lab: objec
     other = canopen.Network()
     other.NOTIFIER_CYCLE = 0.05
     other.connect(interface="tonus", channel="can0")
-    second = other.add_node(2, dictionary(2))
+    second = other.add_node(7, dictionary(7))
     for _ in range(20):
         assert drive.sdo[0x1008].raw == second.sdo[0x1008].raw == "EPOS4"
         assert drive.number(0x1200, 1) == 0x601
-        assert second.sdo.upload(0x1200, 1) == struct.pack("<I", 0x602)
+        assert second.sdo.upload(0x1200, 1) == struct.pack("<I", 0x607)
     other.disconnect()
 
 

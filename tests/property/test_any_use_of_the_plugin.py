@@ -78,7 +78,7 @@ class Uses(RuleBasedStateMachine):
         self._fault(kind=kind, **FAULTS[kind])
 
     @precondition(lambda self: len(self.faults) < MOST_FAULTS and "direct" not in self.config)
-    @rule(kind=st.sampled_from(FAULTS_OF_NODES), node=st.integers(1, 2))
+    @rule(kind=st.sampled_from(FAULTS_OF_NODES), node=st.sampled_from((1, 7)))
     def fault_of_a_node(self, kind: str, node: int) -> None:
         self._fault(kind=kind, channel="can0", node=node)
 

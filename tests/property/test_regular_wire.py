@@ -31,7 +31,7 @@ from tonus.sim.can.wire.inbox import FRAMES
 _ON = (0x06, 0x07, 0x0F)
 _MOST = 1000
 _CHANNEL = st.sampled_from(["can0", "can3"])
-_NODE = st.sampled_from([1, 2, 17])
+_NODE = st.sampled_from([1, 7, 17])
 _TIMES = {"probability": 0.5, "duration": 0.004}
 _FAULTS = st.one_of(
     st.builds(lambda c: Loss(channel=c, **_TIMES), _CHANNEL),

@@ -371,13 +371,13 @@ def test_a_strike_knows_its_devices() -> None:
     drive = placed({"kind": "unplug", "channel": "can1", "node": 3})
     assert (drive.at_ns, drive.axes) == (NS + NS // 2, {2})
     assert drive.is_named_by("can1/3 (axis 2)")
-    cell = placed({"kind": "cell_break", "channel": "can1", "node": 20})
+    cell = placed({"kind": "cell_break", "channel": "can2", "node": 20})
     assert (cell.axes, cell.cells) == (frozenset(), {3})
-    assert cell.is_named_by("can1/20 (cell 3)")
+    assert cell.is_named_by("can2/20 (cell 3)")
     channel = placed({"kind": "stuck", "channel": "can1"})
-    assert channel.axes == {2, 3}
+    assert channel.axes == {2, 4}
     assert channel.is_named_by("can1")
-    assert not channel.is_named_by("can2/5 (axis 4)")
+    assert not channel.is_named_by("can2/6 (axis 5)")
     sto = {"kind": "drive_input", "channel": "can1", "node": 3, "input": "sto"}
     assert placed(sto).unpowered == {2}
     assert not placed(sto | {"active": False}).unpowered

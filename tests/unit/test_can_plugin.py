@@ -190,7 +190,7 @@ def test_a_notifier_on_a_loop_hears_all_in_order(
             notifier.stop()
         own = [m for m in seen if not m.is_rx]
         assert [m.arbitration_id for m in own] == [0, *range(0x100, 0x114)]
-        assert {m.arbitration_id for m in seen if m.is_rx} == {0x701, 0x702, 0x711, 0x712}
+        assert {m.arbitration_id for m in seen if m.is_rx} == {0x701, 0x707, 0x711, 0x717}
         stamps = [m.timestamp for m in seen]
         assert stamps == sorted(stamps)
         assert min(b - a for a, b in pairwise(stamps)) >= 47e-6 * 0.999, "one at a time"
@@ -310,18 +310,18 @@ def test_a_filtered_message_does_not_end_a_recv(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def use(lab: Lab) -> None:
-        only = [{"can_id": 0x712, "can_mask": 0x7FF}]
+        only = [{"can_id": 0x717, "can_mask": 0x7FF}]
         with can.Bus(interface="tonus", channel="can0", can_filters=only) as bus:
             bus.send(message(0, b"\x82\0"))
             heard = await asyncio.to_thread(bus.recv, 10)
             assert heard is not None
-            assert heard.arbitration_id == 0x712, "the last of four boot-up messages"
+            assert heard.arbitration_id == 0x717, "the last of four boot-up messages"
             done = lab.channels["can0"].frames + 5
             bus.send(message(0, b"\x82\0"))
             await until(lambda: lab.channels["can0"].frames >= done)
             await asyncio.sleep(0.01)
             heard = bus.recv(0)
             assert heard is not None
-            assert heard.arbitration_id == 0x712
+            assert heard.arbitration_id == 0x717
 
     served(tmp_path, monkeypatch, use)

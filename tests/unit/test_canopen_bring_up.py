@@ -83,9 +83,9 @@ def test_all_failures_are_told_together_in_one_line() -> None:
     assert "can1/3 (drive of axis 2): missing: no boot-up within 2000 ms" in text
     assert "product 0x61500000, not 0x65510000" in text
     assert "firmware too old: revision 0x01100000, at least 0x01700000" in text
-    assert "can3/7 (drive of axis 6): abort 0x06090030: value out of range" in text
+    assert "can0/7 (drive of axis 6): abort 0x06090030: value out of range" in text
     assert "0x6060:0" in text
-    assert "can1/20 (load cell 3): 0x6131:1 (physical unit, newton)" in text
+    assert "can2/20 (load cell 3): 0x6131:1 (physical unit, newton)" in text
     assert "can0/1 " not in text
 
 
@@ -93,7 +93,7 @@ def test_a_mapping_that_reads_back_differently_is_refused() -> None:
     robot = Robot()
     robot.nodes[2].stuck[0x1A00, 2] = u32(0x606C0020)
     text = failure(robot)
-    assert "can0/2" in text
+    assert "can3/2" in text
     assert "TPDO1: 0x1A00:2 reads 0x606C0020, not 0x60640020 as written" in text
 
 
@@ -233,7 +233,7 @@ def test_a_drive_that_does_not_watch_the_supervisor_is_not_armed_where_it_is_req
         robot.fieldbus.collect(0)
         robot.fieldbus.collect(1)
         obstacle = robot.image.obstacles["supervisor of can0, can1, can2, can3"]
-        assert obstacle.startswith("cannot stop can0/1, can0/2, "), obstacle
+        assert obstacle.startswith("cannot stop can0/1, can0/7, "), obstacle
         assert obstacle.endswith("can3/8: no second heartbeat consumer")
         await robot.fieldbus.stop()
 
@@ -334,11 +334,11 @@ def test_a_fault_that_stays_is_told_with_what_would_clear_it() -> None:
     robot.nodes[4].objects[0x1003, 1] = u32(0x3210)
     robot.nodes[4].objects[0x1003, 2] = u32(0x2310)
     text = failure(robot)
-    assert "can1/4 (drive of axis 3): its fault stays: 0x3210 overvoltage; power off" in text
+    assert "can2/4 (drive of axis 3): its fault stays: 0x3210 overvoltage; power off" in text
     assert "once the value is back in range; before it 0x2310" in text
     words = [
         data[4:6]
-        for identifier, data in robot.buses["can1"].sent
+        for identifier, data in robot.buses["can2"].sent
         if identifier == 0x604 and data[1:3] == b"\x40\x60"
     ]
     assert words[:3] == [b"\x00\x00", b"\x80\x00", b"\x00\x00"]
@@ -349,7 +349,7 @@ def test_the_fault_of_a_drive_without_an_error_code_is_seen_in_its_statusword() 
     robot = Robot()
     del robot.nodes[4].objects[0x603F, 0]
     robot.nodes[4].stuck[0x6041, 0] = b"\x08\x00"
-    assert "can1/4 (drive of axis 3): its fault stays: 0x1000" in failure(robot)
+    assert "can2/4 (drive of axis 3): its fault stays: 0x1000" in failure(robot)
 
 
 def test_a_defect_that_only_a_reset_of_the_device_clears_gets_one() -> None:
@@ -385,7 +385,7 @@ def test_an_interpolation_period_other_than_the_ticks_is_refused() -> None:
 
 FOUR_CHANNELS = {
     "fieldbus.channels.3.force_cells": [
-        {"cell": 6, "node_id": 23},
+        {"cell": 1, "node_id": 18},
         {"cells": [7, 8], "node_id": 24},
     ]
 }

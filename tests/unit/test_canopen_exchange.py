@@ -259,19 +259,19 @@ def test_an_emergency_is_told_in_words_and_reaches_the_image() -> None:
     def script(robot: Robot) -> None:
         bus, image = robot.fieldbus, robot.image
         bus.collect(0)
-        robot.buses["can0"].put(0x082, b"\x50\x82\x10\0\0\0\0\0")
-        robot.buses["can0"].put(0x092, b"\x00\x50\x01\0\0\0\0\0")
+        robot.buses["can0"].put(0x087, b"\x50\x82\x10\0\0\0\0\0")
+        robot.buses["can0"].put(0x097, b"\x00\x50\x01\0\0\0\0\0")
         robot.buses["can0"].put(0x081, b"\x50")
         bus.collect(1)
         drive, cell, short = bus.take_events()
-        assert (drive.name, drive.where) == ("emcy", "can0/2")
+        assert (drive.name, drive.where) == ("emcy", "can0/7")
         assert "0x8250, register 0x10: receive PDO timeout; stops as set in 0x6007" in drive.text
         assert "hardware error" in cell.text
         assert short.name == "short_emcy"
-        assert list(image.axes["error_code"][:2]) == [0, 0x8250]
-        assert list(image.cells["status"][:2]) == [0, 0xFF]
-        robot.buses["can0"].put(0x082, bytes(8))
-        robot.buses["can0"].put(0x092, bytes(8))
+        assert list(image.axes["error_code"][[0, 6]]) == [0, 0x8250]
+        assert list(image.cells["status"][[0, 6]]) == [0, 0xFF]
+        robot.buses["can0"].put(0x087, bytes(8))
+        robot.buses["can0"].put(0x097, bytes(8))
         bus.collect(2)
         assert not image.axes["error_code"].any()
         assert not image.cells["status"].any()
@@ -289,21 +289,21 @@ def test_a_mapped_status_does_not_take_an_emergency_of_its_cell_back(
 
     def script(robot: Robot) -> None:
         bus, cells, can0 = robot.fieldbus, robot.image.cells, robot.buses["can0"]
-        emergency, measurement = (0x092, b"\x00\x50\x01\0\0\0\0\0"), (0x192, bytes(5))
+        emergency, measurement = (0x097, b"\x00\x50\x01\0\0\0\0\0"), (0x197, bytes(5))
         bus.collect(0)
         frames = [emergency, measurement] if emergency_first else [measurement, emergency]
         for frame in frames:
             can0.put(*frame)
         bus.collect(1)
-        assert list(cells["status"][:2]) == [0, 0xFF]
+        assert list(cells["status"][[0, 6]]) == [0, 0xFF]
         can0.put(*measurement)
         bus.collect(2)
-        assert cells["age"][1] == 0
-        assert cells["status"][1] == 0xFF
-        can0.put(0x192, bytes(4) + b"\x04")
-        can0.put(0x092, bytes(8))
+        assert cells["age"][6] == 0
+        assert cells["status"][6] == 0xFF
+        can0.put(0x197, bytes(4) + b"\x04")
+        can0.put(0x097, bytes(8))
         bus.collect(3)
-        assert cells["status"][1] == 4, "the cell's own status counts again"
+        assert cells["status"][6] == 4, "the cell's own status counts again"
 
     run(script, Robot(config))
 
@@ -311,8 +311,8 @@ def test_a_mapped_status_does_not_take_an_emergency_of_its_cell_back(
 def test_a_node_that_restarts_while_running_is_told() -> None:
     def script(robot: Robot) -> None:
         robot.fieldbus.collect(0)
-        robot.buses["can2"].put(0x705, b"\x00")
-        robot.buses["can2"].put(0x705, b"\x7f")
+        robot.buses["can1"].put(0x705, b"\x00")
+        robot.buses["can1"].put(0x705, b"\x7f")
         robot.fieldbus.collect(1)
         assert names(robot) == ["boot_up", "left_operational"]
 

@@ -113,15 +113,15 @@ def test_everything_on_one_channel_is_refused_at_1_khz_and_not_at_250_hz() -> No
 
 def test_two_nodes_with_one_id_are_named_and_so_is_their_cob_id() -> None:
     found = failed({"fieldbus.channels.0.force_cells.1.node_id": 1})
-    assert found["node ids"].text == "axis 0 and cell 1 both have node id 1"
-    assert found["COB-IDs"].text == "axis 0 and cell 1 both use COB-ID 0x081"
+    assert found["node ids"].text == "axis 0 and cell 6 both have node id 1"
+    assert found["COB-IDs"].text == "axis 0 and cell 6 both use COB-ID 0x081"
     assert found["node ids"].where == "fieldbus.channels can0"
 
 
 def test_no_node_may_have_the_masters_id() -> None:
     found = failed({"fieldbus.channels.2.drives.0.node_id": 127})
-    assert found["node ids"].text == "the master and axis 4 both have node id 127"
-    assert found["COB-IDs"].text == "the master and axis 4 both use COB-ID 0x77F"
+    assert found["node ids"].text == "the master and axis 3 both have node id 127"
+    assert found["COB-IDs"].text == "the master and axis 3 both use COB-ID 0x77F"
 
 
 def test_one_id_on_two_channels_is_no_collision() -> None:

@@ -74,7 +74,7 @@ def test_a_robot_whose_load_cells_are_not_on_can_beside_drives_that_are() -> Non
     assert found("config/can.yaml", 1) == [], "in a lab"
     robot = found("config/can.yaml", 1, lab=None)
     assert [each.where for each in robot] == ["supervisor.policy"]
-    assert "does not read load cells 6, 7, 8" in robot[0].text
+    assert "does not read load cells 1, 7, 8" in robot[0].text
     use = {"lab": None, "supervisor.policy": "use", "relaxed": ["supervisor.policy"]}
     assert found("config/can.yaml", 1, **use) == []
 

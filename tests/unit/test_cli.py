@@ -43,7 +43,7 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
         (["log", "info", "/dev/null"], "is empty"),
         (["check", "/"], "is a directory"),
         (["lab", "config/can.yaml", "--nodes", "can0,can1/9"], "can1/9"),
-        (["lab", "config/can.yaml", "--nodes", ""], "choose of can0, can0/1, can0/2"),
+        (["lab", "config/can.yaml", "--nodes", ""], "choose of can0, can0/1, can0/7"),
         (["lab", "config/direct.yaml", "--nodes", "can0"], "is direct"),
         (["fault", "get"], "start one with: tonus lab CONFIG"),
         (["export", "dbc", "config/direct.yaml"], "is direct"),

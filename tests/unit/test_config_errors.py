@@ -364,7 +364,7 @@ CASES = [
         "fieldbus.kind", "there is no 'profibus'", "choose one of 'canopen', 'direct'",
     ),
     Broken(
-        "fieldbus without a kind", Edit(BUS, "kind: canopen\n", ""), BUS, 2, "fieldbus",
+        "fieldbus without a kind", Edit(BUS, "kind: canopen\n", ""), BUS, 3, "fieldbus",
         "has no 'kind'", "add it",
     ),
     Broken(

@@ -444,7 +444,7 @@ def displaced(image: ProcessImage) -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (spoilt("axes", "state", 3, AxisState.QUICK_STOP_ACTIVE), "can1/4 (axis 3) is in QUICK"),
+        (spoilt("axes", "state", 3, AxisState.QUICK_STOP_ACTIVE), "can2/4 (axis 3) is in QUICK"),
         (spoilt("axes", "age", 5, 9), "(axis 5) does not answer"),
         (spoilt("cells", "age", 8, 9), "(contact cell) does not answer"),
         (spoilt("cells", "force", 2, 30.0), "(cell 2) reads"),

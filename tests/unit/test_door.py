@@ -15,6 +15,8 @@ from tonus.config.faults import KINDS
 from tonus.sim.devices.cia402.states import State
 from tonus.sim.lab.door import REQUEST_BYTES, Door
 
+DRIVES = ["can0/1", "can0/7", "can1/3", "can1/5", "can2/4", "can2/6", "can3/2", "can3/8"]
+
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
@@ -51,7 +53,7 @@ def test_a_node_that_is_unplugged_is_not_heard_until_it_is_put_back(
     bench.read("can1")
     bench.send("can1", 0x000, b"\x82\x00")
     bench.wait(5)
-    assert {m.arbitration_id for m in bench.read("can1")} == {0x704, 0x713, 0x714}
+    assert {m.arbitration_id for m in bench.read("can1")} == {0x705, 0x713, 0x715}
     assert door.request(fault("replug", **place))["ok"]
     bench.send("can1", 0x000, b"\x82\x00")
     bench.wait(5)
@@ -87,7 +89,7 @@ def test_the_kinds_are_those_of_the_schema_with_where_they_can_happen(door: Door
     assert list(kinds) == list(KINDS)
     code = kinds["drive_error"]["fields"]["code"]
     assert (code["required"], code["low"], code["high"]) == (True, 1, 0xFFFF)
-    assert kinds["drive_error"]["where"] == [f"can{n // 2}/{n + 1}" for n in range(8)]
+    assert kinds["drive_error"]["where"] == DRIVES
     assert "can3/25" in kinds["cell_break"]["where"]
     assert len(kinds["unplug"]["where"]) == 17
     assert kinds["loss"]["where"] == ["can0", "can1", "can2", "can3"]

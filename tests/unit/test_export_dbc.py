@@ -140,12 +140,12 @@ def test_a_cell_is_read_in_each_of_its_forms(entry: int, data: bytes, force: flo
 
 
 def test_an_amplifier_of_several_cells_names_them() -> None:
-    cells = [{"cells": [6, 7, 8], "node_id": 23}]
+    cells = [{"cells": [1, 7, 8], "node_id": 24}]
     told = exported(overrides={"fieldbus.channels.3.force_cells": cells}).decode_message(
-        0x197, b"\x01\0\xff\xff\x64\0"
+        0x198, b"\x01\0\xff\xff\x64\0"
     )
     assert told == {
-        "Force_Cell6": pytest.approx(0.01),
+        "Force_Cell1": pytest.approx(0.01),
         "Force_Cell7": pytest.approx(-0.01),
         "Force_Contact": pytest.approx(1.0),
     }
@@ -161,9 +161,9 @@ def test_one_channel_alone_has_only_its_own(can4: Database) -> None:
     alone = exported(channel=3)
     assert [node.name for node in alone.nodes] == [
         "Master",
-        "Axis6",
+        "Axis1",
         "Axis7",
-        "Cell6",
+        "Cell1",
         "Cell7",
         "Contact",
     ]
@@ -173,7 +173,7 @@ def test_one_channel_alone_has_only_its_own(can4: Database) -> None:
 
 
 def test_equal_identifiers_on_two_channels_do_not_go_into_one_file() -> None:
-    over = {"fieldbus.channels.1.drives": [{"axis": 2, "node_id": 1}, {"axis": 3, "node_id": 4}]}
+    over = {"fieldbus.channels.1.drives": [{"axis": 2, "node_id": 1}, {"axis": 4, "node_id": 5}]}
     with pytest.raises(
         ToolError, match=r"0x081 is Axis0_EMCY on can0 and Axis2_EMCY on can1;.*--channel"
     ):

@@ -62,8 +62,8 @@ def test_every_kind_of_the_schema_is_a_command_and_is_listed() -> None:
     [
         ("unplug --channel can1 --node 3", "unplug channel=can1 node=3: done at 0.010000 s"),
         (
-            "drive-error --channel can0 --node 2 --code 0x2310 --at 0.5",
-            "drive_error channel=can0 node=2 code=0x2310: will be done at 0.510000 s",
+            "drive-error --channel can0 --node 7 --code 0x2310 --at 0.5",
+            "drive_error channel=can0 node=7 code=0x2310: will be done at 0.510000 s",
         ),
         (
             "cell_break --channel can0 --node 17 --no-broken",
@@ -113,12 +113,12 @@ def test_what_a_command_sends_is_what_the_schema_takes(
 
 def test_the_table_shows_what_was_done(lab: tuple[Bench, str]) -> None:
     call("unplug", "--channel", "can1", "--node", "3", "--socket", lab[1])
-    call("drive_error", "--channel", "can0", "--node", "2", "--code", "0x2310", "--socket", lab[1])
+    call("drive_error", "--channel", "can0", "--node", "7", "--code", "0x2310", "--socket", lab[1])
     lines = call("get", "--socket", lab[1]).output.splitlines()
     (unplugged,) = (line for line in lines if "unplugged" in line)
     assert "can1/3" in unplugged
     (failed,) = (line for line in lines if "0x2310" in line)
-    assert "can0/2" in failed
+    assert "can0/7" in failed
     assert "FAULT" in failed
     told = json.loads(call("get", "--json", "--socket", lab[1]).output)
     assert [node["node"] for node in told["nodes"] if not node["plugged"]] == [3]

@@ -254,7 +254,7 @@ def test_one_cell_and_several_are_configured_alike() -> None:
 
 
 def test_a_cell_belongs_to_one_channel_only() -> None:
-    bus = with_an_amplifier((0, 1, 2, 3)).fieldbus
+    bus = with_an_amplifier((0, 1, 2, 6)).fieldbus
     given = bus.model_dump()
     assert type(bus).model_validate(given) == bus
     given["channels"][0]["force_cells"][0]["cells"] = [0, 1, 2, 2]

@@ -56,7 +56,7 @@ def test_lost_frames_are_missing_and_nothing_else_is() -> None:
     with running(Bench()) as bench:
         inject(bench, "loss", identifier=0x181, frames=3)
         seen = ticks(bench, 10)
-        assert [len(frames(seen, node)) for node in (0x181, 0x182, 0x191)] == [7, 10, 10]
+        assert [len(frames(seen, node)) for node in (0x181, 0x187, 0x191)] == [7, 10, 10]
         assert not bench.lab.faults(), "it is spent"
         assert bench.lab.statistics()["channels"]["can0"]["error_frames"] == 0
 
@@ -65,7 +65,7 @@ def test_corrupted_frames_come_late_and_are_counted() -> None:
     with running(Bench()) as bench:
         inject(bench, "corruption", probability=0.1)
         seen = ticks(bench, 100)
-        assert [len(frames(seen, node)) for node in (0x181, 0x182, 0x191)] == [100] * 3
+        assert [len(frames(seen, node)) for node in (0x181, 0x187, 0x191)] == [100] * 3
         channel = bench.lab.statistics()["channels"]["can0"]
         assert 40 < channel["error_frames"] < 160
         assert channel["error_frames"] == len(
@@ -80,7 +80,7 @@ def test_a_drive_whose_every_frame_is_corrupted_goes_off_and_says_so_when_it_is_
         seen = ticks(bench, 30)
         assert emergencies(seen, 1) == [0x8120, 0x81FD]
         assert bench.lab.drives[0].state in (State.FAULT_REACTION_ACTIVE, State.FAULT)
-        assert bench.lab.drives[1].enabled
+        assert bench.lab.drives[6].enabled
         assert frames(seen, 0x181), "it is back"
 
 
@@ -96,9 +96,9 @@ def test_a_delayed_frame_is_late_by_its_delay() -> None:
 
 def test_a_duplicate_comes_twice() -> None:
     with running(Bench()) as bench:
-        inject(bench, "duplicate", identifier=0x182)
+        inject(bench, "duplicate", identifier=0x187)
         seen = ticks(bench, 5)
-        assert len(frames(seen, 0x182)) == 10
+        assert len(frames(seen, 0x187)) == 10
         assert len(frames(seen, 0x181)) == 5
 
 
@@ -231,9 +231,9 @@ def test_an_input_is_told_while_it_acts_and_released_by_clearing() -> None:
 
 def test_a_fault_with_a_time_waits_for_it() -> None:
     with running(Bench()) as bench:
-        inject(bench, "drive_error", node=2, code=0x4210, at=0.01)
-        assert not emergencies(ticks(bench, 9), 2)
-        assert emergencies(ticks(bench, 3), 2) == [0x4210]
+        inject(bench, "drive_error", node=7, code=0x4210, at=0.01)
+        assert not emergencies(ticks(bench, 9), 7)
+        assert emergencies(ticks(bench, 3), 7) == [0x4210]
 
 
 @pytest.mark.parametrize(
@@ -305,9 +305,9 @@ def test_statistics_are_plain_and_count_what_was_sent() -> None:
         assert json.loads(json.dumps(found)) == found
         channel = found["channels"]["can0"]
         assert channel["frames"] - start == 1100 * 8
-        assert set(channel["latency"]) == {"0x080", "0x181", "0x182", "0x191", "0x192"} | {
+        assert set(channel["latency"]) == {"0x080", "0x181", "0x187", "0x191", "0x197"} | {
             "0x201",
-            "0x202",
+            "0x207",
             "0x77F",
         }
         sync = channel["latency"]["0x080"]
@@ -315,4 +315,4 @@ def test_statistics_are_plain_and_count_what_was_sent() -> None:
         assert sync["mean_us"] == sync["p99_us"] == sync["max_us"] == 48.0
         assert channel["latency"]["0x77F"]["mean_us"] > 300, "it waits behind eight others"
         assert channel["load_1s"] == pytest.approx(0.66, abs=0.03)
-        assert set(channel["controllers"]) == {"node 1", "node 2", "node 17", "node 18", "host 4"}
+        assert set(channel["controllers"]) == {"node 1", "node 7", "node 17", "node 23", "host 4"}

@@ -219,7 +219,7 @@ def test_the_script_begins_when_all_drives_are_enabled() -> None:
     script = LabScript(
         faults=(
             Unplug(at=0.05, kind="unplug", channel="can1", node=3),
-            DriveError(at=0.10, kind="drive_error", channel="can0", node=2, code=0x4210),
+            DriveError(at=0.10, kind="drive_error", channel="can0", node=7, code=0x4210),
             CellBreak(at=0.10, kind="cell_break", channel="can3", node=25),
         )
     )
@@ -236,14 +236,14 @@ def test_the_script_begins_when_all_drives_are_enabled() -> None:
             bench.tick(0x0F)
         last = bench.read("can1")[-20:]
         assert not [m for m in last if m.arbitration_id == 0x183]
-        assert emergencies(bench.read("can0"), 2) == [(0x4210, 0x08)]
-        assert bench.lab.drives[1].state is State.FAULT
+        assert emergencies(bench.read("can0"), 7) == [(0x4210, 0x08)]
+        assert bench.lab.drives[6].state is State.FAULT
         forces = [bytes(m.data) for m in bench.read("can3") if m.arbitration_id == 0x199]
         assert struct.unpack("<i", forces[-1]) == (50000,), "the end of its range"
 
 
 def test_a_script_may_be_extended_while_it_plays() -> None:
-    late = DriveError(at=0.10, kind="drive_error", channel="can0", node=2, code=0x4210)
+    late = DriveError(at=0.10, kind="drive_error", channel="can0", node=7, code=0x4210)
     with Bench() as bench:
         with pytest.raises(LabError, match="has not begun"):
             bench.lab.extend_script([late])
@@ -255,9 +255,9 @@ def test_a_script_may_be_extended_while_it_plays() -> None:
         bench.lab.extend_script([late])
         while bench.lab.now_ns < begun + 99_000_000:
             bench.tick(0x0F)
-        assert bench.lab.drives[1].state is State.OPERATION_ENABLED
+        assert bench.lab.drives[6].state is State.OPERATION_ENABLED
         bench.wait(2)
-        assert bench.lab.drives[1].state is State.FAULT
+        assert bench.lab.drives[6].state is State.FAULT
         with pytest.raises(LabError, match="are over"):
             bench.lab.extend_script([late])
         with pytest.raises(LabError, match="no node 99"):

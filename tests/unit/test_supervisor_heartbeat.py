@@ -68,14 +68,15 @@ def test_a_channel_whose_torques_come_late_gets_none(
     monkeypatch.setattr(Judge, "__call__", judge)
     list(watchdog.steps(0, 310, enabled=False))
     names = [name for _, name, _ in watchdog.wiring.channels]
-    place = {axis.number: names.index(axis.channel) for axis in watchdog.wiring.axes}
+    axes = watchdog.wiring.axes
+    place = {axis.number: names.index(axis.channel) for axis in axes}
     before = [len(bus.sent) for bus in watchdog.buses]
     for now in range(310, 320, 2):
         watchdog.step(now, enabled=True, everywhere=True)
     sent = [len(bus.sent) - count for bus, count in zip(watchdog.buses, before, strict=True)]
     assert sent == [1 if number == place[5] else 5 for number in range(4)]
     assert {message.arbitration_id for bus in watchdog.buses for message in bus.sent} == {0x77E}
-    left = [number for number in range(8) if place[number] != place[5]]
+    left = [row for row, axis in enumerate(axes) if place[axis.number] != place[5]]
     assert judged == [list(range(8))] * 2 + [left] * 3
     assert watchdog.supervisor.violation is None
     assert watchdog.supervisor.beating
@@ -360,7 +361,7 @@ def test_a_violation_at_an_axis_names_it(watchdog: Watchdog) -> None:
     sent = [frame for step in steps for frame in step]
     _, data = next(each for each in sent if each[0] == 0x0FE)
     code, _, place, _ = struct.unpack("<HBBf", data)
-    assert (code, place) == (0xFF02, 1)
+    assert (code, place) == (0xFF02, axis.number)
 
 
 def test_what_lasts_too_long_ends_it(watchdog: Watchdog) -> None:

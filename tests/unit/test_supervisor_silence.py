@@ -228,7 +228,7 @@ def test_what_is_asked_of_a_drive_beside_its_process_data(
     found = commanded(watchdog, axis.request, data, enabled=enabled)
     index = request_[1] if request_[0] & 0xE0 else 0
     stops = stopped and (enabled or index == 0x6040)
-    assert found == ((1, index) if stops else None)
+    assert found == ((6, index) if stops else None)
 
 
 @pytest.mark.parametrize(
@@ -252,13 +252,13 @@ def test_a_controlword_beside_the_process_data_where_no_drive_is_enabled(
     leads to no process data may show. A bring-up resets faults."""
     data = struct.pack("<BHBi", kind, 0x6040, 0, word)
     found = commanded(watchdog, watchdog.wiring.axes[1].request, data, enabled=False)
-    assert found == ((1, 0x6040) if stopped else None)
+    assert found == ((6, 0x6040) if stopped else None)
 
 
 def test_power_that_is_switched_off_beside_the_process_data(watchdog: Watchdog) -> None:
     """With that the daemon ends: 0 to the controlword, and nothing else."""
     request = watchdog.wiring.axes[1].request
-    for word, found in ((0, None), (0x0F, (1, 0x6040))):
+    for word, found in ((0, None), (0x0F, (6, 0x6040))):
         data = struct.pack("<BHBi", 0x2B, 0x6040, 0, word)
         assert commanded(watchdog, request, data, enabled=True) == found
 
@@ -267,11 +267,11 @@ def test_power_that_is_switched_off_beside_the_process_data(watchdog: Watchdog) 
 @pytest.mark.parametrize(
     ("code", "node", "found"),
     [
-        (0x02, 2, (1, 0x02)),
-        (0x80, 2, (1, 0x80)),
-        (0x81, 0, (1, 0x81)),
+        (0x02, 7, (6, 0x02)),
+        (0x80, 7, (6, 0x80)),
+        (0x81, 0, (6, 0x81)),
         (0x82, 1, (0, 0x82)),
-        (0x01, 2, (1, 0x01)),
+        (0x01, 7, (6, 0x01)),
         (0x82, 17, (0xFF, 0x82)),
         (0x82, 3, None),
     ],

@@ -164,7 +164,7 @@ def test_the_speed_of_a_platform_of_which_half_of_the_drums_answer_seldom(
             continue
         looked = stage.observe(tick * MS, stage.heard, [claim(at_ms=float(tick))])
         # What the others tell is not what is asked here.
-        found = judge(replace(seen(at_ms=float(tick)), rate=looked.rate))
+        found = judge(replace(seen(at_ms=float(tick)), rate=looked.rate, axes=looked.axes))
         if found is not None:
             break
     assert found is not None
