@@ -85,7 +85,7 @@ class Supervisor:
         self._looked_ns = 0
         self._tick = -1
         self._booted = np.zeros(len(self._axes), bool)
-        """drives that have booted since their last measurement"""
+        """drives that have booted since their last measurement, and were told no power since"""
         self._led = np.zeros(len(self._axes), bool)
         """drives that were told beside their process data to have power, until they answer that
         they are off"""
@@ -162,8 +162,9 @@ class Supervisor:
         # Nobody in order tells a drive to have power that was pulled.
         seen.enabled |= seen.told
         led = np.isin(seen.axes, self._commands.led)
+        led |= seen.told
         self._booted &= ~led
-        self._led |= led | seen.told
+        self._led |= led
         self._led &= seen.enabled | (seen.measured_age > 0.0)
         armed = bool(seen.enabled.any())
         self._judge.note(seen.claims)

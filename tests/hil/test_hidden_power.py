@@ -243,30 +243,37 @@ def test_drives_that_boot_and_are_enabled_by_sdo_before_it_has_begun(
     assert run.powered_ms <= 34 + TIMEOUT_MS
 
 
+def a_set_up(node: int) -> list[tuple[int, bytes]]:
+    """Of a drive, but for its answers: they are switched off."""
+    rpdo = 0x200 + node
+    objects = [(0x1800, 1, 0xC0000180 + node, 4), (0x1400, 1, 0x80000000 + rpdo, 4)]
+    objects += [(0x1600, 0, 0, 1), (0x1600, 1, 0x60400010, 4), (0x1600, 2, 0x60710010, 4)]
+    objects += [(0x1600, 0, 2, 1), (0x1400, 2, 1, 1), (0x1400, 1, rpdo, 4), WATCHED, TORQUE_MODE]
+    for more in (1, 2, 3):
+        objects.append((0x1400 + more, 1, 0x80000000 + rpdo + 0x100 * more, 4))
+        objects.append((0x1800 + more, 1, 0xC0000180 + node + 0x100 * more, 4))
+    return [written(node, *each) for each in objects] + [(0, bytes([0x01, node]))]
+
+
+@pytest.mark.parametrize("reset", [0x80, 0x82])
 def test_drives_that_are_silent_and_enabled_by_process_data_before_it_has_begun(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, reset: int
 ) -> None:
     """Their answers are switched off by SDO, a few RPDOs give power, and then no more come: what
-    they were told last lasts until they answer."""
+    they were told last lasts until they answer, also if they have booted before."""
 
     class Few(Ticks):
         def told(self, tick: int) -> tuple[int, int]:
-            words = ((50, 0x00), (60, 0x06), (70, 0x07))
+            words = ((60, 0x00), (70, 0x06), (80, 0x07))
             return next(((word, 0) for end, word in words if tick < end), (0x0F, 1000))
 
     def steps(tick: int, node: int) -> tuple[int, bytes] | None:
-        if tick == 85 and node == 1:
+        if tick == 95 and node == 1:
             for drive in DRIVES:
                 lost = Loss(channel=CHANNEL[drive], identifier=0x200 + drive, frames=1_000_000)
                 run._playing.lab.inject(lost)
-        told = {
-            1: (0, bytes([0x80, node])),
-            10: written(node, 0x1800, 1, 0xC0000180 + node, 4),
-            15: written(node, *WATCHED),
-            20: written(node, *TORQUE_MODE),
-            30: (0, bytes([0x01, node])),
-        }
-        return told.get(tick)
+        told = dict(zip(range(10, 60, 2), a_set_up(node), strict=False))
+        return {1: (0, bytes([reset, node])), **told}.get(tick)
 
     idle(monkeypatch)
     config, _ = configured(**BRIEF, **{"supervisor.policy": "require"})
