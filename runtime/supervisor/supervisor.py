@@ -89,6 +89,8 @@ class Supervisor:
         self._led = np.zeros(len(self._axes), bool)
         """drives that were told beside their process data to have power, until they answer that
         they are off"""
+        self._led_before = self._led.copy()
+        """which were so in the look before"""
         self._agreed_ns = 0
         """when record and statuswords agreed last whether the robot is controlled"""
         self._listeners: list[Listener] = []
@@ -165,7 +167,9 @@ class Supervisor:
         led |= seen.told
         self._booted &= ~led
         self._led |= led
-        self._led &= seen.enabled | (seen.measured_age > 0.0)
+        # What is answered in that look, or in the next one, may be of before it acted.
+        self._led &= seen.enabled | (seen.measured_age > 0.0) | led | self._led_before
+        self._led_before = led
         armed = bool(seen.enabled.any())
         self._judge.note(seen.claims)
         if armed:

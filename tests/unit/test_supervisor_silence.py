@@ -317,3 +317,24 @@ def test_which_records_are_new(watchdog: Watchdog) -> None:
     assert [each.tick for each in risen(0, beyond)] == [1]
     later = [claim(at_ms=1.0, tick=tick) for tick in (3, 2, 4)]
     assert [each.tick for each in risen(0, later)] == [3, 4]
+
+
+@pytest.mark.parametrize(("silent_ms", "watched"), [(22, True), (24, True), (26, False)])
+def test_an_answer_of_before_power_beside_the_process_data(
+    config: Config, silent_ms: int, watched: bool
+) -> None:
+    """In the look in which a controlword is read, and in the next one: the drive may have answered
+    before it acted. Nothing is heard of it afterwards."""
+    assert config.supervisor is not None
+    settings = config.supervisor.model_copy(update={"policy": "require"})
+    made = Watchdog(config.model_copy(update={"supervisor": settings}))
+    axis = made.wiring.axes[0]
+    list(made.steps(0, 20, enabled=False))
+    data = bytes.fromhex("2b4060000f000000")
+    frame = can.Message(arbitration_id=axis.request, is_extended_id=False, data=data)
+    made.buses[0].waiting.append(frame)
+    list(made.steps(20, silent_ms, enabled=False))
+    deaf = {(axis.channel, axis.received)}
+    sent = list(made.steps(silent_ms, 100, enabled=False, deaf=deaf))
+    assert (BEAT in sent) is watched
+    made.supervisor.close()
