@@ -202,7 +202,7 @@ class Supervisor:
                 own.begin()
             self.violation = None
         if self.settings.policy == "require":
-            self._begin_watches(now_ns, seen)
+            self._begin_watches(now_ns, seen, quiet)
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
         seen.beating = np.array(self._beating)[self._channel_of]
         seen.enabled &= seen.beating
@@ -269,16 +269,19 @@ class Supervisor:
         self._holds = self.beating
         self._tell(0, self._output, _HELD if self._holds else _RELEASED)
 
-    def _begin_watches(self, now_ns: int, seen: Observation) -> None:
+    def _begin_watches(self, now_ns: int, seen: Observation, quiet: bool) -> None:
         """Drives that keep power although they get no heartbeat, or were told to beside their
         process data, have heard none since they were started, or reset: a single one begins their
         watch (CiA 301). The next one comes when that is over, so that no drive is held, and later
-        where the last one waits still, or was lost."""
+        where the last one waits still, or was lost. Pauses of the power count with it, until no
+        drive has been enabled for ``quiet_s``."""
         for place, beating in enumerate(self._beating):
             since_ns = self._unwatched_ns[place]
             powered = (seen.enabled | self._led) & (self._channel_of == place)
-            if beating or not powered.any():
+            if beating or (quiet and not powered.any()):
                 self._unwatched_ns[place] = None
+            elif not powered.any():
+                continue
             elif since_ns is None or self._beats[place].heard.at_ns > since_ns:
                 self._unwatched_ns[place] = now_ns
             else:

@@ -56,13 +56,13 @@ def let_out(watchdog: Watchdog) -> None:
 def test_drives_that_nobody_watches_hear_one_heartbeat(config: Config, required: Config) -> None:
     """They were enabled before there was any: one begins their watch, 44 ms later, where nothing
     may be armed without a supervisor; and one more each 44 ms, by when those that heard the last
-    one are off. Be it one drive alone."""
-    often = [*range(144, 400, 44), *range(544, 800, 44)]
+    one are off. Be it one drive alone; and at once after a pause that is shorter than 0.3 s."""
+    often = [*range(144, 400, 44), *range(500, 800, 44)]
     for used, apart_ms, alone, beats in (
         (config, 2, False, []),
         (required, 2, False, often),
         (required, 2, True, often),
-        (required, 7, False, [*range(149, 400, 49), *range(555, 800, 49)]),
+        (required, 7, False, [*range(149, 400, 49), *range(506, 800, 49)]),
     ):
         made = Watchdog(used)
         _, other = made.wiring.axes[:2]
@@ -426,4 +426,18 @@ def test_a_controlword_beside_the_process_data_is_over_in_the_next_look(required
     ]
     assert sent[0] >= 610
     assert made.supervisor.violation is None
+    made.supervisor.close()
+
+
+@pytest.mark.parametrize(("pause_ms", "watched"), [(10, True), (300, True), (304, False)])
+def test_power_in_bursts_before_it_has_begun(
+    required: Config, pause_ms: int, watched: bool
+) -> None:
+    """Each shorter than what the single heartbeat waits for. It cannot begin in the pauses; after
+    one that is as long as that takes their time begins anew."""
+    made = Watchdog(required)
+    deaf = {(made.wiring.cells[0].channel, made.wiring.cells[0].received)}
+    every = 20 + pause_ms
+    sent = [made.step(now, enabled=now % every < 20, deaf=deaf) for now in range(0, 1000, 2)]
+    assert (BEAT in sent) is watched
     made.supervisor.close()
