@@ -81,6 +81,7 @@ class Judge:
         patience[Requirement.DISARMED] = settings.disarmed_ms
         self._patience_ns = {key: round(value * 1e6) for key, value in patience.items()}
         self._looked_ns: int | None = None
+        self._armed = False  # the newest record
         self.forget()
         self._was_controlled = True
 
@@ -92,10 +93,15 @@ class Judge:
 
     def note(self, claims: list[Claim]) -> None:
         """What was recorded since the last look, whether or not a drive is enabled."""
-        self._was_controlled |= any(claim.state in CONTROLLED for claim in claims)
+        for claim in claims:
+            self._was_controlled |= claim.state in CONTROLLED
+            self._armed = claim.state in ARMED
+            if self._armed:
+                self._obey(claim)
 
     def rest(self, now_ns: int) -> None:
-        """No drive is enabled: a stop is over, and what held before is forgotten slowly."""
+        """No drive is enabled: a stop is over, and what held before is forgotten slowly. An order
+        or a fault is over where the record is disarmed too: power may only be about to come."""
         self._end_stop()
         self._hold(now_ns, set())
 
@@ -104,10 +110,15 @@ class Judge:
         self._before: Claim | None = None
         self._tension: Floats | None = None
         """N, of the look before"""
-        self._ordered: int = Operator.NONE
-        """the last order to stop that was recorded"""
-        self._faulted = False
-        """a fault was"""
+        if not self._armed:
+            self._ordered: int = Operator.NONE
+            self._faulted = False
+
+    def _obey(self, claim: Claim) -> None:
+        """An order to stop and a fault last."""
+        self._faulted |= claim.fault != 0
+        if claim.operator in (Operator.STOP, Operator.ESTOP):
+            self._ordered = max(self._ordered, claim.operator)
 
     def __call__(self, seen: Observation) -> Violation | None:
         """The first requirement that has been broken for longer than it may be; one of a channel
@@ -124,12 +135,9 @@ class Judge:
         elapsed_ns = 0 if self._looked_ns is None else now_ns - self._looked_ns
         self._looked_ns = now_ns
         least_ns = -min(elapsed_ns, self._period_ns)
-        pulled = Requirement.DISARMED, self._pulling_ns
+        slowly = {(Requirement.DISARMED, self._pulling_ns): _PULLED_FORGETTING}
         held = {
-            key: max(
-                held_ns - elapsed_ns // (_PULLED_FORGETTING if key == pulled else _FORGETTING),
-                least_ns,
-            )
+            key: max(held_ns - elapsed_ns // slowly.get(key, _FORGETTING), least_ns)
             for key, held_ns in self._held.items()
             if held_ns > least_ns
         }
@@ -161,8 +169,7 @@ class Judge:
                 yield each, self._slack_ns
 
     def _is_disarmed(self, claim: Claim) -> bool:
-        """A stop is of what was controlled: power that begins with one has no measured bound
-        yet."""
+        """A stop is of what was controlled: power that begins with it has no measured bound."""
         return claim.state not in ARMED or not (self._was_controlled or claim.state in CONTROLLED)
 
     def _daemon(self, seen: Observation) -> Iterator[Violation]:
@@ -183,11 +190,9 @@ class Judge:
         yield from self._follows(seen.claims, claim)
 
     def _follows(self, claims: list[Claim], newest: Claim) -> Iterator[Violation]:
-        """Only power that is off ends an order or a fault, whatever the daemon records."""
+        """While power is on nothing ends an order or a fault, whatever the daemon records."""
         for claim in claims:
-            self._faulted |= claim.fault != 0
-            if claim.operator in (Operator.STOP, Operator.ESTOP):
-                self._ordered = max(self._ordered, claim.operator)
+            self._obey(claim)
         ignored = self._ordered == Operator.ESTOP and newest.state in ARMED
         stop = self._ordered == Operator.STOP or self._faulted
         if ignored or (stop and newest.state in CONTROLLED):

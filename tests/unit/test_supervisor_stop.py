@@ -139,6 +139,23 @@ def test_an_order_is_over_once_no_drive_is_enabled(config: Config) -> None:
     assert judge(told(State.HOLD, 108.0)) is None
 
 
+@pytest.mark.parametrize("given", [{"operator": Operator.ESTOP}, {"fault": Fault.DRIVE_LOST}])
+@pytest.mark.parametrize("between", [(), (State.FAULT,)])
+def test_an_order_after_arming_and_before_any_power(
+    config: Config, given: dict[str, Any], between: tuple[State, ...]
+) -> None:
+    """However long drives take: only a disarmed record ends it, as it ends one of before arming."""
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    for state in (State.REFERENCING, *between):
+        judge.note([claim(state, 0.0, **given)])
+        judge.rest(0)
+        judge.forget()
+    looks = [told(State.REFERENCING, at_ms) for at_ms in (400.0, 405.0)]
+    found = [each and each.requirement for each in map(judge, looks)]
+    assert found == [None, None if between else Requirement.ORDERS]
+
+
 @pytest.mark.parametrize("state", [*CONTROLLED, State.SAFE_STOP])
 def test_a_fault_that_stops_nothing(config: Config, state: State) -> None:
     looks = [told(state, at_ms, fault=Fault.DRIVE_LOST) for at_ms in (100.0, 104.9, 105.0)]
