@@ -89,7 +89,7 @@ class Replayed:
         self._commanded: deque[Floats] = deque(maxlen=_DELAY_TICKS + _RISE_TICKS)
         self.astray = np.zeros(len(wiring.axes))
         """N at each cable by which the drive's own torque was outside of what it was sent, at most
-        in the records taken last; 0 while it is not enabled or at a limit of its own"""
+        in the records taken last; 0 while it is not enabled"""
         self.heard: Listened = {
             (_CHANNEL, identifier): heard
             for identifier, heard in (
@@ -146,11 +146,13 @@ class Replayed:
         if len(commanded) == commanded.maxlen:
             lately = np.array(commanded)
             low, high = lately.min(axis=0), lately.max(axis=0)
+            # A limit of the drive's own takes torque away; it adds none, and none that is opposed.
+            limited = answers.statusword & _AT_A_LIMIT != 0
+            low[limited] = np.minimum(low[limited], 0.0)
+            high[limited] = np.maximum(high[limited], 0.0)
             torque = _finite(answers.torque)
             beyond = np.maximum(torque - high, low - torque)
-            # A drive that says that it is at a limit of its own gives what it can.
-            compared = answers.statusword & (STATE | _AT_A_LIMIT) == OPERATION_ENABLED
-            compared &= sampled
+            compared = (answers.statusword & STATE == OPERATION_ENABLED) & sampled
             np.maximum(self.astray, beyond / self._radius, out=self.astray, where=compared)
         # What is no number is beyond every bound.
         known = np.isfinite(answers.torque) & np.isfinite(answers.angle)

@@ -14,7 +14,16 @@ import pytest
 
 from tests.relayed import PATH, RelayRun, relay_of
 from tests.supervised import BRIEF, DRIVES, configured
-from tests.wrong_daemons import AT_ONCE, LATER, Change, blind, opposite, torque_on_the_bus
+from tests.wrong_daemons import (
+    AT_ONCE,
+    AXIS,
+    LATER,
+    Change,
+    blind,
+    both,
+    opposite,
+    torque_on_the_bus,
+)
 from tonus.config import load
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import Loss, PowerCycle, Unplug
@@ -84,6 +93,27 @@ def test_a_mistake_on_ethercat_that_has_to_show(
     found = FOUND.get(name, {LATER[name].requirement})
     assert {number for number, _ in run.said} == found
     assert State.SAFE_STOP not in seen.state, "the daemon stops nothing"
+
+
+def test_a_torque_beyond_the_limit_of_a_drive_in_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the bus alone, while the drive reports that it is at a limit of its own. It had not been
+    found in 0.3 s, 267 N."""
+
+    def beyond(torques: Any) -> Any:
+        torques[AXIS] = 3500 * run.config.robot.signs[AXIS]
+        return torques
+
+    config, _ = configured(PATH, **ROBOT, **BRIEF)
+    change = both(blind, torque_on_the_bus(beyond))
+    run = RelayRun(
+        config, load_scenario("hold"), lambda: change(monkeypatch), State.SAFE_STOP, at=0.1
+    )
+    with monkeypatch.context():
+        seen = run.play(0.2)
+    monkeypatch.undo()
+    _all_stopped(run, seen, OUTPUT_MS)
+    assert {number for number, _ in run.said} == {Requirement.COMMAND_LOGGED}
+    assert seen.truth["tension"][seen.truth_ns > run.changed_ns].max() <= 100.0
 
 
 def test_a_contact_on_ethercat_that_the_daemon_ignores(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -381,7 +381,9 @@ def player(config: Config) -> Player:
         (1.3, ENABLED, 0.1 / 0.02),
         (0.8, ENABLED, 0.2 / 0.02),
         (-1.0, ENABLED, 2.0 / 0.02),
-        (-1.0, AT_A_LIMIT, 0.0),
+        (1.3, AT_A_LIMIT, 0.1 / 0.02),
+        (0.0, AT_A_LIMIT, 0.0),
+        (-1.0, AT_A_LIMIT, 1.0 / 0.02),
         (-1.0, DISABLED, 0.0),
     ],
 )
@@ -389,6 +391,16 @@ def test_how_far_a_drives_torque_is_from_what_it_was_sent(
     player: Player, answered: float, word: int, newton: float
 ) -> None:
     player.take(commanded(1.0, answered, word))
+    assert player.replayed.astray == pytest.approx(np.full(player.cables, newton))
+
+
+@pytest.mark.parametrize(("answered", "newton"), [(-0.4, 0.0), (0.0, 0.0), (0.4, 0.4 / 0.02)])
+def test_a_limit_of_a_drive_that_was_sent_to_pay_out(
+    player: Player, answered: float, newton: float
+) -> None:
+    for _ in range(8):
+        player.take(commanded(-1.0, -1.0))
+    player.take(commanded(-1.0, answered, AT_A_LIMIT))
     assert player.replayed.astray == pytest.approx(np.full(player.cables, newton))
 
 
