@@ -99,7 +99,9 @@ class CanopenFieldbus:
         self._recovery = Recovery(self._supervision, self._exchange, self._events)
         # One that holds a relay beats on the relay's channel alone.
         supervisor = config.supervisor if config.relay is None else None
-        self._supervisor = SupervisorMonitor(supervisor, period_us, image, self._events)
+        self._supervisor = SupervisorMonitor(
+            supervisor, period_us, image, self._events, self._supervision.doubt
+        )
         self._ticking = False
         self._pump_task: asyncio.Task[None] | None = None
         self._buses: list[Channel] = []

@@ -63,6 +63,8 @@ class Recovery:
             return "silent"
         if not watched.trusted:
             return "not operational"
+        if watched.doubtful:
+            return "another master may have written to it"
         if watched.axis is None:
             return ""
         if decode(self._exchange.statuswords[watched.axis]) in _IN_FAULT:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement, Supervisor
@@ -42,9 +43,11 @@ class SupervisorMonitor:
         period_us: int,
         image: ProcessImage,
         events: EventLog,
+        changed: Callable[[], None] = lambda: None,
     ) -> None:
+        """``changed``: it has found that others command devices, or write to them."""
         self._settings = settings if settings is None or settings.policy != "off" else None
-        self._image, self._events = image, events
+        self._image, self._events, self._changed = image, events, changed
         self._patience = 0
         if self._settings is not None:
             self._patience = self._settings.timeout_ms * 1000 // period_us
@@ -135,6 +138,8 @@ class SupervisorMonitor:
             return
         code, _, place, value = EMERGENCY.unpack(data)
         number = code - ERROR_CODE
+        if number == Requirement.COMMANDED:
+            self._changed()
         try:
             said = REQUIREMENT_TEXTS[Requirement(number)]
         except ValueError:

@@ -75,20 +75,24 @@ class Commands:
         self.led: list[int] = []
         """where among what was found last was a controlword that may lead to power, which no daemon
         in order writes: it resets faults"""
+        self.changed: Violation | None = None
+        """among what was found last, a download to anything but the controlword"""
 
     def __call__(self) -> Violation | None:
         """An NMT command, or a download but to switch the power off, by a stranger or by the
         daemon, which does so only while no drive is enabled; or a stranger's frame under an
         identifier of the supervisor's own."""
         found = None
-        self.led = []
+        self.led, self.changed = [], None
         for each in self._told:
             for word in map(int, each.requests.numbers):
                 begins = word & 0xE0 in _BEGINS
                 if (begins or word & 0xE0 == _GOES_ON) and word != _POWER_OFF:
                     index = begins * (word >> 8 & 0xFFFF)  # what goes on names no object
                     found = Violation(Requirement.COMMANDED, each.where, index)
-                    if index == _CONTROLWORD and _may_lead_to_power(word):
+                    if index != _CONTROLWORD:
+                        self.changed = found
+                    elif _may_lead_to_power(word):
                         self.led.append(each.where)
             for word in map(int, each.commands.numbers):
                 code, node = word & 0xFF, word >> 8 & 0xFF

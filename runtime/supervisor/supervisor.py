@@ -37,6 +37,7 @@ _EMERGENCY_BYTES = 8
 _ERROR_CODE, _REGISTER, _NO_AXIS = 0xFF00, 0x81, 0xFF
 _LARGEST = 3.4e38
 """below the largest float of 32 bits"""
+_AT_REST = (State.OFF, State.STANDBY)
 
 
 class Supervisor:
@@ -91,6 +92,10 @@ class Supervisor:
         they are off"""
         self._led_before = self._led.copy()
         """which were so in the look before"""
+        self._rested = False
+        """the record went on in the look before, in OFF or STANDBY"""
+        self._changed: Violation | None = None
+        """a download since then, until the next record"""
         self._agreed_ns = 0
         """when record and statuswords agreed last whether the robot is controlled"""
         self._listeners: list[Listener] = []
@@ -206,8 +211,9 @@ class Supervisor:
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
         seen.beating = np.array(self._beating)[self._channel_of]
         seen.enabled &= seen.beating
-        if seen.enabled.any() or self._commands.led:
-            found = self._late(now_ns) or commanded or self._judge(seen)
+        changed = self._changed_at_rest(seen)
+        if seen.enabled.any() or self._commands.led or changed:
+            found = self._late(now_ns) or commanded or changed or self._judge(seen)
             if found is not None and found.alone:
                 self._beating[self._channel_of[seen.axes == found.where].item()] = False
             elif found is not None:
@@ -268,6 +274,22 @@ class Supervisor:
             return
         self._holds = self.beating
         self._tell(0, self._output, _HELD if self._holds else _RELEASED)
+
+    def _changed_at_rest(self, seen: Observation) -> Violation | None:
+        """A download while the record goes on, in OFF or STANDBY, in which a daemon in order makes
+        none: the device is no longer what the bring-up has made of it. The daemon that ends makes
+        some, and has no record behind them."""
+        newest = seen.claim
+        if newest is not None and seen.now_ns - newest.at_ns > self.settings.patience_ms * 1e6:
+            newest = None
+        recovered = any(claim.state == State.FAULT for claim in seen.claims)
+        found = self._changed if seen.claims and not recovered else None
+        if seen.claims or newest is None:
+            self._changed = None
+        if self._rested:
+            self._changed = self._changed or self._commands.changed
+        self._rested = newest is not None and newest.state in _AT_REST
+        return found
 
     def _begin_watches(self, now_ns: int, seen: Observation, quiet: bool) -> None:
         """Drives that keep power although they get no heartbeat, or were told to beside their

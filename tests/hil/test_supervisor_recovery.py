@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence as Listed
 from typing import Any
 
+import can
 import pytest
 
 from tests.supervised import BRIEF, Run, configured
+from tests.wired import CHANNEL
 from tonus.config.loader import load_scenario
+from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.canopen.node import Node
 from tonus.runtime.states import Operator, State
+from tonus.runtime.timing import clock
 from tonus.tools.campaign.play import Operated
 
 ROBOT = {**BRIEF, "supervisor.timeout_ms": 22}
 FOLLOWING_ERROR = 0x8611
 """of an EPOS4: a fault reset clears it"""
+_RAMP = 0x6085
+"""rpm/s, by which a drive brakes that has lost the heartbeat"""
 Order = tuple[State, float, Operator]
 """in which state, after how many s, what"""
 
@@ -83,3 +90,63 @@ def test_a_drive_that_has_a_fault_when_it_is_configured(monkeypatch: pytest.Monk
     run.play(0.1)
     assert run.states[-1] is State.ACTIVE
     assert (run.said, run.stopped_ns) == ([], {})
+
+
+class Written(Noted):
+    """Another master writes ``objects``, index and subindex each, to drive 3, a while after the
+    reset of an emergency stop."""
+
+    node, after_s = 3, 0.3
+    objects: tuple[tuple[int, int, int], ...] = ()
+    """index, subindex, and value of 32 bits"""
+    ramps: tuple[int, ...] = ()
+    """of each drive, in the lab"""
+
+    def _before_tick(self, playing: Any) -> None:
+        super()._before_tick(playing)
+        last = playing._cycles.last
+        if last is None:
+            return
+        self.ramps = tuple(drive.objects.number(_RAMP, 0) for drive in playing.lab.drives)
+        state = last["state"]
+        waited = state["state"] == State.STANDBY and state["elapsed"] >= self.after_s
+        if State.FAULT in self.states and not self.changed_ns and waited:
+            self.changed_ns = clock.now_ns()
+            bus = self._buses[self._channels().index(CHANNEL[self.node])]
+            for index, subindex, value in self.objects:
+                bus.send(
+                    can.Message(
+                        arbitration_id=0x600 + self.node,
+                        data=struct.pack("<BHBI", 0x23, index, subindex, value),
+                        is_extended_id=False,
+                    )
+                )
+
+
+@pytest.mark.parametrize(
+    ("objects", "stopped"),
+    [(((_RAMP, 0, 1),), 8), (((0x1016, 2, 0), (_RAMP, 0, 1)), 7)],
+    ids=["ramp", "heartbeat consumer and ramp"],
+)
+def test_a_drive_that_another_master_writes_to_in_standby(
+    monkeypatch: pytest.MonkeyPatch, objects: Any, stopped: int
+) -> None:
+    """A ramp on which a stop never ends. All stop, but for one that does not wait for the heartbeat
+    any more, and the reset brings all up again, so that the robot may be armed."""
+    orders = [
+        (State.ACTIVE, 0.1, Operator.ESTOP),
+        (State.FAULT, 0.7, Operator.RESET),
+        (State.STANDBY, 0.2, Operator.NONE),
+        (State.FAULT, 0.7, Operator.RESET),
+        (State.STANDBY, 0.5, Operator.ARM),
+    ]
+    ordered(monkeypatch, orders)
+    config, _ = configured(**ROBOT, **{"supervisor.policy": "require"})
+    run = Written(config, load_scenario("hold"), at=60.0)
+    run.objects = objects
+    run.play(2.5)
+    after = run.states[run.states.index(State.FAULT) :]
+    assert after[1:5] == [State.STANDBY, State.FAULT, State.STANDBY, State.REFERENCING]
+    assert len(run.stopped_ns) == stopped
+    assert {number for number, _ in run.said} == {Requirement.COMMANDED}
+    assert len(set(run.ramps)) == 1

@@ -18,6 +18,8 @@ from tonus.runtime.supervisor.judge import Judge
 BEAT = [(0x77E, b"\5")]
 BOOT_UP, OPERATIONAL = 0x00, 0x05
 MS = 1_000_000
+RAMP, OFFSET = struct.pack("<BHBI", 0x23, 0x6085, 0, 1), struct.pack("<BHBI", 0x2B, 0x60B2, 0, 1)
+"""requests to write"""
 
 
 @pytest.fixture(scope="module")
@@ -253,6 +255,94 @@ def test_a_controlword_beside_the_process_data_where_no_drive_is_enabled(
     data = struct.pack("<BHBi", kind, 0x6040, 0, word)
     found = commanded(watchdog, watchdog.wiring.axes[1].request, data, enabled=False)
     assert found == ((6, 0x6040) if stopped else None)
+
+
+def written(watchdog: Watchdog, data: bytes) -> None:
+    """To a drive of the first channel, before the next look."""
+    request = watchdog.wiring.axes[1].request
+    message = can.Message(arbitration_id=request, is_extended_id=False, data=data)
+    watchdog.buses[0].waiting.append(message)
+
+
+@pytest.mark.parametrize("before", [State.OFF, State.STANDBY])
+@pytest.mark.parametrize("after", [State.OFF, State.STANDBY, State.REFERENCING])
+def test_a_download_at_rest(watchdog: Watchdog, before: State, after: State) -> None:
+    """No drive is enabled, and the record goes on: nobody brings anything up."""
+    watchdog.state = before
+    list(watchdog.steps(0, 310, enabled=False))
+    written(watchdog, RAMP)
+    assert watchdog.step(310, enabled=False) == BEAT, "there is no later record yet"
+    watchdog.state = after
+    sent = watchdog.step(312, enabled=False)
+    assert struct.unpack("<HBBf", sent[0][1]) == (0xFF1B, 0x81, 6, 0x6085)
+    assert len(sent) == 1, "and no heartbeat"
+    assert broken(watchdog) is Requirement.COMMANDED
+    assert watchdog.step(314, enabled=False) == []
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (State.FAULT, State.FAULT),
+        (State.FAULT, State.STANDBY),
+        (State.STANDBY, State.FAULT),
+        (State.SAFE_STOP, State.STANDBY),
+    ],
+)
+def test_a_download_in_which_a_drive_is_brought_back(
+    watchdog: Watchdog, before: State, after: State
+) -> None:
+    watchdog.state = before
+    list(watchdog.steps(0, 310, enabled=False))
+    written(watchdog, RAMP)
+    watchdog.state = after
+    assert all(sent == BEAT for sent in watchdog.steps(310, 330, enabled=False))
+
+
+def test_a_download_at_the_end_of_a_daemon_and_the_beginning_of_the_next(
+    watchdog: Watchdog,
+) -> None:
+    """No record is behind the first, and none of before goes on at the second."""
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(0, 310, enabled=False))
+    for now_ms in (310, 312, 314, 316, 318, 320):
+        written(watchdog, RAMP)
+        assert watchdog.step(now_ms, enabled=False, tick=False) == BEAT
+    watchdog.state = State.OFF
+    assert all(sent == BEAT for sent in watchdog.steps(322, 340, enabled=False))
+
+
+@pytest.mark.parametrize(("late_ms", "stopped"), [(5.0, True), (5.1, False)])
+def test_how_old_the_record_may_be_behind_which_a_download_counts(
+    watchdog: Watchdog, late_ms: float, stopped: bool
+) -> None:
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(0, 310, enabled=False))
+    last_ms = 308
+    watchdog.step(last_ms + late_ms, enabled=False, tick=False)
+    written(watchdog, RAMP)
+    watchdog.step(last_ms + late_ms + 0.5, enabled=False)
+    sent = watchdog.step(last_ms + late_ms + 2.0, enabled=False)
+    assert (sent != BEAT) is stopped
+
+
+def test_a_download_that_is_never_recorded_past(watchdog: Watchdog) -> None:
+    """The record goes on long after it, as that of another daemon."""
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(0, 310, enabled=False))
+    written(watchdog, RAMP)
+    assert all(sent == BEAT for sent in watchdog.steps(310, 320, enabled=False, tick=False))
+    assert all(sent == BEAT for sent in watchdog.steps(320, 340, enabled=False))
+
+
+def test_the_first_of_two_downloads_is_told(watchdog: Watchdog) -> None:
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(0, 310, enabled=False))
+    for data, now_ms in ((RAMP, 310), (OFFSET, 312)):
+        written(watchdog, data)
+        watchdog.step(now_ms, enabled=False, tick=False)
+    sent = watchdog.step(313, enabled=False)
+    assert struct.unpack("<HBBf", sent[0][1])[3] == 0x6085
 
 
 def test_power_that_is_switched_off_beside_the_process_data(watchdog: Watchdog) -> None:
