@@ -96,12 +96,10 @@ class CanopenFieldbus:
         self._supervision = Supervision(
             self._exchange, self._events, bus.master, config.tolerance, period_us
         )
-        self._recovery = Recovery(self._supervision, self._exchange, self._events)
         # One that holds a relay beats on the relay's channel alone.
         supervisor = config.supervisor if config.relay is None else None
-        self._supervisor = SupervisorMonitor(
-            supervisor, period_us, image, self._events, self._supervision.doubt
-        )
+        self._supervisor = SupervisorMonitor(supervisor, period_us, image, self._events)
+        self._recovery = Recovery(self._supervision, self._supervisor, self._exchange, self._events)
         self._ticking = False
         self._pump_task: asyncio.Task[None] | None = None
         self._buses: list[Channel] = []

@@ -6,6 +6,7 @@ import asyncio
 
 from tonus.drivers.canopen.nmt import Command
 from tonus.drivers.canopen.supervision import Supervision, Watched
+from tonus.drivers.canopen.supervisor_monitor import SupervisorMonitor
 from tonus.drivers.devices.cia402 import decode
 from tonus.drivers.devices.drive_errors import RESETS, Reset
 from tonus.drivers.errors import DriverError
@@ -21,27 +22,37 @@ class Recovery:
 
     Some errors (of an EPOS4 0x8120 and 0x8130) keep a fault reset from working until NMT reset
     communication, which loses the PDO mapping and the heartbeats: such a node goes the whole way of
-    a bring-up again.
+    a bring-up again. So does every node that another master may have written to, from its reset of
+    all objects on.
     """
 
-    def __init__(self, supervision: Supervision, exchange: Exchange, events: EventLog) -> None:
-        self._supervision = supervision
+    def __init__(
+        self,
+        supervision: Supervision,
+        supervisor: SupervisorMonitor,
+        exchange: Exchange,
+        events: EventLog,
+    ) -> None:
+        self._supervision, self._supervisor = supervision, supervisor
         self._exchange = exchange
         self._events = events
 
     async def __call__(self) -> None:
         """What cannot be brought back is an event and stays lost."""
-        await asyncio.gather(*(self._bring_back(each) for each in self._supervision.watched))
+        nodes = (self._bring_back(each) for each in self._supervision.watched)
+        if all(await asyncio.gather(*nodes)):
+            self._supervisor.doubt = False
 
-    async def _bring_back(self, watched: Watched) -> None:
+    async def _bring_back(self, watched: Watched) -> bool:
+        """Returns whether it is as the bring-up makes it."""
         node, title = watched.node, watched.node.role.title
         try:
             reason = await self._reason(watched)
             if not reason:
-                return
+                return True
             node.started = False
             self._supervision.trust(watched)
-            device = Reset.DEVICE_RESET in watched.standing
+            device = self._supervisor.doubt or Reset.DEVICE_RESET in watched.standing
             await node.configure(
                 lambda _: None,
                 Command.RESET_NODE if device else Command.RESET_COMMUNICATION,
@@ -50,9 +61,10 @@ class Recovery:
             await node.start()
         except DriverError as error:
             self._events.add("recovery_failed", node.where, f"{title}: {error}")
-            return
+            return False
         self._supervision.restored(watched)
         self._events.add("recovered", node.where, f"{title} ({reason}) is operational again")
+        return True
 
     async def _reason(self, watched: Watched) -> str:
         """Why a node needs to be brought back; "" if it does not. Raises `SdoError`."""
@@ -63,7 +75,7 @@ class Recovery:
             return "silent"
         if not watched.trusted:
             return "not operational"
-        if watched.doubtful:
+        if self._supervisor.doubt:
             return "another master may have written to it"
         if watched.axis is None:
             return ""

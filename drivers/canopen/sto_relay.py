@@ -116,10 +116,12 @@ class RelayedFieldbus:
             if not started:
                 self._end()
 
-    async def _bring_up(self, node: Node, progress: Progress) -> None:
+    async def _bring_up(
+        self, node: Node, progress: Progress, reset: Command = Command.RESET_COMMUNICATION
+    ) -> None:
         """Raises `NodeError` for a relay that does not open without its output."""
         self._released = None
-        await node.configure(progress)
+        await node.configure(progress, reset)
         await asyncio.sleep(self._relay.release_ms * 1e-3)
         inputs = int.from_bytes(await node.sdo.read(0x6000, 1), "little")
         if not inputs & _RELEASED:
@@ -128,7 +130,7 @@ class RelayedFieldbus:
                 "contact is welded, or the wire to its input is broken"
             )
         await node.start()
-        self._restarted = self._silent = False
+        self._restarted = self._silent = self._supervisor.doubt = False
 
     def _begin(self) -> Node:
         try:
@@ -178,9 +180,13 @@ class RelayedFieldbus:
     async def recover(self) -> None:
         node = self._node
         stopped = node is not None and node.monitor.state is not NmtState.OPERATIONAL
-        if node is not None and (stopped or self._restarted or self._silent):
+        lost = self._restarted or self._silent or self._supervisor.doubt
+        if node is not None and (stopped or lost):
             try:
-                await self._bring_up(node, lambda _: None)
+                reset = (
+                    Command.RESET_NODE if self._supervisor.doubt else Command.RESET_COMMUNICATION
+                )
+                await self._bring_up(node, lambda _: None, reset)
             except DriverError as error:
                 text = f"{node.role.title}: {error}"
                 self._events.add("recovery_failed", node.where, text)

@@ -34,8 +34,6 @@ class Watched:
     """of itself: its configuration is gone"""
     standing: set[Reset] = field(default_factory=set)
     """what its errors need beyond a fault reset"""
-    doubtful: bool = False
-    """another master may have written to it"""
 
     @property
     def trusted(self) -> bool:
@@ -116,14 +114,9 @@ class Supervision:
         if watched.axis is not None:
             self._exchange.untrusted[watched.axis] = not watched.trusted
 
-    def doubt(self) -> None:
-        """Another master has written to a node, which one may not be known."""
-        for watched in self.watched:
-            watched.doubtful = True
-
     def restored(self, watched: Watched) -> None:
         """The node was reset and is operational again."""
-        watched.silent = watched.restarted = watched.doubtful = False
+        watched.silent = watched.restarted = False
         watched.standing.clear()
         watched.heard_at = self._tick
         self._events.end("heartbeat_lost", watched.node.where)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement, Supervisor
@@ -43,16 +42,16 @@ class SupervisorMonitor:
         period_us: int,
         image: ProcessImage,
         events: EventLog,
-        changed: Callable[[], None] = lambda: None,
     ) -> None:
-        """``changed``: it has found that others command devices, or write to them."""
         self._settings = settings if settings is None or settings.policy != "off" else None
-        self._image, self._events, self._changed = image, events, changed
+        self._image, self._events = image, events
         self._patience = 0
         if self._settings is not None:
             self._patience = self._settings.timeout_ms * 1000 // period_us
         self._heard: list[_Heard] = []
         self._out_of_reach: list[str] = []
+        self.doubt = False
+        """another master may have written to devices, which a reset has to bring up again"""
 
     def cannot_stop(self, where: str) -> None:
         """A drive that does not wait for its heartbeat."""
@@ -86,6 +85,7 @@ class SupervisorMonitor:
     def forget(self) -> None:
         self._image.obstacles.pop(self._item, None)
         self._heard, self._out_of_reach = [], []
+        self.doubt = False
 
     @property
     def beating(self) -> bool:
@@ -110,16 +110,23 @@ class SupervisorMonitor:
             elif not (heard.beating or heard.lost) and self._image.enabling:
                 text = "the drives are enabled, and it has not begun"
                 self._events.begin("unsupervised", heard.channel, text)
-        if self._settings is not None and self._settings.policy == "require":
-            silent = [heard.channel for heard in self._heard if not heard.beating]
-            if self._out_of_reach:
-                drives = ", ".join(self._out_of_reach)
-                text = f"cannot stop {drives}: no second heartbeat consumer"
-                self._image.obstacles[self._item] = text
-            elif silent:
-                self._image.obstacles[self._item] = f"is not heard on {', '.join(silent)}"
-            else:
-                self._image.obstacles.pop(self._item, None)
+        obstacle = self._obstacle()
+        if obstacle:
+            self._image.obstacles[self._item] = obstacle
+        else:
+            self._image.obstacles.pop(self._item, None)
+
+    def _obstacle(self) -> str:
+        """To arming; "" for none."""
+        if self.doubt:
+            return "another master may have written to a device: emergency stop, then reset"
+        if self._settings is None or self._settings.policy != "require":
+            return ""
+        if self._out_of_reach:
+            drives = ", ".join(self._out_of_reach)
+            return f"cannot stop {drives}: no second heartbeat consumer"
+        silent = [heard.channel for heard in self._heard if not heard.beating]
+        return f"is not heard on {', '.join(silent)}" if silent else ""
 
     def _on_heartbeat(self, heard: _Heard, data: bytes) -> None:
         heard.anybody = True
@@ -138,8 +145,7 @@ class SupervisorMonitor:
             return
         code, _, place, value = EMERGENCY.unpack(data)
         number = code - ERROR_CODE
-        if number == Requirement.COMMANDED:
-            self._changed()
+        self.doubt |= number == Requirement.COMMANDED
         try:
             said = REQUIREMENT_TEXTS[Requirement(number)]
         except ValueError:

@@ -72,6 +72,8 @@ class Commands:
 
     def __init__(self, told: list[Told], own: list[Own]) -> None:
         self._told, self._own = told, own
+        self._open: set[int] = set()
+        """where a download to the controlword has begun whose word comes later"""
         self.led: list[int] = []
         """where among what was found last was a controlword that may lead to power, which no daemon
         in order writes: it resets faults"""
@@ -90,10 +92,10 @@ class Commands:
                 if (begins or word & 0xE0 == _GOES_ON) and word != _POWER_OFF:
                     index = begins * (word >> 8 & 0xFFFF)  # what goes on names no object
                     found = Violation(Requirement.COMMANDED, each.where, index)
-                    if index != _CONTROLWORD:
-                        self.changed = found
-                    elif _may_lead_to_power(word):
+                    if self._leads_to_power(each.where, word, index):
                         self.led.append(each.where)
+                    elif index != _CONTROLWORD:
+                        self.changed = found
             for word in map(int, each.commands.numbers):
                 code, node = word & 0xFF, word >> 8 & 0xFF
                 if node in (_EVERY_NODE, each.node):
@@ -105,7 +107,11 @@ class Commands:
             found = Violation(Requirement.COMMANDED, NOWHERE, 0.0)
         return found
 
-
-def _may_lead_to_power(word: int) -> bool:
-    """A request that writes the controlword, which later ones may have."""
-    return word & _EXPEDITED != _EXPEDITED or word >> 32 & _ENABLE != 0
+    def _leads_to_power(self, where: int, word: int, index: int) -> bool:
+        """A request that writes the controlword, or goes on with one that does."""
+        if index == _CONTROLWORD and word & _EXPEDITED != _EXPEDITED:
+            self._open.add(where)
+        elif word & 0xE0 == _EXPEDITED & 0xE0:
+            self._open.discard(where)
+            return index == _CONTROLWORD and word >> 32 & _ENABLE != 0
+        return where in self._open

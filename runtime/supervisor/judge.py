@@ -41,6 +41,19 @@ class Violation:
     """of the channel of that axis, and of no other"""
 
 
+@dataclass
+class _Orders:
+    """To stop: those of the operator, and faults. Both last."""
+
+    stop: int = Operator.NONE
+    fault: bool = False
+
+    def note(self, claim: Claim) -> None:
+        self.fault |= claim.fault != 0
+        if claim.operator in (Operator.STOP, Operator.ESTOP):
+            self.stop = max(self.stop, claim.operator)
+
+
 class Judge:
     """Call it with each observation while a drive is enabled, `rest` while none is, and `forget`
     once none has been for a while.
@@ -81,7 +94,8 @@ class Judge:
         patience[Requirement.DISARMED] = settings.disarmed_ms
         self._patience_ns = {key: round(value * 1e6) for key, value in patience.items()}
         self._looked_ns: int | None = None
-        self._armed = False  # the newest record
+        self._lately = _Orders()
+        """since the record was disarmed last"""
         self.forget()
         self._was_controlled = True
 
@@ -95,13 +109,14 @@ class Judge:
         """What was recorded since the last look, whether or not a drive is enabled."""
         for claim in claims:
             self._was_controlled |= claim.state in CONTROLLED
-            self._armed = claim.state in ARMED
-            if self._armed:
-                self._obey(claim)
+            if claim.state in ARMED:
+                self._lately.note(claim)
+            else:
+                self._lately = _Orders()
 
     def rest(self, now_ns: int) -> None:
-        """No drive is enabled: a stop is over, and what held before is forgotten slowly. An order
-        or a fault is over where the record is disarmed too: power may only be about to come."""
+        """No drive is enabled: a stop is over, and what held before is forgotten slowly. What was
+        ordered since the record was disarmed last is not: power may only be about to come."""
         self._end_stop()
         self._hold(now_ns, set())
 
@@ -110,15 +125,7 @@ class Judge:
         self._before: Claim | None = None
         self._tension: Floats | None = None
         """N, of the look before"""
-        if not self._armed:
-            self._ordered: int = Operator.NONE
-            self._faulted = False
-
-    def _obey(self, claim: Claim) -> None:
-        """An order to stop and a fault last."""
-        self._faulted |= claim.fault != 0
-        if claim.operator in (Operator.STOP, Operator.ESTOP):
-            self._ordered = max(self._ordered, claim.operator)
+        self._orders = replace(self._lately)
 
     def __call__(self, seen: Observation) -> Violation | None:
         """The first requirement that has been broken for longer than it may be; one of a channel
@@ -191,10 +198,11 @@ class Judge:
 
     def _follows(self, claims: list[Claim], newest: Claim) -> Iterator[Violation]:
         """While power is on nothing ends an order or a fault, whatever the daemon records."""
+        orders = self._orders
         for claim in claims:
-            self._obey(claim)
-        ignored = self._ordered == Operator.ESTOP and newest.state in ARMED
-        stop = self._ordered == Operator.STOP or self._faulted
+            orders.note(claim)
+        ignored = orders.stop == Operator.ESTOP and newest.state in ARMED
+        stop = orders.stop == Operator.STOP or orders.fault
         if ignored or (stop and newest.state in CONTROLLED):
             yield Violation(Requirement.ORDERS, NOWHERE, newest.state)
 

@@ -37,7 +37,6 @@ _EMERGENCY_BYTES = 8
 _ERROR_CODE, _REGISTER, _NO_AXIS = 0xFF00, 0x81, 0xFF
 _LARGEST = 3.4e38
 """below the largest float of 32 bits"""
-_AT_REST = (State.OFF, State.STANDBY)
 
 
 class Supervisor:
@@ -92,10 +91,13 @@ class Supervisor:
         they are off"""
         self._led_before = self._led.copy()
         """which were so in the look before"""
-        self._rested = False
-        """the record went on in the look before, in OFF or STANDBY"""
+        self._recorded = False
+        """the record went on in the look before, and was not of FAULT"""
         self._changed: Violation | None = None
         """a download since then, until the next record"""
+        self._foul = False
+        """others commanded devices, or wrote to them, and FAULT, in which a daemon brings them up
+        again, was not recorded since"""
         self._agreed_ns = 0
         """when record and statuswords agreed last whether the robot is controlled"""
         self._listeners: list[Listener] = []
@@ -200,7 +202,9 @@ class Supervisor:
         )
         if quiet:
             self._judge.forget()
-        if quiet and not all(self._beating) and self._hears(seen) and self._sees(seen):
+        changed = self._changed_beside(seen)
+        begins = quiet and not (self._foul or all(self._beating))
+        if begins and self._hears(seen) and self._sees(seen):
             self._beating = [True] * len(self._listeners)
             self._beat_ns = [now_ns] * len(self._listeners)
             for own in self._own:
@@ -211,16 +215,12 @@ class Supervisor:
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
         seen.beating = np.array(self._beating)[self._channel_of]
         seen.enabled &= seen.beating
-        changed = self._changed_at_rest(seen)
         if seen.enabled.any() or self._commands.led or changed:
-            found = self._late(now_ns) or commanded or changed or self._judge(seen)
+            found = changed or self._late(now_ns) or commanded or self._judge(seen)
             if found is not None and found.alone:
                 self._beating[self._channel_of[seen.axes == found.where].item()] = False
             elif found is not None:
-                self.violation, self._quiet_ns = found, None
-                for place in np.flatnonzero(self._beating).tolist():
-                    self._send(place, _EMERGENCY + self.settings.node_id, _error(found))
-                self._beating = [False] * len(self._listeners)
+                self._fall_silent(found)
         self._beat(now_ns)
         self._hold_relay()
         self._looked_ns = now_ns
@@ -275,20 +275,34 @@ class Supervisor:
         self._holds = self.beating
         self._tell(0, self._output, _HELD if self._holds else _RELEASED)
 
-    def _changed_at_rest(self, seen: Observation) -> Violation | None:
-        """A download while the record goes on, in OFF or STANDBY, in which a daemon in order makes
-        none: the device is no longer what the bring-up has made of it. The daemon that ends makes
-        some, and has no record behind them."""
+    def _fall_silent(self, found: Violation) -> None:
+        """On every channel. What others have done is told where no heartbeat goes too: the daemon
+        has to bring the devices up again."""
+        self.violation, self._quiet_ns = found, None
+        foul = found.requirement is Requirement.COMMANDED
+        self._foul |= foul
+        self._changed = None
+        for place, beating in enumerate(self._beating):
+            if beating or foul:
+                self._send(place, _EMERGENCY + self.settings.node_id, _error(found))
+        self._beating = [False] * len(self._listeners)
+
+    def _changed_beside(self, seen: Observation) -> Violation | None:
+        """A download while the record goes on, but not of FAULT, in which alone a daemon makes
+        some: the device is no longer what the bring-up has made of it. The daemon that ends makes
+        some too, and has no record behind them."""
         newest = seen.claim
-        if newest is not None and seen.now_ns - newest.at_ns > self.settings.patience_ms * 1e6:
-            newest = None
+        age_ns = math.inf if newest is None else seen.now_ns - newest.at_ns
+        recorded = age_ns <= self.settings.patience_ms * 1e6
         recovered = any(claim.state == State.FAULT for claim in seen.claims)
-        found = self._changed if seen.claims and not recovered else None
-        if seen.claims or newest is None:
+        if recovered or age_ns > self.settings.quiet_s * 1e9:
+            self._foul = False
+        found = self._changed if seen.claims and not (recovered or self._foul) else None
+        if seen.claims or not recorded:
             self._changed = None
-        if self._rested:
+        if self._recorded:
             self._changed = self._changed or self._commands.changed
-        self._rested = newest is not None and newest.state in _AT_REST
+        self._recorded = recorded and newest is not None and newest.state != State.FAULT
         return found
 
     def _begin_watches(self, now_ns: int, seen: Observation, quiet: bool) -> None:

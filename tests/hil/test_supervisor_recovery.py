@@ -9,7 +9,7 @@ from typing import Any
 import can
 import pytest
 
-from tests.supervised import BRIEF, Run, configured
+from tests.supervised import BRIEF, DRIVES, Run, configured
 from tests.wired import CHANNEL
 from tonus.config.loader import load_scenario
 from tonus.config.schema.supervisor import Requirement
@@ -21,6 +21,7 @@ from tonus.tools.campaign.play import Operated
 ROBOT = {**BRIEF, "supervisor.timeout_ms": 22}
 FOLLOWING_ERROR = 0x8611
 """of an EPOS4: a fault reset clears it"""
+_AMPLIFIER, _SCALE = 25, 0x6123
 _RAMP = 0x6085
 """rpm/s, by which a drive brakes that has lost the heartbeat"""
 Order = tuple[State, float, Operator]
@@ -93,14 +94,15 @@ def test_a_drive_that_has_a_fault_when_it_is_configured(monkeypatch: pytest.Monk
 
 
 class Written(Noted):
-    """Another master writes ``objects``, index and subindex each, to drive 3, a while after the
-    reset of an emergency stop."""
+    """Another master writes ``requests``, a while after the reset of an emergency stop."""
 
-    node, after_s = 3, 0.3
-    objects: tuple[tuple[int, int, int], ...] = ()
-    """index, subindex, and value of 32 bits"""
+    after_s = 0.3
+    requests: tuple[tuple[int, int, int, int], ...] = ()
+    """node, index, subindex, and value of 32 bits"""
     ramps: tuple[int, ...] = ()
     """of each drive, in the lab"""
+    scales: tuple[bytes, ...] = ()
+    """each that the contact cell's amplifier has had"""
 
     def _before_tick(self, playing: Any) -> None:
         super()._before_tick(playing)
@@ -108,15 +110,18 @@ class Written(Noted):
         if last is None:
             return
         self.ramps = tuple(drive.objects.number(_RAMP, 0) for drive in playing.lab.drives)
+        amplifier = playing.lab.nodes[CHANNEL[_AMPLIFIER], _AMPLIFIER].device
+        scale = amplifier.objects.read(_SCALE, 1)
+        if self.scales[-1:] != (scale,):
+            self.scales += (scale,)
         state = last["state"]
         waited = state["state"] == State.STANDBY and state["elapsed"] >= self.after_s
         if State.FAULT in self.states and not self.changed_ns and waited:
             self.changed_ns = clock.now_ns()
-            bus = self._buses[self._channels().index(CHANNEL[self.node])]
-            for index, subindex, value in self.objects:
-                bus.send(
+            for node, index, subindex, value in self.requests:
+                self._buses[self._channels().index(CHANNEL[node])].send(
                     can.Message(
-                        arbitration_id=0x600 + self.node,
+                        arbitration_id=0x600 + node,
                         data=struct.pack("<BHBI", 0x23, index, subindex, value),
                         is_extended_id=False,
                     )
@@ -124,12 +129,16 @@ class Written(Noted):
 
 
 @pytest.mark.parametrize(
-    ("objects", "stopped"),
-    [(((_RAMP, 0, 1),), 8), (((0x1016, 2, 0), (_RAMP, 0, 1)), 7)],
-    ids=["ramp", "heartbeat consumer and ramp"],
+    ("requests", "stopped"),
+    [
+        (((3, _RAMP, 0, 1),), 8),
+        (((3, 0x1016, 2, 0), (3, _RAMP, 0, 1)), 7),
+        (((_AMPLIFIER, _SCALE, 1, 0x43160000),), 8),
+    ],
+    ids=["ramp", "heartbeat consumer and ramp", "scale of the contact cell"],
 )
-def test_a_drive_that_another_master_writes_to_in_standby(
-    monkeypatch: pytest.MonkeyPatch, objects: Any, stopped: int
+def test_a_device_that_another_master_writes_to_in_standby(
+    monkeypatch: pytest.MonkeyPatch, requests: Any, stopped: int
 ) -> None:
     """A ramp on which a stop never ends. All stop, but for one that does not wait for the heartbeat
     any more, and the reset brings all up again, so that the robot may be armed."""
@@ -143,10 +152,35 @@ def test_a_drive_that_another_master_writes_to_in_standby(
     ordered(monkeypatch, orders)
     config, _ = configured(**ROBOT, **{"supervisor.policy": "require"})
     run = Written(config, load_scenario("hold"), at=60.0)
-    run.objects = objects
+    run.requests = requests
     run.play(2.5)
     after = run.states[run.states.index(State.FAULT) :]
     assert after[1:5] == [State.STANDBY, State.FAULT, State.STANDBY, State.REFERENCING]
     assert len(run.stopped_ns) == stopped
     assert {number for number, _ in run.said} == {Requirement.COMMANDED}
     assert len(set(run.ramps)) == 1
+    assert run.scales[-1] == run.scales[0]
+    assert len(run.scales) == (3 if requests[0][0] == _AMPLIFIER else 1)
+
+
+def test_drives_that_another_master_has_wait_for_no_heartbeat(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """None of them stops: what demands the reset that brings them up is that it is not armed."""
+    orders = [
+        (State.ACTIVE, 0.1, Operator.ESTOP),
+        (State.FAULT, 0.7, Operator.RESET),
+        (State.STANDBY, 0.9, Operator.ARM),
+        (State.STANDBY, 1.0, Operator.ESTOP),
+        (State.FAULT, 0.5, Operator.RESET),
+        (State.STANDBY, 0.5, Operator.ARM),
+    ]
+    ordered(monkeypatch, orders)
+    config, _ = configured(**ROBOT, **{"supervisor.policy": "require"})
+    run = Written(config, load_scenario("hold"), at=60.0)
+    run.requests = tuple((node, 0x1016, 2, 0) for node in DRIVES)
+    run.play(3.0)
+    after = run.states[run.states.index(State.FAULT) :]
+    assert after[1:5] == [State.STANDBY, State.FAULT, State.STANDBY, State.REFERENCING]
+    assert not run.stopped_ns
+    assert {number for number, _ in run.said} == {Requirement.COMMANDED}

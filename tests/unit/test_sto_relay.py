@@ -4,6 +4,7 @@ what the daemon makes of it. STO-4 and STO-5."""
 from __future__ import annotations
 
 import asyncio
+import struct
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -374,6 +375,31 @@ async def test_when_a_relay_counts_as_silent(bench: Bench) -> None:
     assert bench.closed, "it hangs: its output is still on"
     await bench.fieldbus.stop()
     assert not bench.segment.image.unguarded
+
+
+@played()
+async def test_a_relay_that_another_master_may_have_written_to(bench: Bench) -> None:
+    """The supervisor has told so: not armed before a reset has brought it up from all its objects
+    on, its watch too."""
+    await bench.held()
+    watch = bench.object(0x1016, 1)
+    bench.node.objects.find(0x1016, 1).set(0)
+    bench.beats = bench.holds = False
+    bench.send(0x080 + SUPERVISOR, struct.pack("<HBBf", 0xFF1B, 0x81, 0xFF, 0x1016))
+    await bench.pass_ms(2)
+    told = [text for text in bench.obstacles.values() if "another master" in text]
+    assert len(told) == 1
+    bench.beats = bench.holds = True
+    await bench.pass_ms(300)
+    assert told[0] in bench.obstacles.values(), "that the heartbeat is back says nothing"
+    bench.beats = bench.holds = False
+    task = asyncio.get_running_loop().create_task(bench.fieldbus.recover())
+    while not task.done():
+        await bench.pass_ms(1)
+    bench.beats = bench.holds = True
+    await bench.pass_ms(300)
+    assert bench.obstacles == {}
+    assert bench.object(0x1016, 1) == watch
 
 
 @played()

@@ -13,6 +13,7 @@ import pytest
 from tests.unit.supervisor_setup import STRICT, EchoBus, Watchdog
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.states import State
 from tonus.runtime.supervisor.commands import Own
 from tonus.runtime.supervisor.listener import Heard
 from tonus.tools.run.supervision import open_bus
@@ -91,7 +92,8 @@ def test_drives_that_are_given_power_beside_their_process_data(required: Config)
         if made.step(now, enabled=False, deaf=deaf if now <= 200 else ()) == BEAT:
             found.append(now)
     assert found == [144, 188]
-    assert not [message for bus in made.buses[1:] for message in bus.sent]
+    others = [message.arbitration_id for bus in made.buses[1:] for message in bus.sent]
+    assert others == [0x0FE] * 3, "each channel hears why"
     assert broken(made) is Requirement.COMMANDED
     made.supervisor.close()
 
@@ -178,6 +180,7 @@ def test_heartbeats_of_another_in_its_name(telling: tuple[Watchdog, EchoBus]) ->
     assert broken(watchdog) is Requirement.COMMANDED
     assert all(sent == [] for sent in watchdog.steps(348, 366, enabled=True))
     for now in range(366, 682, 2):
+        watchdog.state = State.FAULT if now < 370 else State.SAFE_STOP
         sent = watchdog.step(now, enabled=now >= 670)
         let_out(watchdog)
     assert sent == BEAT, "once it begins anew that is over"
@@ -410,7 +413,8 @@ def test_a_single_copy_is_forgiven_too() -> None:
 
 
 def test_a_controlword_beside_the_process_data_is_over_in_the_next_look(required: Config) -> None:
-    """It begins anew after a silence of its own, since no drive is enabled."""
+    """It begins anew after a silence of its own, since no drive is enabled, and the daemon has
+    brought the devices up again."""
     made = Watchdog(required)
     axis = made.wiring.axes[0]
     list(made.steps(0, 310, enabled=False))
@@ -419,6 +423,7 @@ def test_a_controlword_beside_the_process_data_is_over_in_the_next_look(required
     made.buses[0].waiting.append(frame)
     assert made.step(310, enabled=False) != BEAT
     assert broken(made) is Requirement.COMMANDED
+    made.state = State.FAULT
     sent = [
         now
         for now, each in zip(range(312, 700, 2), made.steps(312, 700, enabled=False), strict=True)

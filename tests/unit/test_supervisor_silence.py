@@ -19,7 +19,11 @@ BEAT = [(0x77E, b"\5")]
 BOOT_UP, OPERATIONAL = 0x00, 0x05
 MS = 1_000_000
 RAMP, OFFSET = struct.pack("<BHBI", 0x23, 0x6085, 0, 1), struct.pack("<BHBI", 0x2B, 0x60B2, 0, 1)
-"""requests to write"""
+BEGUN = struct.pack("<BHBI", 0x21, 0x6040, 0, 2)
+BEGUN_OTHER = struct.pack("<BHBI", 0x21, 0x6085, 0, 4)
+SEGMENT = b"\x0b\x0f\0\0\0\0\0\0"
+RESET_BY_SDO = struct.pack("<BHBI", 0x2B, 0x6040, 0, 0x80)
+"""requests to write: at once, with data that come later, those data, and a fault reset"""
 
 
 @pytest.fixture(scope="module")
@@ -264,7 +268,7 @@ def written(watchdog: Watchdog, data: bytes) -> None:
     watchdog.buses[0].waiting.append(message)
 
 
-@pytest.mark.parametrize("before", [State.OFF, State.STANDBY])
+@pytest.mark.parametrize("before", [each for each in State if each is not State.FAULT])
 @pytest.mark.parametrize("after", [State.OFF, State.STANDBY, State.REFERENCING])
 def test_a_download_at_rest(watchdog: Watchdog, before: State, after: State) -> None:
     """No drive is enabled, and the record goes on: nobody brings anything up."""
@@ -286,7 +290,6 @@ def test_a_download_at_rest(watchdog: Watchdog, before: State, after: State) -> 
         (State.FAULT, State.FAULT),
         (State.FAULT, State.STANDBY),
         (State.STANDBY, State.FAULT),
-        (State.SAFE_STOP, State.STANDBY),
     ],
 )
 def test_a_download_in_which_a_drive_is_brought_back(
@@ -345,6 +348,101 @@ def test_the_first_of_two_downloads_is_told(watchdog: Watchdog) -> None:
     assert struct.unpack("<HBBf", sent[0][1])[3] == 0x6085
 
 
+def beginnings(watchdog: Watchdog, start: int, stop: int, **given: bool) -> list[int]:
+    """ms at which a heartbeat was sent."""
+    steps = watchdog.steps(start, stop, enabled=False, **given)
+    return [now for now, sent in zip(range(start, stop, 2), steps, strict=True) if sent == BEAT]
+
+
+def changed(watchdog: Watchdog) -> None:
+    """It has stopped at 312 ms for a download in STANDBY."""
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(0, 310, enabled=False))
+    written(watchdog, RAMP)
+    watchdog.step(310, enabled=False)
+    assert watchdog.step(312, enabled=False) != BEAT
+
+
+def test_it_does_not_begin_while_a_device_is_not_as_it_was_brought_up(watchdog: Watchdog) -> None:
+    """The daemon brings all up again in FAULT."""
+    changed(watchdog)
+    assert beginnings(watchdog, 314, 1000) == []
+    watchdog.state = State.FAULT
+    watchdog.step(1000, enabled=False)
+    watchdog.state = State.STANDBY
+    assert beginnings(watchdog, 1002, 1100)[:1] == [1002]
+
+
+@pytest.mark.parametrize(("pause_ms", "begins"), [(300, False), (302, True)])
+def test_another_daemon_brings_the_devices_up(
+    watchdog: Watchdog, pause_ms: int, begins: bool
+) -> None:
+    """One whose record begins after a pause of more than quiet_s."""
+    changed(watchdog)
+    end = 312 + pause_ms
+    beats = beginnings(watchdog, 314, end + 2, tick=False)
+    watchdog.state = State.OFF
+    beats += beginnings(watchdog, end + 2, 1000)
+    assert beats[:1] == ([end] if begins else [])
+
+
+def test_a_download_while_it_is_silent_is_told_too(watchdog: Watchdog) -> None:
+    """By one emergency frame, though no heartbeat goes."""
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(0, 100, enabled=False))
+    written(watchdog, RAMP)
+    assert watchdog.step(100, enabled=False) == []
+    ((identifier, data),) = watchdog.step(102, enabled=False)
+    assert (identifier, data[:2]) == (0x0FE, b"\x1b\xff")
+    written(watchdog, OFFSET)
+    assert all(sent == [] for sent in watchdog.steps(104, 120, enabled=False))
+
+
+def test_a_download_that_is_found_at_once_is_told_once(watchdog: Watchdog) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    watchdog.step(310, enabled=True)
+    written(watchdog, RAMP)
+    assert len(watchdog.step(312, enabled=True)) == 1
+    assert all(sent == [] for sent in watchdog.steps(314, 320, enabled=True))
+
+
+def test_what_else_is_found_does_not_hide_a_download(watchdog: Watchdog) -> None:
+    """A look that comes late."""
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(0, 310, enabled=False))
+    written(watchdog, RAMP)
+    watchdog.step(310, enabled=False)
+    watchdog.step(320, enabled=True)
+    assert broken(watchdog) is Requirement.COMMANDED
+
+
+@pytest.mark.parametrize(
+    ("requests", "stopped"),
+    [
+        ((BEGUN, SEGMENT), True),
+        ((BEGUN, SEGMENT, SEGMENT), True),
+        ((SEGMENT,), False),
+        ((BEGUN_OTHER, SEGMENT), False),
+        ((BEGUN, BEGUN_OTHER, SEGMENT), False),
+        ((BEGUN, RAMP, SEGMENT), False),
+        ((BEGUN, RESET_BY_SDO, SEGMENT), False),
+    ],
+)
+def test_power_by_a_download_in_segments(
+    watchdog: Watchdog, requests: tuple[bytes, ...], stopped: bool
+) -> None:
+    """Its word comes behind its beginning. Before the record there is nothing else to judge by."""
+    list(watchdog.steps(0, 310, enabled=False, tick=False))
+    *before, last = requests
+    commands = watchdog.supervisor._commands
+    for data in before:
+        written(watchdog, data)
+    watchdog.step(310, enabled=False, tick=False)
+    written(watchdog, last)
+    watchdog.step(312, enabled=False, tick=False)
+    assert commands.led == ([6] if stopped else [])
+
+
 def test_power_that_is_switched_off_beside_the_process_data(watchdog: Watchdog) -> None:
     """With that the daemon ends: 0 to the controlword, and nothing else."""
     request = watchdog.wiring.axes[1].request
@@ -374,10 +472,8 @@ def test_commands_of_the_network(
     assert commanded(watchdog, 0x000, bytes((code, node)) + more, enabled=True) == found
 
 
-@pytest.mark.parametrize("data", [b"\x82\0", b"\x23\xb2\x60\0\1\0\0\0"])
-def test_a_command_of_before_is_over(watchdog: Watchdog, data: bytes) -> None:
-    identifier = 0x000 if len(data) == 2 else watchdog.wiring.axes[1].request
-    assert commanded(watchdog, identifier, data, enabled=False) is None
+def test_a_command_of_before_is_over(watchdog: Watchdog) -> None:
+    assert commanded(watchdog, 0x000, b"\x82\0", enabled=False) is None
     assert watchdog.step(312, enabled=True) == BEAT
 
 

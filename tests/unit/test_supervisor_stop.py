@@ -156,6 +156,23 @@ def test_an_order_after_arming_and_before_any_power(
     assert found == [None, None if between else Requirement.ORDERS]
 
 
+@pytest.mark.parametrize("given", [{"operator": Operator.STOP}, {"fault": Fault.DRIVE_LOST}])
+def test_an_order_of_before_a_disarmed_record_is_over(
+    config: Config, given: dict[str, Any]
+) -> None:
+    """Also where all that falls between two looks."""
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    said = [
+        claim(State.REFERENCING, 0.0, **given),
+        claim(State.STANDBY, 1.0),
+        claim(State.REFERENCING, 2.0),
+    ]
+    judge.note(said)
+    judge.rest(0)
+    assert [judge(told(State.REFERENCING, at_ms)) for at_ms in (400.0, 405.0)] == [None, None]
+
+
 @pytest.mark.parametrize("state", [*CONTROLLED, State.SAFE_STOP])
 def test_a_fault_that_stops_nothing(config: Config, state: State) -> None:
     looks = [told(state, at_ms, fault=Fault.DRIVE_LOST) for at_ms in (100.0, 104.9, 105.0)]
