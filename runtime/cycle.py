@@ -373,6 +373,7 @@ class ControlCycle:
                 self._kinematics.matrix, motion.external, sequence.faults, sequence.height
             )
             allocation.descend(self._descent, self._pulling, sequence.carrying, sequence.faults)
+            sequence.missed = self._descent.distribution.deficit
             allocation.deliver(sensing.tension)
         else:
             allocation.distribute(

@@ -36,6 +36,11 @@ class Stop(Section):
     """s after the beginning of a descent in which the platform may rise"""
     rise: Positive
     """m by which it may rise later, before the descent becomes a passive stop"""
+    unsupported: Positive = 0.55
+    """share of the weight by which the plans of a descent without several cables may miss their
+    wrench, its moments divided by `moment_length`"""
+    unsupported_s: Positive = 0.05
+    """s for which they may miss more, before the descent becomes a passive stop"""
     unrest: Positive
     """times the estimator's process noise in a descent"""
     length_sigma: Positive

@@ -115,6 +115,10 @@ class Sequence:
         """and before the platform was down"""
         self.height = 0.0
         """m, of the platform above its cradle"""
+        self.missed = 0.0
+        """N of the scaled wrench that the last plan of a descent does not deliver"""
+        self._most_missed = control.stop.unsupported * robot.platform.mass * robot.gravity
+        self._unsupported_s = 0.0
         self._lower_s = self._settings.lower_s
         self._waited, self._lowering = 0.0, False
         tension = control.tension
@@ -190,7 +194,7 @@ class Sequence:
         blind = any(faults.has(cause) for cause in PASSIVE) or faults.at(Fault.LENGTH_DRIFT, -1)
         fewest = FEWEST_DOUBTED if faults.contradicted else FEWEST
         known = self.referenced and not blind and len(faults.failed) - lost >= fewest
-        if not known or self._hangs or self._is_held():
+        if not known or self._hangs or self._is_held() or self._is_unsupported(lost):
             wanted = StopMode.PASSIVE
         elif lost or not self._sensing.present.all():
             wanted = StopMode.DESCENT
@@ -394,6 +398,18 @@ class Sequence:
             return True
         late = self.stop_time - self.stop_ends
         return late >= (0.0 if self._standing >= stop.rest_s else stop.landing_s)
+
+    def _is_unsupported(self, lost: int) -> bool:
+        """A descent with several cables lost whose plans have missed a large part of the weight for
+        a while: what is left lets the platform turn, faster and faster, where drums that only damp
+        let it swing below the cables that hold it."""
+        stop = self._control.stop
+        missing = self.stop_mode is StopMode.DESCENT and lost > 1 and self.height > stop.landed
+        if missing and self.missed > self._most_missed and not self.releasing:
+            self._unsupported_s += self._period
+        else:
+            self._unsupported_s = 0.0
+        return self._unsupported_s >= stop.unsupported_s
 
     def _is_held(self) -> bool:
         """A stop on its path is down, and is held aside as it was not before: by the cradle. The

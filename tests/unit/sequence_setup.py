@@ -34,6 +34,8 @@ OVERRIDES = {
     "control.stop.landing_s": 0.016,
     "control.stop.landed": 0.01,
     "control.stop.rise": 0.02,
+    "control.stop.unsupported": 0.5,
+    "control.stop.unsupported_s": 0.016,
     "control.stop.rest_speed": 0.02,
     "control.stop.passive_speed": 0.15,
     "control.stop.load_free": 15.0,

@@ -11,6 +11,7 @@ from tests.unit.sequence_setup import (
     LANDING_TICKS,
     RELEASE_TICKS,
     REST_TICKS,
+    ROBOT,
     STOP_TICKS,
     N,
     Way,
@@ -342,6 +343,26 @@ def test_a_descent_that_rises_becomes_passive() -> None:
     way.sequence.height = 0.1701
     way.steps(1)
     assert way.sequence.stop_mode is StopMode.PASSIVE
+
+
+@pytest.mark.parametrize(
+    ("lost", "height", "passive"),
+    [((5,), 0.1, True), ((), 0.1, False), ((5,), STOP.landed, False)],
+)
+def test_a_descent_that_nothing_supports_becomes_passive(
+    lost: tuple[int, ...], height: float, passive: bool
+) -> None:
+    """Once several cables are lost, above its cradle; what is missed in between is forgotten."""
+    most = 0.5 * ROBOT.platform.mass * ROBOT.gravity
+    way = descent(4)
+    way.fail(*lost)
+    way.sensing.rate, way.sequence.height = np.full(N, 1.0), height
+    for missed, count in ((most + 0.1, 15), (most, 1), (most + 0.1, 15)):
+        way.sequence.missed = missed
+        way.steps(count)
+        assert way.sequence.stop_mode is StopMode.DESCENT
+    way.steps(1)
+    assert (way.sequence.stop_mode is StopMode.PASSIVE) is passive
 
 
 def test_the_least_height_counts_from_the_tick_in_which_it_has_settled() -> None:

@@ -99,6 +99,8 @@ every motion; no position is held, and the platform comes down. The values are i
   the latest `landing_s` later. If it is higher, the stop becomes passive when all
   drums are at rest, at the latest after another `landing_s`. It also becomes passive when the
   platform rises by `rise` later than `settle_s`: a measurement that it relies on is then wrong.
+  And, once several cables are lost, when its plans have missed more than the share `unsupported`
+  of the weight for `unsupported_s`.
 
 ### Passive
 
