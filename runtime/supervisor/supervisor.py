@@ -279,11 +279,11 @@ class Supervisor:
         """On every channel. What others have done is told where no heartbeat goes too: the daemon
         has to bring the devices up again."""
         self.violation, self._quiet_ns = found, None
-        foul = found.requirement is Requirement.COMMANDED
-        self._foul |= foul
+        first = found.requirement is Requirement.COMMANDED and not self._foul
+        self._foul |= first
         self._changed = None
         for place, beating in enumerate(self._beating):
-            if beating or foul:
+            if beating or first:
                 self._send(place, _EMERGENCY + self.settings.node_id, _error(found))
         self._beating = [False] * len(self._listeners)
 
