@@ -39,20 +39,21 @@ class Recovery:
 
     async def __call__(self) -> None:
         """What cannot be brought back is an event and stays lost."""
-        nodes = (self._bring_back(each) for each in self._supervision.watched)
-        if all(await asyncio.gather(*nodes)):
-            self._supervisor.doubt = False
+        doubt, self._supervisor.doubt = self._supervisor.doubt, False
+        nodes = (self._bring_back(each, doubt=doubt) for each in self._supervision.watched)
+        restored = await asyncio.gather(*nodes)
+        self._supervisor.doubt |= doubt and not all(restored)
 
-    async def _bring_back(self, watched: Watched) -> bool:
+    async def _bring_back(self, watched: Watched, *, doubt: bool) -> bool:
         """Returns whether it is as the bring-up makes it."""
         node, title = watched.node, watched.node.role.title
         try:
-            reason = await self._reason(watched)
+            reason = await self._reason(watched, doubt=doubt)
             if not reason:
                 return True
             node.started = False
             self._supervision.trust(watched)
-            device = self._supervisor.doubt or Reset.DEVICE_RESET in watched.standing
+            device = doubt or Reset.DEVICE_RESET in watched.standing
             await node.configure(
                 lambda _: None,
                 Command.RESET_NODE if device else Command.RESET_COMMUNICATION,
@@ -66,7 +67,7 @@ class Recovery:
         self._events.add("recovered", node.where, f"{title} ({reason}) is operational again")
         return True
 
-    async def _reason(self, watched: Watched) -> str:
+    async def _reason(self, watched: Watched, *, doubt: bool) -> str:
         """Why a node needs to be brought back; "" if it does not. Raises `SdoError`."""
         node = watched.node
         if watched.restarted:
@@ -75,7 +76,7 @@ class Recovery:
             return "silent"
         if not watched.trusted:
             return "not operational"
-        if self._supervisor.doubt:
+        if doubt:
             return "another master may have written to it"
         if watched.axis is None:
             return ""
