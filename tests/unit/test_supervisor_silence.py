@@ -398,6 +398,12 @@ def test_a_download_while_it_is_silent_is_told_too(watchdog: Watchdog) -> None:
     assert all(sent == [] for sent in watchdog.steps(104, 120, enabled=False))
 
 
+def test_what_others_do_is_told_once_where_no_heartbeat_goes(watchdog: Watchdog) -> None:
+    changed(watchdog)
+    written(watchdog, struct.pack("<BHBI", 0x2B, 0x6040, 0, 0x0F))
+    assert watchdog.step(314, enabled=False) == []
+
+
 def test_a_download_that_is_found_at_once_is_told_once(watchdog: Watchdog) -> None:
     list(watchdog.steps(0, 310, enabled=False))
     watchdog.step(310, enabled=True)
