@@ -12,7 +12,7 @@ from viewer_bench import Viewer, opened, recorded
 from tonus.runtime.states import State
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
-from tonus.tools.view.moment import Happening
+from tonus.tools.view.moment import Happening, Samples
 from tonus.tools.view.playback import Playback
 from tonus.tools.view.recorded import Recorded
 from tonus.tools.view.signals import names_of, plots_of, series_of
@@ -56,6 +56,30 @@ def test_a_signal_is_shown_once_in_order_without_gap(playback: Playback) -> None
     assert times[-1] > playback.length_s - 0.05
     assert np.diff(times) == pytest.approx(0.02, abs=1e-6)
     assert not playback.playing, "it ends in a pause"
+
+
+def test_a_jump_during_the_reading_is_of_the_next_moment(
+    playback: Playback, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pages jump in a thread of their own; a moment's time is that of its samples."""
+    (log,) = playback.logs
+    playback.play(playing=False)
+    playback.seek(1.0)
+    read = log.samples
+
+    def interrupted(start_s: float, end_s: float) -> Samples:
+        found = read(start_s, end_s)
+        monkeypatch.undo()
+        playback.seek(3.0)
+        return found
+
+    monkeypatch.setattr(log, "samples", interrupted)
+    moments = [playback.advance(0.03)[0] for _ in range(2)]
+    assert [moment.time_s for moment in moments] == [1.0, 3.0]
+    ticks = [moment.newest["timing"]["tick"][0] for moment in moments]
+    wanted = [read(0.0, time_s).rows["timing"]["tick"][-1] for time_s in (1.0, 3.0)]
+    assert ticks == wanted
+    assert moments[1].jumped
 
 
 def test_speed_and_pause(playback: Playback) -> None:

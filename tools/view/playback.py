@@ -17,7 +17,10 @@ _BACK_S = 0.5
 
 
 class Playback:
-    """What logs hold at one common time, in s; 0 is the beginning of the earliest."""
+    """What logs hold at one common time, in s; 0 is the beginning of the earliest.
+
+    `advance` is called in one thread; pages play, pause and seek in another, also while it reads.
+    """
 
     speeds = SPEEDS
 
@@ -48,9 +51,10 @@ class Playback:
 
     def play(self, *, playing: bool) -> None:
         """Go on, from the beginning where the end was reached; or pause."""
-        if playing and self.time_s >= self.length_s:
-            self.seek(0.0)
-        self.playing = playing
+        with self._lock:
+            if playing and self.time_s >= self.length_s:
+                self.time_s, self._jumped = 0.0, True
+            self.playing = playing
 
     def set_speed(self, speed: float) -> None:
         """The nearest one of `SPEEDS`."""
@@ -58,34 +62,36 @@ class Playback:
 
     def seek(self, time_s: float) -> None:
         """Show another time; beyond the ends, the end."""
-        self.time_s = float(min(max(time_s, 0.0), self.length_s))
-        self._jumped = True
+        with self._lock:
+            self.time_s, self._jumped = float(min(max(time_s, 0.0), self.length_s)), True
 
     def advance(self, elapsed_s: float) -> list[Moment]:
         """One moment of each log, after ``elapsed_s`` of the watcher's time."""
-        if self.playing:
-            self.time_s = min(self.time_s + elapsed_s * self.speed, self.length_s)
-            if self.time_s >= self.length_s:
-                self.playing = False
-        jumped, self._jumped = self._jumped, False
-        since = self.time_s - settings().window_s if jumped else self._shown_s
+        with self._lock:
+            if self.playing:
+                self.time_s = min(self.time_s + elapsed_s * self.speed, self.length_s)
+                self.playing = self.time_s < self.length_s
+            now, (jumped, self._jumped) = self.time_s, (self._jumped, False)
+        since = now - settings().window_s if jumped else self._shown_s
         moments = [
-            self._moment(log, offset, since, jumped)
+            self._moment(log, offset, since, now, jumped)
             for log, offset in zip(self.logs, self._offsets, strict=True)
         ]
-        self._shown_s = self.time_s
+        self._shown_s = now
         return moments
 
-    def _moment(self, log: Recorded, offset: float, since: float, jumped: bool) -> Moment:
-        samples = log.samples(since - offset, self.time_s - offset)
+    def _moment(
+        self, log: Recorded, offset: float, since: float, now: float, jumped: bool
+    ) -> Moment:
+        samples = log.samples(since - offset, now - offset)
         if self.playing:
-            log.prepare(self.time_s - offset)
+            log.prepare(now - offset)
         # Between two samples nothing comes, and the one before is shown still.
-        at = samples or log.samples(self.time_s - offset - _BACK_S, self.time_s - offset)
+        at = samples or log.samples(now - offset - _BACK_S, now - offset)
         newest = at.rows[-1:]
         truth = at.truth[-1:] if at.truth is not None else np.empty(0, "V1")
         moved = Samples(samples.times + offset, samples.rows, samples.truth)
-        return Moment(self.time_s, moved, newest, truth, jumped=jumped)
+        return Moment(now, moved, newest, truth, jumped=jumped)
 
     def ahead(self, number: int, seconds: float) -> Samples:
         """What one log holds around this moment, this much either way."""
