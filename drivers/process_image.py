@@ -105,6 +105,8 @@ class ProcessImage:
         """from the last exchange to its last answer, where the bus knows; no input of control"""
         self.unguarded = False
         """the supervisor could not take the torque of the drives: the relay's node is silent"""
+        self.supervisor_ignored = False
+        """its heartbeat has ended, and what should have stopped by itself has not"""
         self.obstacles: dict[str, str] = {}
         """what the bus has against arming, by what it is looked at; no input of control"""
         self.axes["age"] = NEVER

@@ -73,6 +73,9 @@ class SeveralFieldbuses:
             theirs = part.fieldbus.image
             _copy(theirs.axes, image.axes, part.axes)
             _copy(theirs.cells, image.cells, part.cells)
+        image.supervisor_ignored = any(
+            part.fieldbus.image.supervisor_ignored for part in self._parts
+        )
 
     def publish(self, tick: int) -> None:
         for part in self._parts:

@@ -108,7 +108,9 @@ TABLE: tuple[Topic, ...] = (
         Field("operator", "uint8", 0, "", "operator command of this tick, 0 for none"),
         Field("select", "uint8", 0, "", "scenario chosen in this tick, its number plus 1; or 0"),
         Field("scenario", "uint8", 0, "", "number of the scenario in force"),
-        Field("unguarded", "uint8", 0, "", "1 while the node of the STO relay is silent"),
+        Field(
+            "unguarded", "uint8", 0, "", "1: the STO relay is silent; 2: the supervisor is ignored"
+        ),
     ),
     _topic(
         "drives",

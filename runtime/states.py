@@ -67,6 +67,7 @@ class Fault(IntEnum):
     DRUM_TORQUE = 22
     DRUM_STUCK = 23
     RELAY_SILENT = 24
+    SUPERVISOR_IGNORED = 25
 
 
 class StopMode(IntEnum):

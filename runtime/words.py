@@ -36,6 +36,7 @@ TEXT = {
     Fault.CELL_FROZEN: "the load cell repeats one reading",
     Fault.CONTROL_FAILED: "control raised an exception",
     Fault.RELAY_SILENT: "the relay of the STO inputs is silent: the supervisor could stop nothing",
+    Fault.SUPERVISOR_IGNORED: "drives stayed enabled without the supervisor's heartbeat",
 }
 _AT_THE_CABLE = "inspect cable, drum and cell; replace what is damaged; reference again"
 REMEDY = {
@@ -64,6 +65,7 @@ REMEDY = {
     Fault.CELL_FROZEN: "check the amplifier; switch it off and on; then reset",
     Fault.CONTROL_FAILED: "read the traceback in the process's log; report it with the log",
     Fault.RELAY_SILENT: "check the supply and the cable of the relay's node; then reset",
+    Fault.SUPERVISOR_IGNORED: "look in the log for why it stopped, and for another master; reset",
 }
 """What a person should do, once the robot has stopped."""
 STOP_TEXT = {

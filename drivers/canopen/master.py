@@ -240,7 +240,9 @@ class CanopenFieldbus:
                 self._reception,
             )
             self._buses.append(channel)
-            self._supervisor.listen(channel)
+            drives = self._bus.channels[number].drives
+            held = [each.axis for each in drives if self._bus.profile(each.axis).watches_supervisor]
+            self._supervisor.listen(channel, held)
             self._add_drives(channel, number)
             self._add_cells(channel, number)
         self._together = Channels(self._buses, clock, self._tap, self._reception)

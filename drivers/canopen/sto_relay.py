@@ -175,7 +175,7 @@ class RelayedFieldbus:
         self._channel = self._node = None
         self._supervisor.forget()
         self.image.obstacles.pop(_ITEM, None)
-        self.image.unguarded = False
+        self.image.unguarded = self.image.supervisor_ignored = False
 
     async def recover(self) -> None:
         node = self._node
@@ -237,6 +237,9 @@ class RelayedFieldbus:
             self._released = None
         if self._supervisor.beating:
             self._held_at = tick
+        # By a report that came later: one whose channel is cut may have opened.
+        closed = self._released is False and self._reported_at - self._held_at > self._held_ticks
+        self.image.supervisor_ignored = self.image.enabling and closed
         if self.image.enabling:
             self._tell(node)
         else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement, Supervisor
@@ -11,7 +12,7 @@ from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT
 from tonus.drivers.canopen.nmt import NmtState
 from tonus.drivers.events import EventLog
-from tonus.drivers.process_image import ProcessImage
+from tonus.drivers.process_image import AxisState, ProcessImage
 
 EMERGENCY = struct.Struct("<HBBf")
 """Error code 0xFF00 plus the requirement's number, error register, axis or cell from 0 (0xFF:
@@ -24,11 +25,15 @@ _OPERATIONAL = bytes([NmtState.OPERATIONAL])
 @dataclass
 class _Heard:
     channel: str
+    axes: list[int]
+    """of the drives that wait for it"""
     tick: int = 0
     fresh: bool = False
     beating: bool = False
     lost: bool = False
     """it has been beating before"""
+    obeyed: bool = False
+    """there was a moment since it was lost in which none of the drives was enabled"""
     anybody: bool = False
     """sent a heartbeat of its number, in whatever state"""
 
@@ -57,10 +62,11 @@ class SupervisorMonitor:
         """A drive that does not wait for its heartbeat."""
         self._out_of_reach.append(where)
 
-    def listen(self, channel: Channel) -> None:
+    def listen(self, channel: Channel, axes: Sequence[int] = ()) -> None:
+        """``axes``: of the channel's drives that are to stop by themselves without it."""
         if self._settings is None:
             return
-        heard = _Heard(channel.name)
+        heard = _Heard(channel.name, list(axes))
         self._heard.append(heard)
         channel.handlers[HEARTBEAT + self._settings.node_id] = lambda data: self._on_heartbeat(
             heard, data
@@ -85,7 +91,7 @@ class SupervisorMonitor:
     def forget(self) -> None:
         self._image.obstacles.pop(self._item, None)
         self._heard, self._out_of_reach = [], []
-        self.doubt = False
+        self.doubt = self._image.supervisor_ignored = False
 
     @property
     def beating(self) -> bool:
@@ -99,22 +105,34 @@ class SupervisorMonitor:
 
     def look(self, tick: int) -> None:
         """Once a tick."""
+        self._image.supervisor_ignored = False
         for heard in self._heard:
             if heard.fresh:
                 heard.fresh = False
                 heard.tick = tick
             elif heard.beating and tick - heard.tick > self._patience:
-                heard.beating, heard.lost = False, True
+                heard.beating, heard.lost, heard.obeyed = False, True, False
                 text = f"no heartbeat for more than {self._patience} ticks"
                 self._events.begin("supervisor_lost", heard.channel, text)
             elif not (heard.beating or heard.lost) and self._image.enabling:
                 text = "the drives are enabled, and it has not begun"
                 self._events.begin("unsupervised", heard.channel, text)
+            if heard.lost and self._ignored(heard, tick):
+                self._image.supervisor_ignored = True
         obstacle = self._obstacle()
         if obstacle:
             self._image.obstacles[self._item] = obstacle
         else:
             self._image.obstacles.pop(self._item, None)
+
+    def _ignored(self, heard: _Heard, tick: int) -> bool:
+        """A drive says that it is enabled, twice as long after it as it may be. Those that are
+        enabled later, where the policy allows it, wait for nobody: their watch has not begun."""
+        axis = self._image.axis
+        enabled = axis.state[heard.axes] == AxisState.OPERATION_ENABLED
+        heard.obeyed |= not enabled.any()
+        since = tick - heard.tick - 2 * self._patience
+        return not heard.obeyed and bool((enabled & (axis.age[heard.axes] < since)).any())
 
     def _obstacle(self) -> str:
         """To arming; "" for none."""

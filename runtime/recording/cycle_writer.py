@@ -23,7 +23,7 @@ from tonus.runtime.signals import CycleRecord, Solver
 from tonus.runtime.states import Operator
 
 _CHANGE = struct.Struct("<Bd")
-_UNGUARDED = b"unguarded"
+_UNGUARDED = (b"", b"unguarded", b"ignored", b"unguarded ignored")
 _NO_SOLVER = int(Solver.NONE)
 _SELECT_BIT = 24
 """of the checksum's start, so that a tick without a choice has the checksum of its inputs alone"""
@@ -78,8 +78,9 @@ class CycleWriter:
         number, value = change
         if number:
             checksum = zlib.crc32(_CHANGE.pack(*change), checksum)
-        if image.unguarded:
-            checksum = zlib.crc32(_UNGUARDED, checksum)
+        unguarded = image.unguarded | image.supervisor_ignored << 1
+        if unguarded:
+            checksum = zlib.crc32(_UNGUARDED[unguarded], checksum)
         regulating = sequence.regulating
         faults, gains = sequence.faults, self._tuning.gains
         write_tick(
@@ -103,7 +104,7 @@ class CycleWriter:
             int(operator),
             select,
             guide.chosen,
-            image.unguarded,
+            unguarded,
             number,
             float(value),
             gains[0],

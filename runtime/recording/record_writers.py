@@ -80,7 +80,7 @@ def write_tick(
     operator: int,
     select: int,
     scenario: int,
-    unguarded: bool,
+    unguarded: int,
     parameter: int,
     value: float,
     deviation_gain: float,

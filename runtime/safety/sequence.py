@@ -433,6 +433,8 @@ class Sequence:
             self.faults.add(Fault.NOT_FINITE, -1)
         if image.unguarded and self.state in ARMED:
             self.faults.add(Fault.RELAY_SILENT, -1)
+        if image.supervisor_ignored and self.state in ARMED:
+            self.faults.add(Fault.SUPERVISOR_IGNORED, -1)
         self._examine_devices(image)
         if self.enabled and self.state is not State.STANDBY:
             self.faults.add(*self._isolation.disobedient(self.stop_mode, self.faults.failed))

@@ -14,8 +14,9 @@ from tests.wired import CHANNEL
 from tonus.config.loader import load_scenario
 from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.canopen.node import Node
-from tonus.runtime.states import Operator, State
+from tonus.runtime.states import Fault, Operator, State, StopMode
 from tonus.runtime.timing import clock
+from tonus.tools.campaign.again import first_difference
 from tonus.tools.campaign.play import Operated
 
 ROBOT = {**BRIEF, "supervisor.timeout_ms": 22}
@@ -118,14 +119,17 @@ class Written(Noted):
         waited = state["state"] == State.STANDBY and state["elapsed"] >= self.after_s
         if State.FAULT in self.states and not self.changed_ns and waited:
             self.changed_ns = clock.now_ns()
-            for node, index, subindex, value in self.requests:
-                self._buses[self._channels().index(CHANNEL[node])].send(
-                    can.Message(
-                        arbitration_id=0x600 + node,
-                        data=struct.pack("<BHBI", 0x23, index, subindex, value),
-                        is_extended_id=False,
-                    )
+            self.write()
+
+    def write(self) -> None:
+        for node, index, subindex, value in self.requests:
+            self._buses[self._channels().index(CHANNEL[node])].send(
+                can.Message(
+                    arbitration_id=0x600 + node,
+                    data=struct.pack("<BHBI", 0x23, index, subindex, value),
+                    is_extended_id=False,
                 )
+            )
 
 
 @pytest.mark.parametrize(
@@ -184,3 +188,32 @@ def test_drives_that_another_master_has_wait_for_no_heartbeat(
     assert after[1:5] == [State.STANDBY, State.FAULT, State.STANDBY, State.REFERENCING]
     assert not run.stopped_ns
     assert {number for number, _ in run.said} == {Requirement.COMMANDED}
+
+
+@pytest.mark.parametrize("nodes", [tuple(DRIVES), (3,)], ids=["all", "one"])
+def test_drives_in_action_that_another_master_has_wait_for_no_heartbeat(
+    nodes: tuple[int, ...],
+) -> None:
+    """Those that stop by themselves are lost at once. Where all stay enabled the daemon stops the
+    robot, since the supervisor could not."""
+    config, _ = configured(**ROBOT, **{"supervisor.policy": "require"})
+    run = Written(config, load_scenario("hold"), at=0.3)
+    run.change = run.write
+    run.requests = tuple((node, 0x1016, 2, 0) for node in nodes)
+    seen = run.play(3.0)
+    assert len(run.stopped_ns) == len(DRIVES) - len(nodes)
+    assert {number for number, _ in run.said} == {Requirement.COMMANDED}
+    after = seen.cycle_ns >= run.changed_ns
+    stopped = after & (seen.state == State.SAFE_STOP)
+    told = {each.name for each in seen.events}
+    late_ms = (seen.cycle_ns[stopped][0] - run.changed_ns) * 1e-6
+    if len(nodes) == 1:
+        assert late_ms < 30.0
+        return
+    assert set(seen.cycle["state"]["fault"][stopped]) == {Fault.SUPERVISOR_IGNORED}
+    assert set(seen.cycle["state"]["stop_mode"][stopped]) == {StopMode.ON_PATH}
+    assert {"supervisor_lost", "supervisor_ignored"} <= told
+    timeout_ms = ROBOT["supervisor.timeout_ms"]
+    assert 2 * timeout_ms - 1 <= late_ms <= 2 * timeout_ms + 6, "behind the last heartbeat"
+    assert seen.state[-1] == State.FAULT
+    assert first_difference(seen) is None

@@ -332,23 +332,27 @@ def test_contradictions_and_bounds_count_while_the_platform_moves() -> None:
         )
 
 
-def test_without_a_relay_that_answers_an_armed_robot_stops() -> None:
+@pytest.mark.parametrize(
+    ("shown", "fault"),
+    [("unguarded", Fault.RELAY_SILENT), ("supervisor_ignored", Fault.SUPERVISOR_IGNORED)],
+)
+def test_an_armed_robot_that_the_supervisor_could_not_stop_stops(shown: str, fault: Fault) -> None:
     """Along the path, by a fault of no cable; a robot that is not armed has its self-test."""
     for state in (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE):
         way = Way().to(state)
-        way.image.unguarded = True
+        setattr(way.image, shown, True)
         way.step()
         assert way.state is State.SAFE_STOP
-        assert found(way) == [(Fault.RELAY_SILENT, -1)]
+        assert found(way) == [(fault, -1)]
         passive = state is State.REFERENCING
         assert way.sequence.stop_mode is (StopMode.PASSIVE if passive else StopMode.ON_PATH)
     stopping = Way().stop()
-    stopping.image.unguarded = True
+    setattr(stopping.image, shown, True)
     stopping.step()
-    assert found(stopping) == [(Fault.RELAY_SILENT, -1)]
+    assert found(stopping) == [(fault, -1)]
     assert stopping.sequence.stop_mode is StopMode.ON_PATH
     waiting = Way().to(State.STANDBY)
-    waiting.image.unguarded = True
+    setattr(waiting.image, shown, True)
     waiting.steps(3)
     assert found(waiting) == []
 

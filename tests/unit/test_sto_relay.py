@@ -332,12 +332,42 @@ async def test_a_relay_that_opens_under_enabled_drives_is_an_event(bench: Bench)
     bench.beats = False
     await bench.pass_ms(100)
     assert bench.names() == ["emcy", "sto_relay_open", "supervisor_lost"]
+    assert not bench.segment.image.supervisor_ignored, "it obeyed"
     assert "sto relay" in bench.obstacles
     bench.segment.image.commands["command"] = AxisCommand.DISABLE
     bench.beats = True
     await bench.pass_ms(200)
     assert bench.closed, "started again, while no drive is to be enabled"
     assert bench.obstacles == {}
+
+
+@played()
+async def test_a_relay_that_stays_closed_without_the_supervisor(bench: Bench) -> None:
+    """Its watch is switched off. While no drive is to be enabled, it is taken for welded."""
+    await bench.held()
+    relay = bench.relay
+    bench.send(0x600 + relay.node_id, struct.pack("<BHBI", 0x23, 0x1016, 1, 0))
+    await bench.pass_ms(2)
+    supervisor = bench.config.supervisor
+    assert supervisor is not None
+    opened_ms = relay.timeout_ms + relay.release_ms + 2 * relay.heartbeat_ms
+    limit = supervisor.timeout_ms + opened_ms
+    bench.segment.image.commands["command"] = AxisCommand.ENABLE
+    bench.beats = bench.holds = False
+    waited = 0
+    while not bench.segment.image.supervisor_ignored:
+        await bench.pass_ms(1)
+        waited += 1
+    assert limit < waited <= limit + relay.heartbeat_ms + 2, "by a report of its contacts"
+    bench.segment.image.commands["command"] = AxisCommand.DISABLE
+    await bench.pass_ms(1)
+    assert not bench.segment.image.supervisor_ignored
+    assert "welded" in bench.obstacles["sto relay"]
+    bench.segment.image.commands["command"] = AxisCommand.ENABLE
+    await bench.pass_ms(1)
+    assert bench.segment.image.supervisor_ignored
+    await bench.fieldbus.stop()
+    assert not bench.segment.image.supervisor_ignored
 
 
 @played()

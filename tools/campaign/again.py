@@ -47,14 +47,15 @@ def first_difference(run: Observed) -> tuple[int, str] | None:
     ticks = cycle["timing"]["tick"].tolist()
     operators = cycle["state"]["operator"].tolist()
     selects = cycle["state"]["select"].tolist()
-    unguarded = cycle["state"]["unguarded"].astype(bool).tolist()
+    unguarded = cycle["state"]["unguarded"].tolist()
     tuned = cycle["tuning"]
     changes = list(map(GainChange, tuned["parameter"].tolist(), tuned["value"].tolist()))
     out = np.zeros(len(ticks), cycle_dtype(config.robot.cables))
     for index, tick in enumerate(ticks):
         for table, rows in tables:
             table[...] = rows[index]
-        image.unguarded = unguarded[index]
+        image.unguarded = bool(unguarded[index] & 1)
+        image.supervisor_ignored = bool(unguarded[index] & 2)
         operator = Operator(operators[index])
         select, change = selects[index], changes[index]
         out[index] = fresh.step(image, tick, operator, select, change).data[0]

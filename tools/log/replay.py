@@ -249,7 +249,7 @@ class _Replayer:
         state = batch["/tonus/state"].messages
         operators = self._input(state, "/tonus/state", "operator", ())
         selects = self._input(state, "/tonus/state", "select", ())
-        unguarded = self._input(state, "/tonus/state", "unguarded", ()).astype(bool).tolist()
+        unguarded = self._input(state, "/tonus/state", "unguarded", ()).tolist()
         changes = self._changes(batch, len(ticks))
         failed = state["fault"] == Fault.CONTROL_FAILED
         for index, tick in enumerate(ticks.tolist()):
@@ -264,7 +264,8 @@ class _Replayer:
             self._next = int(sequence[index]) + 1
             for table, row in rows:
                 table[...] = row[index]
-            self._image.unguarded = unguarded[index]
+            self._image.unguarded = bool(unguarded[index] & 1)
+            self._image.supervisor_ignored = bool(unguarded[index] & 2)
             operator = self._operator(int(operators[index]), tick)
             select = int(selects[index])
             change = changes[index]

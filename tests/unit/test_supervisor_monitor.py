@@ -1,0 +1,102 @@
+"""What the daemon makes of a supervisor whose heartbeat has ended: drives that do not stop."""
+
+from __future__ import annotations
+
+from itertools import count
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tonus.config import load
+from tonus.drivers.canopen.identifiers import HEARTBEAT
+from tonus.drivers.canopen.supervisor_monitor import SupervisorMonitor
+from tonus.drivers.events import EventLog
+from tonus.drivers.process_image import AxisState, ProcessImage
+
+SUPERVISOR = load("config/can.yaml")[0].supervisor
+assert SUPERVISOR is not None
+TWICE = 2 * SUPERVISOR.timeout_ms
+"""ticks"""
+
+
+class Watching:
+    """Two channels, of which the second one's drives are axes 2 and 3; 4 waits for nobody."""
+
+    def __init__(self) -> None:
+        self.image = ProcessImage(5)
+        self.monitor = SupervisorMonitor(SUPERVISOR, 1000, self.image, EventLog())
+        self.channels: list[Any] = [SimpleNamespace(name=f"can{n}", handlers={}) for n in (0, 1)]
+        for channel, axes in zip(self.channels, ([0, 1], [2, 3]), strict=True):
+            self.monitor.listen(channel, axes)
+        self.axes = self.image.axes
+        self.axes["state"], self.axes["age"] = AxisState.OPERATION_ENABLED, 0
+        self._ticks = count()
+
+    def beat(self, *numbers: int) -> None:
+        for number in numbers:
+            assert SUPERVISOR is not None
+            self.channels[number].handlers[HEARTBEAT + SUPERVISOR.node_id](b"\5")
+        self.look()
+
+    def look(self, ticks: int = 1) -> bool:
+        for _ in range(ticks):
+            self.monitor.look(next(self._ticks))
+        return self.image.supervisor_ignored
+
+
+@pytest.fixture
+def watching() -> Watching:
+    return Watching()
+
+
+def test_drives_that_stay_enabled_twice_as_long_as_they_should(watching: Watching) -> None:
+    assert not watching.look(3 * TWICE), "it was never there"
+    watching.beat(0, 1)
+    assert not watching.look(TWICE)
+    assert watching.look()
+    watching.beat(0, 1)
+    assert not watching.look(TWICE), "it is back"
+    assert watching.look()
+    watching.monitor.forget()
+    assert not watching.image.supervisor_ignored
+
+
+def test_a_drive_that_says_nothing_may_have_stopped(watching: Watching) -> None:
+    watching.beat(0, 1)
+    watching.look(TWICE)
+    for age in range(1, TWICE):
+        watching.axes["age"] = age
+        assert not watching.look()
+    watching.axes["age"][3] = TWICE - 1
+    assert watching.look(), "it has answered once more"
+
+
+def test_a_channel_is_one_for_itself(watching: Watching) -> None:
+    """Not those that hear it still, and one drive of those that do not is enough."""
+    watching.beat(0, 1)
+    for _ in range(TWICE + 1):
+        watching.beat(0)
+    assert watching.image.supervisor_ignored
+    watching.axes["state"][3] = AxisState.FAULT
+    assert watching.look()
+    watching.axes["state"][2] = AxisState.FAULT
+    assert not watching.look(TWICE // 4), "all have obeyed"
+
+
+def test_drives_that_are_enabled_after_a_loss_wait_for_nobody(watching: Watching) -> None:
+    """Where it is not required: a watch begins with the first heartbeat."""
+    watching.beat(0, 1)
+    watching.axes["state"] = AxisState.FAULT
+    assert not watching.look(TWICE)
+    watching.axes["state"] = AxisState.OPERATION_ENABLED
+    assert not watching.look(2 * TWICE)
+    watching.beat(0, 1)
+    assert watching.look(TWICE + 1), "lost once more"
+
+
+def test_drives_without_a_second_consumer_are_not_asked_to_stop() -> None:
+    watching = Watching()
+    watching.beat(0, 1)
+    watching.axes["state"][:4] = AxisState.FAULT
+    assert not watching.look(2 * TWICE)
