@@ -169,6 +169,11 @@ class Isolation(Section):
     samples: the force is frozen, and its noise is not"""
     frozen_step: Positive = 8.0
     """N"""
+    frozen_travel: Positive = 0.02
+    """m that the drum of a failed drive winds, while the reading of its cable stays within that and
+    is more than `torque_error`: no drive pays out so far at one force"""
+    freed_travel: Positive = 0.003
+    """m that a drum turns which stood against its torque when it was named: it may damp again"""
     witness: Positive = 4.0e-3
     """m that a length changes by, less its distance as the tracker sees it, in `witness_s`"""
     witness_s: Positive = 0.4

@@ -149,6 +149,7 @@ class CanopenFieldbus:
         self._together.sync(tick)
         self._supervision.look_for_silence(tick)
         self._supervisor.look(tick)
+        self.image.supervisor_ignored = self._supervisor.ignored
         self._exchange.fill(tick)
 
     def publish(self, tick: int) -> None:
@@ -200,6 +201,7 @@ class CanopenFieldbus:
         self._buses, self._nodes, self._drives = [], [], {}
         self._supervision.clear()
         self._supervisor.forget()
+        self.image.supervisor_ignored = False
 
     # -- bring-up ---------------------------------------------------------------------------
 

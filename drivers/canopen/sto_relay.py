@@ -149,7 +149,9 @@ class RelayedFieldbus:
         self._wire = Channels((channel,), clock, None, reception)
         number = self._relay.node_id
         node = self._node = Node(channel, number, self._role, self._relay.master)
-        self._supervisor.listen(channel)
+        torque_off_ticks = math.ceil(self._relay.torque_off_ms * 1000 / self._period_us)
+        axes = range(len(self.image.axes))
+        self._supervisor.listen(channel, axes, self._held_ticks + torque_off_ticks)
         handlers = channel.handlers
         handlers[SDO_RESPONSE + number] = node.sdo.receive
         handlers[HEARTBEAT + number] = self._on_heartbeat
@@ -215,6 +217,7 @@ class RelayedFieldbus:
             self._wire.drain()
             self._look(tick, self._node)
         self.fieldbus.collect(tick)
+        self.image.supervisor_ignored = self._supervisor.ignored
 
     def publish(self, tick: int) -> None:
         self.fieldbus.publish(tick)
@@ -237,9 +240,6 @@ class RelayedFieldbus:
             self._released = None
         if self._supervisor.beating:
             self._held_at = tick
-        # By a report that came later: one whose channel is cut may have opened.
-        closed = self._released is False and self._reported_at - self._held_at > self._held_ticks
-        self.image.supervisor_ignored = self.image.enabling and closed
         if self.image.enabling:
             self._tell(node)
         else:
@@ -253,7 +253,10 @@ class RelayedFieldbus:
     def _tell(self, node: Node) -> None:
         """Its watch has stopped a node that is not operational, and its output is off."""
         if self._released or node.monitor.state is not NmtState.OPERATIONAL:
-            text = "the drives are enabled, and it opened: no drive has torque any more"
+            what = "it opened" if self._released else "its output is off"
+            text = (
+                f"the drives are enabled, and {what}: none has torque, unless a contact is welded"
+            )
             self._events.begin("sto_relay_open", node.where, text)
 
     def _restart(self, tick: int, node: Node) -> None:

@@ -26,14 +26,20 @@ _OPERATIONAL = bytes([NmtState.OPERATIONAL])
 class _Heard:
     channel: str
     axes: list[int]
-    """of the drives that wait for it"""
+    """of the drives that are to stop without it"""
+    obeyed_ticks: int
+    """from its last heartbeat until they have, at the latest"""
     tick: int = 0
     fresh: bool = False
     beating: bool = False
     lost: bool = False
     """it has been beating before"""
+    holds: bool = False
+    """its last heartbeat followed another in time: a single one only begins a watch, and ends it"""
+    held_at: int | None = None
+    """tick of the last one that did"""
     obeyed: bool = False
-    """there was a moment since it was lost in which none of the drives was enabled"""
+    """there was a moment since then in which none of the drives was enabled"""
     anybody: bool = False
     """sent a heartbeat of its number, in whatever state"""
 
@@ -55,6 +61,8 @@ class SupervisorMonitor:
             self._patience = self._settings.timeout_ms * 1000 // period_us
         self._heard: list[_Heard] = []
         self._out_of_reach: list[str] = []
+        self.ignored = False
+        """its heartbeat has ended, and drives that were to stop by themselves have not"""
         self.doubt = False
         """another master may have written to devices, which a reset has to bring up again"""
 
@@ -62,11 +70,15 @@ class SupervisorMonitor:
         """A drive that does not wait for its heartbeat."""
         self._out_of_reach.append(where)
 
-    def listen(self, channel: Channel, axes: Sequence[int] = ()) -> None:
-        """``axes``: of the channel's drives that are to stop by themselves without it."""
+    def listen(
+        self, channel: Channel, axes: Sequence[int], obeyed_ticks: int | None = None
+    ) -> None:
+        """``axes``: of the drives that are to stop by themselves when its heartbeat on this channel
+        ends, within ``obeyed_ticks``; without that, twice as long as they wait for it."""
         if self._settings is None:
             return
-        heard = _Heard(channel.name, list(axes))
+        obeyed_ticks = 2 * self._patience if obeyed_ticks is None else obeyed_ticks
+        heard = _Heard(channel.name, list(axes), obeyed_ticks)
         self._heard.append(heard)
         channel.handlers[HEARTBEAT + self._settings.node_id] = lambda data: self._on_heartbeat(
             heard, data
@@ -91,7 +103,7 @@ class SupervisorMonitor:
     def forget(self) -> None:
         self._image.obstacles.pop(self._item, None)
         self._heard, self._out_of_reach = [], []
-        self.doubt = self._image.supervisor_ignored = False
+        self.doubt = self.ignored = False
 
     @property
     def beating(self) -> bool:
@@ -105,34 +117,36 @@ class SupervisorMonitor:
 
     def look(self, tick: int) -> None:
         """Once a tick."""
-        self._image.supervisor_ignored = False
         for heard in self._heard:
             if heard.fresh:
                 heard.fresh = False
                 heard.tick = tick
+                if heard.holds:
+                    heard.holds, heard.held_at, heard.obeyed = False, tick, False
             elif heard.beating and tick - heard.tick > self._patience:
-                heard.beating, heard.lost, heard.obeyed = False, True, False
+                heard.beating, heard.lost = False, True
                 text = f"no heartbeat for more than {self._patience} ticks"
                 self._events.begin("supervisor_lost", heard.channel, text)
             elif not (heard.beating or heard.lost) and self._image.enabling:
                 text = "the drives are enabled, and it has not begun"
                 self._events.begin("unsupervised", heard.channel, text)
-            if heard.lost and self._ignored(heard, tick):
-                self._image.supervisor_ignored = True
+        self.ignored = any(self._is_ignored(heard, tick) for heard in self._heard)
         obstacle = self._obstacle()
         if obstacle:
             self._image.obstacles[self._item] = obstacle
         else:
             self._image.obstacles.pop(self._item, None)
 
-    def _ignored(self, heard: _Heard, tick: int) -> bool:
-        """A drive says that it is enabled, twice as long after it as it may be. Those that are
-        enabled later, where the policy allows it, wait for nobody: their watch has not begun."""
+    def _is_ignored(self, heard: _Heard, tick: int) -> bool:
+        """A drive says that it is enabled, later than it may be. Those that are enabled after a
+        loss, where the policy allows it, wait for nobody: their watch has not begun."""
+        if heard.held_at is None or tick - heard.held_at <= self._patience:
+            return False
         axis = self._image.axis
         enabled = axis.state[heard.axes] == AxisState.OPERATION_ENABLED
         heard.obeyed |= not enabled.any()
-        since = tick - heard.tick - 2 * self._patience
-        return not heard.obeyed and bool((enabled & (axis.age[heard.axes] < since)).any())
+        late = axis.age[heard.axes] < tick - heard.held_at - heard.obeyed_ticks
+        return not heard.obeyed and bool((enabled & late).any())
 
     def _obstacle(self) -> str:
         """To arming; "" for none."""
@@ -150,6 +164,7 @@ class SupervisorMonitor:
         heard.anybody = True
         if data != _OPERATIONAL:
             return
+        heard.holds |= heard.beating
         heard.fresh = heard.beating = True
         heard.lost = False
         self._events.end("unsupervised", heard.channel)

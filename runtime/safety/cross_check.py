@@ -71,6 +71,12 @@ class CrossCheck:
             skipped=skipped,
             enabled=sequence.enabled,
         )
+        if failed.any():
+            cells, held = image.cells[: len(failed)], sequence.faults.held
+            self._isolation.unwound(
+                cells["force"], cells["age"], sensing.tension, sensing.angle, held
+            )
+            sequence.faults.freed |= self._isolation.freed(sensing.angle)
         regulating = sequence.regulating
         if not regulating and (sequence.passive_share < 0.0 or not sequence.referenced):
             return

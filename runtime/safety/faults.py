@@ -60,6 +60,8 @@ class Faults:
         """(fault, place + 1): whether it has been found there"""
         self.failed = np.zeros(robot.cables, dtype=bool)
         """(n,) cables that are not used any more"""
+        self.freed = np.zeros(robot.cables, dtype=bool)
+        """(n,) drums that stood against their torque when they were named, and turn since"""
         self.reset()
 
     def reset(self) -> None:
@@ -67,7 +69,7 @@ class Faults:
         self.first, self.where = Fault.NONE, -1
         self.count = 0
         self.found[:] = False
-        self.failed[:] = False
+        self.failed[:] = self.freed[:] = False
         self.contradicted = False
         """a cable is excluded because measurements contradict each other: which of them is wrong,
         and whether another cable's is too, is less certain than of a torn cable or a silent drive
@@ -106,8 +108,9 @@ class Faults:
 
     @property
     def drums_obedient(self) -> NDArray[np.bool_]:
-        """(n,) drums that do what their torque says: with a reversed motor damping would drive."""
-        return self.without(frozenset({Fault.DRUM_TORQUE}))
+        """(n,) drums that do what their torque says: with a reversed motor damping would drive.
+        One that stood is not reversed: once it turns, what had jammed it has let go."""
+        return self.without(frozenset({Fault.DRUM_TORQUE})) | self.freed
 
     @property
     def torn(self) -> NDArray[np.bool_]:
@@ -120,6 +123,11 @@ class Faults:
         not: in a descent each of these drums is its own passive stop."""
         sound = self.drums_trusted & self.drums_obedient & self.without(_HELD) & ~self.torn
         return self.failed & sound & self.cells_trusted
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """(n,) excluded cables whose drive may hold its drum, and whose encoder and cell count."""
+        return self.failed & ~self.without(_HELD) & self.drums_trusted & self.cells_trusted
 
     @property
     def let_go(self) -> NDArray[np.bool_]:

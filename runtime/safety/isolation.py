@@ -24,7 +24,7 @@ wrong length. That is reported only: its cell still measures its tension.
 In a descent a slack cable's drum reels in towards the platform: if it has reeled in more than the
 distance to the platform, the cable is torn. A load cell whose reading repeats to the last bit while
 its reference moves is frozen; so is, in a descent, one whose reading stays within its noise while
-its reference moves far.
+its reference moves far, or the drum of a drive that has failed turns far under such a load.
 """
 
 from __future__ import annotations
@@ -189,13 +189,22 @@ class Isolation:
         self._stray_ticks = round(settings.innovation_descent_s / period)
         self._strayed, self._straying = 0, -1
         self._overwound = np.zeros(robot.cables, dtype=bool)
+        self._radius = robot.drum_radius
+        self._shown, self._wound = np.full(robot.cables, np.nan), np.zeros(robot.cables)
+        self._unmoved = np.zeros(robot.cables, dtype=bool)
+        """(n,) cables whose reading has stayed, though the drum of a failed drive has turned"""
+        self._stood = np.zeros(robot.cables, dtype=bool)
+        self._stood_at = np.full(robot.cables, np.nan)
+        """rad (n,), of drums that were named while they stood against their torque"""
         self._quiet = True
         """no residual of the lengths and cells can be a fault"""
 
     def reset(self) -> None:
         self._counts[:] = 0
         self.drift[:] = self._stray[:] = 0.0
-        self._overwound[:] = False
+        self._overwound[:] = self._unmoved[:] = False
+        self._stood[:] = False
+        self._shown[:] = self._stood_at[:] = np.nan
         self._quiet = True
         self.drums.reset()
 
@@ -244,6 +253,33 @@ class Isolation:
         (n,) m that the drums have left it; of cables that are ``slack`` (n,)."""
         self._overwound[:] = slack & (distance - length > self._settings.overwound)
 
+    def unwound(
+        self,
+        raw: Array,
+        age: NDArray[np.uint16],
+        tension: Array,
+        angle: Array,
+        held: NDArray[np.bool_],
+    ) -> None:
+        """From readings (n,) and ages (n,) of cells, the tensions (n,) N made of them and the
+        drums' angles (n,) rad; of cables that are ``held`` (n,) by a drive that has failed. It may
+        hold one drum still under a load, or turn without it, but does not pay out at one force."""
+        s = self._settings
+        loaded = held & (tension > s.torque_error)
+        same = loaded & (np.abs(raw - self._shown) <= s.frozen_band)
+        moved = ~same & (age == 0)
+        self._shown[moved], self._wound[moved] = raw[moved], angle[moved]
+        way = np.abs(angle - self._wound) * self._radius
+        self._unmoved[:] = same & (way > s.frozen_travel)
+
+    def freed(self, angle: Array) -> NDArray[np.bool_]:
+        """Drums (n,) that stood when they were named, and have turned since; from all drums' angles
+        (n,) rad."""
+        new = self._stood & np.isnan(self._stood_at)
+        self._stood_at[new] = angle[new]
+        way = np.abs(angle - self._stood_at) * self._radius
+        return np.asarray(way > self._settings.freed_travel)
+
     def found(self, tension: Array) -> tuple[Fault, int]:
         """The first fault there is, and its cable or cell; ``tension`` (n,) N, unfiltered, tells a
         cable that does not pull any more from one whose length is wrong."""
@@ -268,15 +304,17 @@ class Isolation:
         if mode is StopMode.DESCENT:
             if self._overwound.any():
                 return Fault.CABLE_TORN, int(self._overwound.argmax())
-            frozen = (self._repeated >= s.frozen_ticks) & ~failed
+            frozen = (self._repeated >= s.frozen_ticks) & ~failed | self._unmoved
             if frozen.any():
                 return Fault.CELL_FROZEN, int(frozen.argmax())
         drums = self.drums
-        if rough and drums.most_misled >= s.torque_ticks:
-            stuck = np.minimum(drums.misled, drums.standing) >= self._stuck_ticks
-            if stuck.any():
-                return Fault.DRUM_TORQUE, int(stuck.argmax())
-        if drums.most_misled < (s.torque_descent_ticks if rough else s.torque_ticks):
+        if drums.most_misled < s.torque_ticks:
+            return Fault.NONE, -1
+        stuck = np.minimum(drums.misled, drums.standing) >= self._stuck_ticks
+        self._stood |= stuck
+        if rough and stuck.any():
+            return Fault.DRUM_TORQUE, int(stuck.argmax())
+        if rough and drums.most_misled < s.torque_descent_ticks:
             return Fault.NONE, -1
         return Fault.DRUM_TORQUE, int(drums.misled.argmax())
 

@@ -194,8 +194,8 @@ def test_drives_that_another_master_has_wait_for_no_heartbeat(
 def test_drives_in_action_that_another_master_has_wait_for_no_heartbeat(
     nodes: tuple[int, ...],
 ) -> None:
-    """Those that stop by themselves are lost at once. Where all stay enabled the daemon stops the
-    robot, since the supervisor could not."""
+    """The daemon stops the robot, since the supervisor could not: with those that stay enabled,
+    be they all, or one."""
     config, _ = configured(**ROBOT, **{"supervisor.policy": "require"})
     run = Written(config, load_scenario("hold"), at=0.3)
     run.change = run.write
@@ -205,14 +205,11 @@ def test_drives_in_action_that_another_master_has_wait_for_no_heartbeat(
     assert {number for number, _ in run.said} == {Requirement.COMMANDED}
     after = seen.cycle_ns >= run.changed_ns
     stopped = after & (seen.state == State.SAFE_STOP)
-    told = {each.name for each in seen.events}
     late_ms = (seen.cycle_ns[stopped][0] - run.changed_ns) * 1e-6
-    if len(nodes) == 1:
-        assert late_ms < 30.0
-        return
     assert set(seen.cycle["state"]["fault"][stopped]) == {Fault.SUPERVISOR_IGNORED}
-    assert set(seen.cycle["state"]["stop_mode"][stopped]) == {StopMode.ON_PATH}
-    assert {"supervisor_lost", "supervisor_ignored"} <= told
+    last = StopMode.ON_PATH if len(nodes) == len(DRIVES) else StopMode.PASSIVE
+    assert seen.cycle["state"]["stop_mode"][stopped][-1] == last
+    assert {"supervisor_lost", "supervisor_ignored"} <= {each.name for each in seen.events}
     timeout_ms = ROBOT["supervisor.timeout_ms"]
     assert 2 * timeout_ms - 1 <= late_ms <= 2 * timeout_ms + 6, "behind the last heartbeat"
     assert seen.state[-1] == State.FAULT

@@ -32,9 +32,11 @@ from tonus.config.schema.supervisor import Requirement
 from tonus.config.timeouts import node_timeout_ms
 from tonus.runtime.states import Fault, State, StopMode
 from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.runtime.timing import clock
 from tonus.tools.campaign.again import first_difference
 from tonus.tools.campaign.observed import Observed
 from tonus.tools.campaign.play import Playing
+from tonus.tools.run.supervision import Overheard
 
 pytestmark = pytest.mark.wide
 
@@ -47,8 +49,10 @@ FOUND = {
     "tensions far beyond their bound, no fault found": {Requirement.UNEXPLAINED},
 }
 """where the frames are not read, found by what the drives report"""
-ROBOT: dict[str, Any] = {"sto_relay.timeout_ms": 7}
+ROBOT_RELAY = {"timeout_ms": 7}
+ROBOT: dict[str, Any] = {f"sto_relay.{key}": value for key, value in ROBOT_RELAY.items()}
 """as without a lab"""
+MS = 1_000_000
 
 
 def _run(patch: pytest.MonkeyPatch, change: Change, **given: Any) -> tuple[RelayRun, Observed]:
@@ -230,6 +234,39 @@ def test_without_it_a_robot_with_a_relay_is_not_armed(
     assert end is not None
     assert "sto relay: is open: the supervisor does not hold it" in end.reason
     assert ("supervisor of sto: is not heard on sto" in end.reason) == (policy == "require")
+
+
+@pytest.mark.parametrize("policy", ["require", "use"])
+@pytest.mark.parametrize("path", [PATH, "config/mixed.yaml"])
+def test_an_output_that_stays_on_without_the_supervisor(
+    path: str, policy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a short circuit, or welded contacts: its node says that it is off. Under `require` the
+    supervisor, which has stopped for a pause of the record, sends single heartbeats."""
+    relay = load(PATH)[0].sto_relay
+    assert relay is not None
+    own = {"sto_relay": relay.model_dump(mode="json") | ROBOT_RELAY, "supervisor.policy": policy}
+    publish = Overheard.publish
+
+    def paused(overheard: Overheard, *given: Any) -> None:
+        if not run.changed_ns or clock.now_ns() >= run.changed_ns + 12 * MS:
+            publish(overheard, *given)
+
+    def short_circuit() -> None:
+        run.node()._switched = lambda _: None
+
+    monkeypatch.setattr(Overheard, "publish", paused)
+    config, _ = configured(path, **BRIEF, **own)
+    run = RelayRun(config, load_scenario("hold"), short_circuit, at=0.1)
+    seen = run.play(0.4)
+    assert {number for number, _ in run.said} == {Requirement.TICK}
+    assert run.off_ns, "as it says"
+    assert not run.stopped_ns
+    stopped = seen.cycle["state"][seen.state == State.SAFE_STOP]
+    assert set(stopped["fault"]) == {Fault.SUPERVISOR_IGNORED}
+    assert set(stopped["stop_mode"]) == {StopMode.ON_PATH}
+    found_ms = (seen.cycle_ns[seen.state == State.SAFE_STOP][0] - run.changed_ns) / MS
+    assert found_ms <= 100.0
 
 
 def test_cells_on_can_beside_a_relay() -> None:

@@ -54,7 +54,9 @@ def test_the_first_fault_is_the_reason(faults: Faults) -> None:
 def test_a_reset_takes_everything_back(faults: Faults) -> None:
     for fault in Fault:
         faults.add(fault, 2)
+    faults.freed[2] = True
     faults.reset()
+    assert not faults.freed.any()
     assert (faults.first, faults.where, faults.count) == (Fault.NONE, -1, 0)
     assert not faults.found.any()
     assert not faults.failed.any()
@@ -82,6 +84,8 @@ def test_what_each_fault_leaves(fault: Fault) -> None:
     damps = free and not unlike
     assert found.damping.tolist() == [damps and cable == 5 for cable in range(N)]
     assert found.let_go.tolist() == [free and not damps and cable == 5 for cable in range(N)]
+    held = gone and fault in HOLDING - OF_THE_ENCODER
+    assert found.held.tolist() == [held and cable == 5 for cable in range(N)]
     assert found.contradicted is (fault in BY_CONTRADICTION)
     assert {*OF_THE_CELL, *HOLDING, *BY_CONTRADICTION, Fault.CABLE_TORN} == CABLE_GONE
     assert frozenset({Fault.NOT_FINITE}) == PASSIVE
@@ -95,6 +99,23 @@ def test_the_first_and_the_last_cable(faults: Faults, cable: int) -> None:
     assert faults.contradicted
     faults.add(Fault.CELL_FROZEN, cable)
     assert faults.cells_trusted.tolist() == [each != cable for each in range(N)]
+
+
+def test_a_drum_that_turns_again_damps(faults: Faults) -> None:
+    """It had jammed; one that is reversed does not stand. Its cable stays given up."""
+    faults.add(Fault.DRUM_TORQUE, 3)
+    faults.add(Fault.DRUM_TORQUE, 4)
+    faults.freed[3] = True
+    assert faults.drums_obedient.tolist() == [cable != 4 for cable in range(N)]
+    assert faults.damping.tolist() == [cable == 3 for cable in range(N)]
+    assert faults.let_go.tolist() == [cable == 4 for cable in range(N)]
+    assert faults.failed.tolist() == [cable in (3, 4) for cable in range(N)]
+
+
+def test_a_cell_that_is_not_believed_holds_nothing(faults: Faults) -> None:
+    faults.add(Fault.DRIVE_FAULT, 3)
+    faults.add(Fault.CELL_FROZEN, 3)
+    assert not faults.held.any()
 
 
 def test_a_fault_of_no_cable_excludes_none(faults: Faults) -> None:

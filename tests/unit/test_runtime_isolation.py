@@ -191,6 +191,27 @@ def test_a_stop_off_the_path_has_more_patience_with_a_drum(cables: Watched, mode
     assert SETTINGS.torque_ticks <= found < tick - 10
 
 
+@pytest.mark.parametrize("mode", [StopMode.NONE, StopMode.DESCENT, StopMode.PASSIVE])
+def test_a_drum_that_stood_when_it_was_named_and_turns_is_free(
+    cables: Watched, mode: StopMode
+) -> None:
+    """Either way round, and far; one that turned against its torque may be reversed."""
+    cables.mode = mode
+    cables.given["torque"][5] = RADIUS * (PULL + 10.0 * SETTINGS.torque_error)
+    cables.given["rate"][2] = 0.1
+    cables.tick(50)
+    cables.given["torque"][2] = RADIUS * (PULL + 10.0 * SETTINGS.torque_error)
+    assert cables.tick(100)[0] is Fault.DRUM_TORQUE
+    angle = np.full(CABLES, 4.0)
+    assert not cables.isolation.freed(angle).any(), "from here on"
+    for way, free in ((0.9, False), (1.1, True), (-1.1, True)):
+        turned = angle + way * SETTINGS.freed_travel / RADIUS
+        assert cables.isolation.freed(turned).tolist() == [free and n == 5 for n in range(CABLES)]
+    cables.isolation.reset()
+    assert not cables.isolation.freed(angle).any()
+    assert not cables.isolation.freed(turned).any(), "nothing has stood since"
+
+
 def test_friction_within_its_bound_is_none(cables: Watched) -> None:
     cables.given["torque"][5] = RADIUS * (PULL + 0.9 * SETTINGS.torque_error)
     assert cables.tick(500) == (Fault.NONE, -1)
@@ -247,6 +268,67 @@ def test_a_force_that_is_frozen_under_its_noise_is_found_in_a_descent(
     assert (fault, place) == (
         (Fault.CELL_FROZEN, 2) if mode is StopMode.DESCENT else (Fault.NONE, -1)
     )
+
+
+HELD = np.arange(CABLES) == 5
+WOUND = SETTINGS.frozen_travel / RADIUS
+"""rad that the drum of a failed drive turns before its cell's reading has to have moved"""
+
+
+def unwound(
+    cables: Watched,
+    angle: float,
+    *,
+    pull: float = PULL,
+    swing: float = 0.0,
+    held: Array = HELD,
+    age: int = 0,
+    ticks: int = 100,
+) -> tuple[Fault, int]:
+    """A drum that turns steadily by ``angle`` rad, under a reading that swings by some N."""
+    noise = np.random.default_rng(1)
+    cables.mode = StopMode.DESCENT
+    ages = np.full(CABLES, age, np.uint16)
+    for tick in range(ticks + 1):
+        raw = noise.normal(pull + swing * (tick % 2), NOISE, CABLES)
+        angles = np.where(HELD, angle * tick / ticks, 0.0)
+        cables.isolation.unwound(raw, ages, np.full(CABLES, pull), angles, held)
+    return cables.isolation.disobedient(cables.mode, held)
+
+
+def test_a_drum_whose_drive_has_failed_does_not_pay_out_at_one_force(cables: Watched) -> None:
+    """Either way round. Its cell is frozen, though its cable is given up already."""
+    assert unwound(cables, 0.95 * WOUND) == (Fault.NONE, -1)
+    cables.isolation.reset()
+    assert unwound(cables, 1.05 * WOUND) == (Fault.CELL_FROZEN, 5)
+    assert cables.isolation.disobedient(StopMode.PASSIVE, HELD) == (Fault.NONE, -1)
+    cables.isolation.reset()
+    assert cables.isolation.disobedient(cables.mode, HELD) == (Fault.NONE, -1)
+    assert unwound(cables, -1.05 * WOUND) == (Fault.CELL_FROZEN, 5)
+    assert unwound(cables, -1.05 * WOUND, held=~ALL) == (Fault.NONE, -1), "it has its name"
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"swing": 1.5 * SETTINGS.frozen_band},
+        {"pull": 0.95 * SETTINGS.torque_error},
+        {"held": ~ALL},
+        {"age": 1},
+    ],
+    ids=["it moves", "friction may be as much", "its drive is sound", "nothing fresh"],
+)
+def test_what_a_drum_may_well_do(cables: Watched, given: dict[str, Any]) -> None:
+    assert unwound(cables, 5.0 * WOUND, **given) == (Fault.NONE, -1)
+
+
+def test_a_reading_of_before_a_reset_says_nothing_of_a_drum(cables: Watched) -> None:
+    assert unwound(cables, 0.95 * WOUND) == (Fault.NONE, -1)
+    cables.isolation.reset()
+    held, ages = HELD, np.zeros(CABLES, np.uint16)
+    raw, angle = np.full(CABLES, PULL), np.full(CABLES, 3.0 * WOUND)
+    cables.isolation.unwound(raw, ages, raw, angle, held)
+    assert cables.isolation.disobedient(StopMode.DESCENT, held) == (Fault.NONE, -1)
 
 
 def test_a_force_that_moves_with_its_reference_is_not_frozen(cables: Watched) -> None:

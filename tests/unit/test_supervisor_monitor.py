@@ -33,16 +33,21 @@ class Watching:
         self.axes["state"], self.axes["age"] = AxisState.OPERATION_ENABLED, 0
         self._ticks = count()
 
-    def beat(self, *numbers: int) -> None:
+    def single(self, *numbers: int) -> bool:
         for number in numbers:
             assert SUPERVISOR is not None
             self.channels[number].handlers[HEARTBEAT + SUPERVISOR.node_id](b"\5")
-        self.look()
+        return self.look()
+
+    def beat(self, *numbers: int) -> None:
+        """Two heartbeats, the second of which says that it holds the drives."""
+        for _ in range(2):
+            self.single(*numbers)
 
     def look(self, ticks: int = 1) -> bool:
         for _ in range(ticks):
             self.monitor.look(next(self._ticks))
-        return self.image.supervisor_ignored
+        return self.monitor.ignored
 
 
 @pytest.fixture
@@ -59,7 +64,26 @@ def test_drives_that_stay_enabled_twice_as_long_as_they_should(watching: Watchin
     assert not watching.look(TWICE), "it is back"
     assert watching.look()
     watching.monitor.forget()
-    assert not watching.image.supervisor_ignored
+    assert not watching.monitor.ignored
+
+
+def test_single_heartbeats_hold_no_drive(watching: Watching) -> None:
+    """Under `require` it sends one now and then to drives that have power though it is silent: each
+    begins their watch, and ends it. Two in one tick, after a stall of the daemon, are two."""
+    for _ in range(5):
+        assert not watching.single(0, 1), "it was never there"
+        watching.look(TWICE + 2)
+    watching.beat(0, 1)
+    assert not watching.look(TWICE // 2 + 1)
+    assert not watching.single(0, 1)
+    for _ in range(3):
+        assert watching.look(TWICE // 2 + 1)
+        assert watching.single(0, 1)
+    for _ in range(2):
+        assert SUPERVISOR is not None
+        watching.channels[0].handlers[HEARTBEAT + SUPERVISOR.node_id](b"\5")
+        watching.channels[1].handlers[HEARTBEAT + SUPERVISOR.node_id](b"\5")
+    assert not watching.look(TWICE)
 
 
 def test_a_drive_that_says_nothing_may_have_stopped(watching: Watching) -> None:
@@ -75,9 +99,9 @@ def test_a_drive_that_says_nothing_may_have_stopped(watching: Watching) -> None:
 def test_a_channel_is_one_for_itself(watching: Watching) -> None:
     """Not those that hear it still, and one drive of those that do not is enough."""
     watching.beat(0, 1)
-    for _ in range(TWICE + 1):
-        watching.beat(0)
-    assert watching.image.supervisor_ignored
+    for _ in range(TWICE + 2):
+        watching.single(0)
+    assert watching.monitor.ignored
     watching.axes["state"][3] = AxisState.FAULT
     assert watching.look()
     watching.axes["state"][2] = AxisState.FAULT
