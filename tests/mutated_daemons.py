@@ -163,9 +163,9 @@ DAEMONS: dict[str, Mutated] = {
         both(blind, torque_in_control(opposite)),
         Requirement.OPPOSED,
         36.0,
-        0.15,
+        0.16,
         0.65,
-        speed_braked=0.5,
+        speed_braked=0.6,
     ),
     "a sign is wrong in the exchange": Mutated(
         both(blind, torque_on_the_bus(opposite)),

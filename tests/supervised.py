@@ -26,6 +26,8 @@ _ALONE = ("control.sequence.tare_s", "supervisor.policy")
 BRIEF = {key: value for key, value in QUICK.items() if key not in _ALONE}
 """Overrides for a quick bring-up, in which the supervisor begins while the cells are tared."""
 DRIVES = range(1, 9)
+REPORT_MS = 0.26
+"""the emergency frames of the two drives on a channel, 0.13 ms each: the drives stop before them"""
 _EMERGENCY, _HEARTBEAT_LOST = 0x080, 0x8130
 _SUPERVISOR = 126
 

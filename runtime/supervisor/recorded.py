@@ -84,9 +84,17 @@ class Replayed:
         self._axes, self._cells = wiring.axes, wiring.cells
         self._radius = np.array([train.drum.radius for train in config.robot.drive_trains])
         self._mille = np.array([axis.per_newton_metre for axis in wiring.axes])
+        self._most = np.array([axis.limit for axis in wiring.axes]) / abs(self._mille)
+        """N m (n,); a torque is recorded as control has it, and sent within the motor's limit"""
         self._sampled = np.full(len(wiring.axes), _BEFORE)
         self._measured = np.full(len(wiring.cells), _BEFORE)
         self._commanded: deque[Floats] = deque(maxlen=_DELAY_TICKS + _RISE_TICKS)
+        brakes = [train.brake for train in config.robot.drive_trains]
+        self._opening_ns = np.array([brake.opening_ms * 1e6 if brake else 0.0 for brake in brakes])
+        self._opening_ns[self._opening_ns > 0.0] += _DELAY_TICKS * config.control.rates.period_ns
+        """ns (n,) from enabling on, in which the drive holds a motor whose brake still opens"""
+        self._off_ns = np.zeros(len(wiring.axes))
+        """when a drive was not enabled last"""
         self.astray = np.zeros(len(wiring.axes))
         """N at each cable by which the drive's own torque was outside of what it was sent, at most
         in the records taken last; 0 while it is not enabled"""
@@ -110,7 +118,8 @@ class Replayed:
 
     def _take(self, claim: Claim, answers: Answers) -> None:
         heard, at_ns = self.heard, claim.at_ns
-        wanted = np.rint(_finite(claim.torque) * self._mille).astype(np.int64)
+        sent = np.clip(_finite(claim.torque), -self._most, self._most)
+        wanted = np.rint(sent * self._mille).astype(np.int64)
         length = np.rint(_finite(answers.angle) * self._radius / _METRE).astype(np.int64)
         sampled = _anew(claim.tick, answers.age, self._sampled)
         for axis, mille, position, word, new in zip(
@@ -137,11 +146,15 @@ class Replayed:
             if new:
                 heard[_CHANNEL, cell.received].take([word], at_ns)
                 heard[_CHANNEL, cell.emergency].take([status], at_ns)
-        self._compare(claim, answers, sampled)
+        self._compare(claim, sent, answers, sampled)
 
-    def _compare(self, claim: Claim, answers: Answers, sampled: NDArray[np.bool_]) -> None:
-        """The drive's own torque with the least and the largest that it was sent lately, where it
-        was sampled anew: a drive that is silent has its last one in the record."""
+    def _compare(
+        self, claim: Claim, sent: Floats, answers: Answers, sampled: NDArray[np.bool_]
+    ) -> None:
+        """The drive's own torque with the least and the largest that it was ``sent`` (n,) N m
+        lately, where it was sampled anew: a drive that is silent has its last one in the record."""
+        enabled = answers.statusword & STATE == OPERATION_ENABLED
+        self._off_ns[~enabled] = claim.at_ns
         commanded = self._commanded
         if len(commanded) == commanded.maxlen:
             lately = np.array(commanded)
@@ -152,12 +165,12 @@ class Replayed:
             high[limited] = np.maximum(high[limited], 0.0)
             torque = _finite(answers.torque)
             beyond = np.maximum(torque - high, low - torque)
-            compared = (answers.statusword & STATE == OPERATION_ENABLED) & sampled
+            compared = enabled & sampled & (claim.at_ns - self._off_ns > self._opening_ns)
             np.maximum(self.astray, beyond / self._radius, out=self.astray, where=compared)
         # What is no number is beyond every bound.
         known = np.isfinite(answers.torque) & np.isfinite(answers.angle)
         self.astray[~np.isfinite(claim.torque) | (sampled & ~known)] = np.inf
-        commanded.append(_finite(claim.torque))
+        commanded.append(sent)
 
 
 def _anew(tick: int, age: NDArray[np.uint16], before: NDArray[np.int64]) -> NDArray[np.bool_]:

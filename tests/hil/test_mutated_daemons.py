@@ -6,6 +6,7 @@ from __future__ import annotations
 import pytest
 
 from tests.mutated_daemons import BARE, BRAKED, DAEMONS, played
+from tests.supervised import REPORT_MS
 
 pytestmark = pytest.mark.wide
 
@@ -19,7 +20,7 @@ def test_the_supervisor_stops_it_alone(
     expected, found = DAEMONS[name], played(name, monkeypatch, robot)
     assert found.stopping is expected.stopping
     assert found.requirements == {expected.requirement}, found.error
-    assert found.stopped_ms <= expected.longest_ms
+    assert found.stopped_ms - REPORT_MS <= expected.longest_ms
     assert found.speed <= expected.speed
     speed, broken = expected.speed_after, expected.broken_after
     if robot == BRAKED:

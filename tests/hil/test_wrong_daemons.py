@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.supervised import BRIEF, DRIVES, Run, configured
+from tests.supervised import BRIEF, DRIVES, REPORT_MS, Run, configured
 from tests.wrong_daemons import (
     AT_ONCE,
     LATER,
@@ -45,8 +45,6 @@ from tonus.tools.campaign.play import Playing
 pytestmark = pytest.mark.wide
 
 WITHIN_MS, LOOK_MS = 25.0, 2.0
-REPORT_MS = 0.26
-"""the emergency frames of the two drives on a channel, 0.13 ms each: the drives stop before them"""
 ALSO = ("nothing is recorded", "torques frozen in control")
 """played by `make test-long`: another makes the same requirement act"""
 

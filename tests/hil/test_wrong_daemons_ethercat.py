@@ -30,12 +30,12 @@ from tonus.config.schema.faults import Loss, PowerCycle, Unplug
 from tonus.config.schema.robot_faults import CableCut
 from tonus.config.schema.supervisor import Requirement
 from tonus.config.timeouts import node_timeout_ms
-from tonus.runtime.states import Fault, State, StopMode
+from tonus.runtime.states import Fault, Operator, State, StopMode
 from tonus.runtime.supervisor.supervisor import Supervisor
 from tonus.runtime.timing import clock
 from tonus.tools.campaign.again import first_difference
 from tonus.tools.campaign.observed import Observed
-from tonus.tools.campaign.play import Playing
+from tonus.tools.campaign.play import Operated, Playing
 from tonus.tools.run.supervision import Overheard
 
 pytestmark = pytest.mark.wide
@@ -139,6 +139,27 @@ def test_a_daemon_in_order_on_ethercat_is_let_be(monkeypatch: pytest.MonkeyPatch
     assert not names & {"unsupervised", "supervisor_lost", "supervisor_stopped", "sto_relay_open"}
     assert run.released[0], "open until the supervisor holds it"
     assert not run.released[-1]
+
+
+@pytest.mark.parametrize("order", [Operator.STOP, Operator.ESTOP])
+def test_a_robot_with_brakes_on_ethercat_is_let_be(
+    order: Operator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its drives hold their motors by themselves until the brakes are open."""
+    told = Operated.next
+
+    def ordered(script: Operated, sequence: Any) -> Operator:
+        return order if run.changed_ns else told(script, sequence)
+
+    monkeypatch.setattr(Operated, "next", ordered)
+    brake = {"torque": 0.4, "opening_ms": 40.0, "closing_ms": 20.0}
+    stated = {"supervisor.policy": "require", "robot.brake": brake, "supervisor.disarmed_ms": 50}
+    config, _ = configured(PATH, **ROBOT, **BRIEF, **stated)
+    run = RelayRun(config, load_scenario("hold"), at=0.2)
+    seen = run.play(0.6)
+    assert run.changed_ns, "it is armed"
+    assert State.ACTIVE not in seen.state[-100:], "it obeys"
+    assert not run.said
 
 
 def test_a_stop_of_the_daemons_own_on_ethercat_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:

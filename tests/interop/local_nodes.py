@@ -74,6 +74,7 @@ def epos4(node_id: int) -> ObjectDictionary:
         (0x6077, 0): (0, INTEGER16, "ro"),
         (0x6080, 0): (50_000, UNSIGNED32, "rw"),
         (0x6085, 0): (10_000, UNSIGNED32, "rw"),
+        (0x60B2, 0): (300, INTEGER16, "rw"),
         (0x60C2, 1): (0, UNSIGNED8, "rw"),
     }
     for index in (0x6007, 0x605A, 0x605B, 0x605C, 0x605E):

@@ -49,7 +49,7 @@ def test_every_drive_is_configured_for_cyclic_synchronous_torque() -> None:
         node = robot.nodes[node_id]
         assert number(node, 0x6060, 0) == 10
         assert number(node, 0x60C2, 1) == 0
-        assert number(node, 0x6071, 0) == 0
+        assert number(node, 0x6071, 0) == number(node, 0x60B2, 0) == 0
         assert [number(node, 0x3001, sub) for sub in (1, 2, 5)] == [8000, 16000, 71000]
         assert (number(node, 0x3001, 4), number(node, 0x6080, 0)) == (40, 5200)
         assert number(node, 0x6085, 0) == 190000

@@ -67,7 +67,7 @@ def test_a_drive_is_powered_off_first_and_its_target_cleared_before_its_mode() -
     train = CONFIG.robot.drive_trains[0]
     objects = [setting.index for setting in settings(train, CONFIG.fieldbus.drive)]
     assert objects[0] == 0x6040
-    assert objects.index(0x6071) < objects.index(0x6060)
+    assert max(objects.index(0x6071), objects.index(0x60B2)) < objects.index(0x6060)
     assert objects.index(0x3001) < objects.index(0x6076)
 
 

@@ -86,6 +86,7 @@ def test_an_epos4_is_told_the_same_objects_as_ever_in_the_same_order() -> None:
         (0x6085, 0, 190000, 4),
         (0x3010, 1, 1024, 4),
         (0x6071, 0, 0, 2),
+        (0x60B2, 0, 0, 2),
         (0x6060, 0, 10, 1),
         (0x60C2, 1, 0, 1),
         (0x6007, 0, 3, 2),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tonus.config import Config, load
+from tonus.config.schema.axis import Brake
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
@@ -427,6 +428,39 @@ def test_a_command_that_is_no_number_explains_no_torque_but_none(
 def test_a_torque_that_was_sent_long_ago_explains_nothing(player: Player) -> None:
     player.take(commanded(1.0, 1.0), commanded(1.0, 1.0), commanded(1.0, 1.2))
     assert player.replayed.astray == pytest.approx(np.full(player.cables, 10.0))
+
+
+@pytest.mark.parametrize("value", [20.0, 1e10, 1e300])
+def test_a_torque_beyond_the_motors_limit_counts_as_it_is_sent(
+    player: Player, value: float
+) -> None:
+    """However large it is recorded, and by which it explains no more than the limit."""
+    axis = player.wiring.axes[2]
+    assert axis.newton is not None
+    assert axis.per_newton_metre is not None
+    most = axis.limit / abs(axis.per_newton_metre)
+    for sign in (1.0, -1.0):
+        player.take(commanded(sign * value, 1.0))
+        word = player.replayed.heard["", axis.sent].word
+        force = axis.torque.number(word) * axis.newton
+        assert force == pytest.approx(sign * most / 0.02, abs=abs(axis.newton))
+        player.take(commanded(sign * 1.0, sign * (most + 0.2)))
+        assert player.replayed.astray[2] == pytest.approx(10.0)
+
+
+def test_while_its_brake_opens_a_drive_holds_the_motor_by_itself(config: Config) -> None:
+    """For as long as that takes, and a torque takes to come back, each time that it is enabled."""
+    brake = Brake(torque=0.4, opening_ms=40.0, closing_ms=20.0)
+    robot = config.robot.model_copy(update={"brake": brake})
+    player = Player(config.model_copy(update={"robot": robot}))
+    holding = 46
+    for _ in range(2):
+        player.take(*[commanded(0.0, 0.0, DISABLED)] * 20)
+        for _ in range(holding):
+            player.take(commanded(0.0, 1.0))
+            assert player.replayed.astray.max() == 0.0
+        player.take(commanded(0.0, 1.0))
+        assert player.replayed.astray == pytest.approx(np.full(player.cables, 50.0))
 
 
 def test_a_drive_that_is_silent_is_not_compared(player: Player) -> None:
