@@ -93,6 +93,8 @@ class Mutated:
     """bounds of config/bounds.yaml that do not hold until then, and"""
     broken_after: frozenset[str] = frozenset()
     """after it"""
+    seldom_after: frozenset[str] = frozenset()
+    """those that do not hold after it where the look comes at some instants, and hold at others"""
     speed_braked: float = 0.05
     """as ``speed_after``, of a robot with brakes, and"""
     broken_braked: frozenset[str] = frozenset()
@@ -234,6 +236,7 @@ DAEMONS: dict[str, Mutated] = {
         44.0,
         0.1,
         0.75,
+        seldom_after=frozenset({"free_fall"}),
         speed_braked=0.55,
     ),
 }
