@@ -169,7 +169,7 @@ def test_every_enumeration_of_the_table_of_signals_has_names() -> None:
     assert small == {
         ("/tonus/state", "failed"),  # 0 or 1
         ("/tonus/state", "select"),  # numbers of the run's own scenarios
-        ("/tonus/state", "unguarded"),  # 0 or 1
+        ("/tonus/state", "unguarded"),  # bits
         ("/tonus/state", "scenario"),
         ("/tonus/force_cells", "status"),  # CiA 404's bits
         ("/tonus/tracker", "fresh"),

@@ -26,6 +26,9 @@ class Part:
         if "start" in self._failing.get(self.kind, ""):
             raise BringUpError(f"{self.kind} did not start")
 
+    def collect(self, tick: int) -> None:
+        """Nothing comes in."""
+
     async def stop(self) -> None:
         await asyncio.sleep(0)
         self.stopped = True
@@ -66,3 +69,12 @@ def test_what_stopping_says_does_not_hide_why_the_start_failed() -> None:
     with pytest.raises(BringUpError, match="ethercat did not start"):
         asyncio.run(fieldbus.start(lambda _: None))
     assert all(part.stopped for part in parts)
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_one_bus_on_which_the_supervisor_is_ignored_is_enough(place: int) -> None:
+    fieldbus, parts = several({})
+    for ignored in (True, False):
+        parts[place].image.supervisor_ignored = ignored
+        fieldbus.collect(0)
+        assert fieldbus.image.supervisor_ignored is ignored
