@@ -305,8 +305,9 @@ class Observer:
     def _moved(self, tared: Floats | None) -> tuple[Floats, Floats, Floats]:
         """Rates since the look before, of a drum whose answers are missing the last one for
         ``patience_ms`` and then 0; over the window, what of the mean torque neither the mean
-        tension nor the drum's change of motion explains, which is not known of such a drum, and
-        that mean."""
+        tension nor the drum's change of motion explains, and that mean. The first is not known of
+        such a drum, nor of one whose encoder reports a motion that its motor's limit, its cable and
+        ``unexplained_force`` together cannot make."""
         samples = self._samples
         nothing = np.full(len(self._axes), np.nan)
         if len(samples) < 3:
@@ -324,8 +325,11 @@ class Observer:
             means = (last.sums - first.sums) / (last.counts - first.counts)
         torque = means[0] * self._newton
         tare = np.zeros(len(torque)) if tared is None else tared[self._numbers]
+        force = means[1] - tare
         motion = self._mass * change + self._damping * rate
-        return rate, torque - (means[1] - tare) - motion, torque
+        most = abs(self._limit * self._newton) + abs(force) + self._settings.unexplained_force
+        motion[abs(motion) > most] = np.nan
+        return rate, torque - force - motion, torque
 
     def _rate(self, before: _Sample, now: _Sample) -> Floats:
         """Over the time between the SYNCs of the two positions, which their number tells better

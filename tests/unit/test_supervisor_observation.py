@@ -57,6 +57,33 @@ def test_what_neither_tension_nor_motion_explain(config: Config) -> None:
     assert found.enabled.all()
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("force", [0.0, 100.0])
+@pytest.mark.parametrize(("share", "known"), [(0.98, True), (1.02, False)])
+def test_a_motion_that_no_motor_can_make_is_the_encoders(
+    config: Config, way: float, force: float, share: float, known: bool
+) -> None:
+    """It contradicts no torque. The rate is what was reported."""
+    stage = Stage(config)
+    axis, settings = stage.wiring.axes[0], config.supervisor
+    assert axis.newton is not None
+    assert settings is not None
+    possible = axis.limit * abs(axis.newton) + force + settings.unexplained_force
+    # The last two looks are 2 ms apart, and rates are of the middle between two.
+    acceleration = way * share * possible / (axis.mass + axis.damping * 0.037)
+    for k in range(40):
+        metre = 0.5 * acceleration * (k * 1e-3) ** 2
+        stage.tick(k * MS, newton=50.0, metre=metre, force=force)
+        if k % 2 == 0:
+            found = stage.observe(k * MS, stage.heard, [claim(at_ms=k)])
+    assert found.rate == pytest.approx(acceleration * 0.037, rel=0.01)
+    if known:
+        left = 50.0 - force - way * share * possible
+        assert found.unexplained == pytest.approx(left, rel=0.01)
+    else:
+        assert np.isnan(found.unexplained).all()
+
+
 @pytest.mark.parametrize("phase_ns", [-50_000, 0, 50_000])
 def test_the_rate_does_not_depend_on_when_it_looks(config: Config, phase_ns: int) -> None:
     """Where PDOs arrive just when it looks, one look has one more of them than another."""

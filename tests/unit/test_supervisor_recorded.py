@@ -463,6 +463,12 @@ def test_while_its_brake_opens_a_drive_holds_the_motor_by_itself(config: Config)
         assert player.replayed.astray == pytest.approx(np.full(player.cables, 50.0))
 
 
+def test_a_motor_without_a_brake_is_compared_from_the_first_enabled_tick_on(player: Player) -> None:
+    player.take(*[commanded(0.0, 0.0, DISABLED)] * 20)
+    player.take(commanded(0.0, 1.0))
+    assert player.replayed.astray == pytest.approx(np.full(player.cables, 50.0))
+
+
 def test_a_drive_that_is_silent_is_not_compared(player: Player) -> None:
     """Its last torque stays in the record, while it is sent none any more."""
 
