@@ -105,7 +105,7 @@ def alternate(rounds: int, seconds: float, say: Callable[[str], None]) -> Altern
         if found is None:
             name, found = "bare thread", _bare(seconds)
         peer.merge(found)
-        spans, own = _fixed(seconds / 6.0)
+        spans, own = fixed_computation(seconds / 6.0)
         fixed.append(spans)
         processor.append(own)
         say(f"round {number} of {rounds}: the daemon for {seconds:g} s and its bring-up")
@@ -116,7 +116,7 @@ def alternate(rounds: int, seconds: float, say: Callable[[str], None]) -> Altern
     return Alternation(together(runs), peer, name, np.concatenate(fixed), overruns, share)
 
 
-def _fixed(seconds: float) -> tuple[Array, Array]:
+def fixed_computation(seconds: float, steps: int = _STEPS) -> tuple[Array, Array]:
     """us that ever the same computing took, as long as a tick's, after each of a bare thread's
     wake-ups: by the wall's clock and by the thread's own."""
     hygiene, watch = Hygiene(load(CONFIG)[0].realtime), Stopwatch(running=True)
@@ -126,7 +126,7 @@ def _fixed(seconds: float) -> tuple[Array, Array]:
 
     def compute() -> None:
         began, spent, total = wall_ns(), processor_ns(), 0
-        for number in range(_STEPS):
+        for number in range(steps):
             total += number
         own.append((processor_ns() - spent) * 1e-3)
         spans.append((wall_ns() - began) * 1e-3)

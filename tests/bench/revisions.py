@@ -1,9 +1,12 @@
 """This revision against an earlier one, through commands that both have.
 
     python -m tests.bench.revisions BASE [--rounds N] [--realtime S]
+    python -m tests.bench.revisions BASE --misses MINUTES
 
 In alternation on one host: what a tick of a virtual run costs the processor, from two lengths of
 the same run so that starting costs nothing; its speed against real time; and ticks in real time.
+With --misses, a minute at a time: ticks that each missed of its own, beside whole periods by which
+a bare thread exceeded its own with a fixed computation of the cycle's length.
 BASE is cloned, and its environment made, in out/revisions, where it is kept for the next time.
 """
 
@@ -23,10 +26,16 @@ from typing import Any
 import numpy as np
 
 from tests.bench.measure import microseconds
+from tests.bench.realtime import fixed_computation
 
 CONFIGS = ("can", "direct", "ethercat")
 _SHORT_S, _LONG_S = 1.0, 6.0
 _REALTIME_S = 10.0
+_MINUTE_S = 60.0
+_HOLD = ("--scenario", "hold", "--duration", str(_MINUTE_S))
+_PERIOD_US = 1e3
+_STEPS = 7_500
+"""of the fixed computation at first; after each minute as many as take the cycle's median"""
 
 
 @dataclass(frozen=True)
@@ -61,9 +70,13 @@ def main() -> None:
     parser.add_argument("--configs", nargs="+", default=CONFIGS, choices=CONFIGS)
     parser.add_argument("--seconds", type=float, default=_LONG_S, help="the longer virtual run")
     parser.add_argument("--realtime", type=float, default=_REALTIME_S, help="s of each; 0: none")
+    parser.add_argument("--misses", type=int, metavar="MINUTES", help="misses in real time alone")
     given = parser.parse_args()
     here = Path.cwd()
     base = checkout(given.base, here)
+    if given.misses:
+        misses(base, here, given.misses)
+        return
     print(f"base: {base.name}; a fixed loop of Python takes {fixed_loop_ms():.1f} ms here")
     print(HEAD.format(base=given.base))
     for config in given.configs:
@@ -136,6 +149,33 @@ def realtime(base: Path, here: Path, rounds: int, seconds: float) -> list[Compar
         own[where].append(summary["missed_ticks"])
     print(f"own misses of each run: base {own[base]}, here {own[here]}")
     return [Compared(name, "us", of[base], of[here]) for name, of in found.items()]
+
+
+def misses(base: Path, here: Path, minutes: int) -> None:
+    """Prints a row a minute of each, and the sums. A run's bring-up counts as well."""
+    print(
+        "| minute | own misses: base | here | fixed | by the host: base | here "
+        "| cycle, p50 / p99.9, us: base | here | fixed |\n|---|---|---|---|---|---|---|---|---|"
+    )
+    sums, steps = np.zeros(5, dtype=int), _STEPS
+    for minute in range(1, minutes + 1):
+        order = (base, here) if minute % 2 else (here, base)
+        runs = {where: _run(where, "can", *_HOLD)[1] for where in order}
+        spans, processor_us = fixed_computation(_MINUTE_S, steps)
+        pair = [runs[base], runs[here]]
+        counts = [run["missed_ticks"] for run in pair] + [int((processor_us // _PERIOD_US).sum())]
+        counts += [run["missed_by_host"] for run in pair]
+        cycles = [(run["cycle_us"]["p50"], run["cycle_us"]["p99_9"]) for run in pair]
+        cycles.append(tuple(np.percentile(spans, (50.0, 99.9))))
+        cells = [str(minute), *map(str, counts)]
+        cells += [f"{median:.0f} / {tail:.0f}" for median, tail in cycles]
+        print(f"| {' | '.join(cells)} |", flush=True)
+        for where, run in runs.items():
+            if run["state"] != "STANDBY":
+                print(f"{where.name}: {run['state']}, {run['reason']}", flush=True)
+        sums += counts
+        steps = round(steps * cycles[1][0] / cycles[2][0])
+    print(f"| all | {' | '.join(map(str, sums))} | | | |")
 
 
 def _alternating(base: Path, here: Path, rounds: int) -> Iterator[Path]:
