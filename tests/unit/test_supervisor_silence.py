@@ -284,6 +284,14 @@ def test_a_download_at_rest(watchdog: Watchdog, before: State, after: State) -> 
     assert watchdog.step(314, enabled=False) == []
 
 
+def test_a_fault_that_is_reset_beside_the_process_data_at_rest(watchdog: Watchdog) -> None:
+    """It changes nothing that a bring-up has made of the drive."""
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(0, 310, enabled=False))
+    written(watchdog, RESET_BY_SDO)
+    assert list(watchdog.steps(310, 330, enabled=False)) == [BEAT] * 10
+
+
 @pytest.mark.parametrize(
     ("before", "after"),
     [
