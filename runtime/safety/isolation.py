@@ -288,9 +288,17 @@ class Isolation:
         fault, place = self._contradiction(tension)
         if fault in _BY_LENGTH:
             stuck = int(np.abs(self.drums.travel).argmax())
-            if abs(self.drums.travel[stuck]) > self._settings.travel:
+            stands = abs(self.drums.travel[stuck]) > self._settings.travel
+            if stands and self._explains(stuck, place):
                 return Fault.DRUM_STUCK, stuck
         return fault, place
+
+    def _explains(self, stuck: int, place: int) -> bool:
+        """Whether a drum that stands can be why the length at ``place`` (-1: nowhere) is wrong.
+        One that friction holds for a moment, while its cable gives way, is not: its length is
+        right."""
+        drift = np.abs(self.drift)
+        return place < 0 or bool(self._settings.prominence * drift[stuck] >= drift[place])
 
     def disobedient(self, mode: StopMode, failed: NDArray[np.bool_]) -> tuple[Fault, int]:
         """The first drum whose motion does not match its torque, independent of the estimate. In a

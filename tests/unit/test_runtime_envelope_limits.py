@@ -187,6 +187,11 @@ def test_how_much_is_left(given: dict[str, Any], share: float, bound: Bound) -> 
     assert envelope.grade is (Grade.AMBER if bound is not Bound.NONE else Grade.GREEN)
 
 
+def test_a_tension_has_a_zone_of_its_own() -> None:
+    envelope = Robot(tension_warning=0.8).tick(tension=one(3, 200.0 - 0.1 * (200.0 - TENSION.pre)))
+    assert (envelope.progress, envelope.bound) == (pytest.approx(0.5), Bound.TENSION_HIGH)
+
+
 def test_the_least_share_decides() -> None:
     envelope = Robot().tick(contact=20.0, velocity=(0.22, 0.0, 0.0))
     assert envelope.bound is Bound.SPEED

@@ -227,7 +227,7 @@ def test_a_drum_that_stands_where_the_platform_would_turn_it_is_stuck(cables: Wa
         cables.given["angle"] = cables.given["angle"] + cables.given["rate"] * PERIOD
         if n == 90:
             assert found == {(Fault.NONE, -1)}
-            cables.given["innovation"][7] = 2.0 * SETTINGS.length_jump
+            cables.given["innovation"][[4, 7]] = np.array([0.9, 1.6]) * SETTINGS.length_jump
         found.add(cables.tick())
     assert found == {(Fault.NONE, -1), (Fault.DRUM_STUCK, 4)}
 

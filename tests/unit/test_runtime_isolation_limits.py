@@ -444,6 +444,57 @@ def test_one_that_stands_is_found_beside_one_that_turns(given: Residuals, mode: 
     assert given.isolation.disobedient(mode, ~given.watched) == (Fault.DRUM_TORQUE, 6)
 
 
+def test_a_reading_that_moves_by_more_than_its_noise_is_no_frozen_one(given: Residuals) -> None:
+    """By 1 N, while its reference has gone on far enough."""
+    given.reference[2] += 1.2 * SETTINGS.frozen_step
+    given.tick(2 * SETTINGS.frozen_ticks)
+    assert given.descending == NOTHING
+
+
+def test_a_cell_that_reads_nothing_from_the_first_tick_on() -> None:
+    """What it should have followed is what was asked of it since then."""
+    isolation, none = Residuals().isolation, np.zeros(CABLES)
+    pull, raw, age = np.full(CABLES, PULL), np.zeros(CELLS), np.zeros(CELLS, dtype=np.uint16)
+    for _ in range(2 * SETTINGS.frozen_ticks):
+        isolation.step(none, none, pull, pull, np.ones(CABLES, dtype=bool), raw, age, pull)
+    assert isolation.found(pull) == NOTHING
+    assert isolation.disobedient(StopMode.DESCENT, none.astype(bool)) == NOTHING
+
+
+@pytest.mark.parametrize("doubts", [2.0, 4.0])
+def test_how_many_doubts_of_its_elongation_a_mean_leaves_out(doubts: float) -> None:
+    given = Residuals(elongation_doubt=doubts)
+    given.doubt[2] = 0.1 * JUMP
+    given.innovation[2] = doubts * given.doubt[2] + 0.2 * JUMP
+    given.tick()
+    share = 1.0 - math.exp(-1.0 / TIME)
+    assert given.isolation.drift[2] == pytest.approx(share * 0.2 * JUMP)
+
+
+@pytest.mark.parametrize(
+    ("pull", "moved", "turned", "found"),
+    [
+        (1.01 * SETTINGS.torque_error, SETTINGS.frozen_band, 1.01, (Fault.CELL_FROZEN, 5)),
+        (SETTINGS.torque_error, SETTINGS.frozen_band, 1.01, NOTHING),
+        (1.01 * SETTINGS.torque_error, 1.01 * SETTINGS.frozen_band, 1.01, NOTHING),
+        (1.01 * SETTINGS.torque_error, SETTINGS.frozen_band, 1.0, NOTHING),
+    ],
+)
+def test_each_bound_of_a_drum_that_pays_out_at_one_force(
+    given: Residuals, pull: float, moved: float, turned: float, found: tuple[Fault, int]
+) -> None:
+    """From wherever it stands, which a reading does not change."""
+    held, tension = np.arange(CABLES) == 5, np.full(CABLES, pull)
+    way = SETTINGS.frozen_travel / CONFIG.robot.drum.radius
+    assert way * CONFIG.robot.drum.radius == SETTINGS.frozen_travel
+    for raw, share in ((0.0, 0.0), (0.0, 0.0), (moved, turned)):
+        readings, angle = np.full(CABLES, raw), np.full(CABLES, 2.0 + share * way)
+        given.isolation.unwound(readings, given.age[:CABLES], tension, angle, held)
+        if share == 0.0:
+            assert given.isolation.disobedient(StopMode.DESCENT, held) == NOTHING
+    assert given.isolation.disobedient(StopMode.DESCENT, held) == found
+
+
 @pytest.mark.parametrize(("pulses", "ticks"), [(1024, 3), (64, 9), (16, 17)])
 def test_a_drum_has_to_stand_for_as_long_as_a_coarse_encoder_may_hide_a_motion(
     pulses: int, ticks: int
@@ -469,6 +520,7 @@ def test_a_drum_is_stuck_only_where_a_length_contradicts(given: Residuals) -> No
     travel[:] = 0.5 * SETTINGS.travel
     travel[6] = -1.01 * SETTINGS.travel
     jumping(given)
+    given.innovation[6] = 0.6 * JUMP
     assert given.tick() == NOTHING, "one odd sample"
     assert given.tick() == (Fault.DRUM_STUCK, 6)
     travel[6] = -SETTINGS.travel
@@ -477,3 +529,32 @@ def test_a_drum_is_stuck_only_where_a_length_contradicts(given: Residuals) -> No
     given.isolation.drums.travel[6] = -1.01 * SETTINGS.travel
     astray(given)
     assert given.tick(ASTRAY) == (Fault.TENSION_ERROR, 2)
+
+
+@pytest.mark.parametrize(
+    ("share", "found"),
+    [
+        (0.0, (Fault.LENGTH_JUMP, 2)),
+        (0.99, (Fault.LENGTH_JUMP, 2)),
+        (1.0, (Fault.DRUM_STUCK, 6)),
+        (-1.0, (Fault.DRUM_STUCK, 6)),
+    ],
+)
+def test_a_drum_that_friction_holds_is_not_why_another_length_is_wrong(
+    given: Residuals, share: float, found: tuple[Fault, int]
+) -> None:
+    """Unless its own is nearly as wrong."""
+    given.isolation.drums.travel[6] = 2.0 * SETTINGS.travel
+    jumping(given)
+    given.innovation[6] = share / SETTINGS.prominence * given.innovation[2]
+    assert given.tick(SETTINGS.jump_ticks) == found
+
+
+def test_a_drum_that_stands_is_why_lengths_contradict_of_which_none_stands_out() -> None:
+    given = Residuals()
+    given.isolation.drums.travel[6] = 2.0 * SETTINGS.travel
+    for innovation in (2.0 * JUMP, 0.9 * JUMP) * 200:
+        given.innovation[:] = innovation
+        given.innovation[6] = 0.0
+        found = given.tick()
+    assert found == (Fault.DRUM_STUCK, 6)

@@ -17,7 +17,7 @@ ROBOT, PERIOD = CONFIG.robot, CONFIG.control.rates.period
 SETTINGS = CONFIG.control.tension_loop.model_copy(
     update={
         "integral": 5.0,
-        "integral_limit": 6.0,
+        "integral_limit": 0.6,
         "proportional": 3.0,
         "feed_forward": 0.9,
         "lead": 0.7,
@@ -87,11 +87,12 @@ def test_every_term_of_the_loop(seed: int) -> None:
     """Small and large inputs, some of them no numbers, some cables not usable, jumps."""
     random = np.random.default_rng(seed)
     loop, formula = TensionLoop(ROBOT, SETTINGS, PERIOD), Formula()
-    lengths = random.uniform(0.5, 2.0, N)
+    lengths, off = random.uniform(0.5, 2.0, N), random.uniform(-40.0, 40.0, N)
+    bounded = 0
     for tick in range(120):
         scale = 10.0 ** random.integers(-2, 4)
         reference = 60.0 + random.normal(0.0, min(scale, 30.0), N)
-        measured = reference + random.normal(0.0, 3.0, N)
+        measured = reference + random.normal(off, 3.0)
         rate, wanted = random.normal(0.0, scale, (2, N))
         desired = random.normal(0.0, 1.0, N), random.normal(0.0, scale, N)
         usable = random.random(N) > 0.1
@@ -103,6 +104,9 @@ def test_every_term_of_the_loop(seed: int) -> None:
             torque = formula.torque(*given)
         assert loop(*given) == pytest.approx(torque, rel=1e-9, abs=1e-9)
         assert loop.integral == pytest.approx(formula.integral, rel=1e-9, abs=1e-12)
+        bounded += (abs(formula.integral) == SETTINGS.integral_limit).sum()
+    assert loop.damping == pytest.approx(formula.damping)
+    assert bounded > 100
 
 
 def test_without_a_desired_motion_the_drums_are_taken_to_stand() -> None:

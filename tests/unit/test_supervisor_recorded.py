@@ -463,6 +463,12 @@ def test_while_its_brake_opens_a_drive_holds_the_motor_by_itself(config: Config)
         assert player.replayed.astray == pytest.approx(np.full(player.cables, 50.0))
 
 
+def test_what_is_in_no_frame_has_no_identifier(config: Config) -> None:
+    assert config.relay is not None
+    for axis in RecordedWiring(config, config.relay).axes:
+        assert (axis.heartbeat, axis.sync, axis.request) == (0, 0, 0)
+
+
 def test_a_motor_without_a_brake_is_compared_from_the_first_enabled_tick_on(player: Player) -> None:
     player.take(*[commanded(0.0, 0.0, DISABLED)] * 20)
     player.take(commanded(0.0, 1.0))
