@@ -202,9 +202,9 @@ def test_a_drum_that_stood_when_it_was_named_and_turns_is_free(
     cables.tick(50)
     cables.given["torque"][2] = RADIUS * (PULL + 10.0 * SETTINGS.torque_error)
     assert cables.tick(100)[0] is Fault.DRUM_TORQUE
-    angle = np.full(CABLES, 4.0)
+    angle = np.zeros(CABLES)
     assert not cables.isolation.freed(angle).any(), "from here on"
-    for way, free in ((0.9, False), (1.1, True), (-1.1, True)):
+    for way, free in ((0.9, False), (1.0, False), (1.1, True), (-1.1, True)):
         turned = angle + way * SETTINGS.freed_travel / RADIUS
         assert cables.isolation.freed(turned).tolist() == [free and n == 5 for n in range(CABLES)]
     cables.isolation.reset()
