@@ -192,8 +192,9 @@ def test_a_stop_off_the_path_has_more_patience_with_a_drum(cables: Watched, mode
 
 
 @pytest.mark.parametrize("mode", [StopMode.NONE, StopMode.DESCENT, StopMode.PASSIVE])
+@pytest.mark.parametrize(("start", "most"), [(4.0, 0.99), (0.0, 1.0)])
 def test_a_drum_that_stood_when_it_was_named_and_turns_is_free(
-    cables: Watched, mode: StopMode
+    cables: Watched, mode: StopMode, start: float, most: float
 ) -> None:
     """Either way round, and far; one that turned against its torque may be reversed."""
     cables.mode = mode
@@ -202,9 +203,9 @@ def test_a_drum_that_stood_when_it_was_named_and_turns_is_free(
     cables.tick(50)
     cables.given["torque"][2] = RADIUS * (PULL + 10.0 * SETTINGS.torque_error)
     assert cables.tick(100)[0] is Fault.DRUM_TORQUE
-    angle = np.zeros(CABLES)
+    angle = np.full(CABLES, start)
     assert not cables.isolation.freed(angle).any(), "from here on"
-    for way, free in ((0.9, False), (1.0, False), (1.1, True), (-1.1, True)):
+    for way, free in ((most, False), (1.01, True), (-1.01, True)):
         turned = angle + way * SETTINGS.freed_travel / RADIUS
         assert cables.isolation.freed(turned).tolist() == [free and n == 5 for n in range(CABLES)]
     cables.isolation.reset()
