@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.bench import revisions
@@ -37,6 +38,40 @@ def test_a_tick_costs_what_the_longer_run_took_more(monkeypatch: pytest.MonkeyPa
     assert cost.base == pytest.approx([200.0] * 3)
     assert cost.here == pytest.approx([300.0] * 3)
     assert speed.base == speed.here == [4.0] * 3
+
+
+def test_misses_of_both_and_of_a_bare_thread_in_as_many_minutes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The fixed computation becomes as long as a cycle, and each revision is first in turn."""
+    order, steps = [], []
+
+    def run(where: Path, config: str, *options: str) -> tuple[float, dict[str, Any]]:
+        assert (config, *options) == ("can", "--scenario", "hold", "--duration", "60.0")
+        order.append(where.name)
+        lost = len(order) == 4
+        cycle = {"p50": {"base": 300.0, "here": 200.0}[where.name], "p99_9": 500.0}
+        return 0.0, {
+            "missed_ticks": len(order),
+            "missed_by_host": 10 * len(order),
+            "cycle_us": cycle,
+            "state": "FAULT" if lost else "STANDBY",
+            "reason": "drives lost",
+        }
+
+    def fixed(seconds: float, count: int) -> tuple[Any, Any]:
+        steps.append(count)
+        return np.full(9, 100.0), np.array([900.0, 1100.0, 2500.0])
+
+    monkeypatch.setattr(revisions, "_run", run)
+    monkeypatch.setattr(revisions, "fixed_computation", fixed)
+    revisions.misses(Path("base"), Path("here"), 2)
+    assert order == ["base", "here", "here", "base"]
+    assert steps[1] == 2 * steps[0]
+    told = capsys.readouterr().out.splitlines()
+    assert told[2] == "| 1 | 1 | 2 | 3 | 10 | 20 | 300 / 500 | 200 / 500 | 100 / 100 |"
+    assert told[4] == "base: FAULT, drives lost"
+    assert told[5] == "| all | 5 | 5 | 6 | 50 | 50 | | | |"
 
 
 @pytest.mark.wide
