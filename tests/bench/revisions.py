@@ -72,6 +72,8 @@ def main() -> None:
     parser.add_argument("--realtime", type=float, default=_REALTIME_S, help="s of each; 0: none")
     parser.add_argument("--misses", type=int, metavar="MINUTES", help="misses in real time alone")
     given = parser.parse_args()
+    if given.misses is not None and given.misses < 1:
+        parser.error(f"--misses {given.misses}: give a number of minutes, 1 or more")
     here = Path.cwd()
     base = checkout(given.base, here)
     if given.misses:

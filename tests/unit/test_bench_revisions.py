@@ -40,6 +40,19 @@ def test_a_tick_costs_what_the_longer_run_took_more(monkeypatch: pytest.MonkeyPa
     assert speed.base == speed.here == [4.0] * 3
 
 
+@pytest.mark.parametrize("minutes", ["0", "-5"])
+def test_no_minutes_are_refused_before_anything_is_made(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], minutes: str
+) -> None:
+    monkeypatch.setattr("sys.argv", ["revisions", "HEAD", "--misses", minutes])
+    monkeypatch.setattr(revisions, "checkout", lambda *_: pytest.fail("it has begun"))
+    with pytest.raises(SystemExit) as ended:
+        revisions.main()
+    assert ended.value.code == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.endswith(f"--misses {minutes}: give a number of minutes, 1 or more")
+
+
 def test_misses_of_both_and_of_a_bare_thread_in_as_many_minutes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
