@@ -23,6 +23,7 @@ from tonus.drivers.process_image import AxisCommand, ProcessImage
 from tonus.runtime.control.allocation import Allocation
 from tonus.runtime.control.controllers import Motion, make_controller
 from tonus.runtime.control.controllers.base import norm, rehearse_descent
+from tonus.runtime.control.disagreement import Disagreement
 from tonus.runtime.control.estimator import Doubts, Estimate, PoseEstimator
 from tonus.runtime.control.guide import Guide
 from tonus.runtime.control.kinematics import Kinematics
@@ -38,7 +39,7 @@ from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.isolation import Isolation
 from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.safety.witness import Witness
-from tonus.runtime.signals import CycleRecord
+from tonus.runtime.signals import Consistency, CycleRecord, Grade
 from tonus.runtime.states import ARMED, Operator, State
 
 Array = NDArray[np.float64]
@@ -134,7 +135,10 @@ class ControlCycle:
         """rad/s (n,) that would follow the platform, rad/s and rad/s2 (n,) of the desired motion"""
         self._drum_rate = self._drum_motion[FOLLOWING]
         self._law = 0.0
-        self._accepted = False
+        self.accepted = False
+        """a tracker pose, in the last tick that regulated"""
+        self.records_cable_pose = True
+        """As in `tonus.runtime.ports.Recorded.cable_pose`."""
         self._finite = True
 
     def step(
@@ -256,19 +260,51 @@ class ControlCycle:
     ) -> CycleRecord:
         """The record of the tick that `act` has just been called for, with the same arguments: the
         drives need not wait for it."""
-        self._writer.tick(
-            image, tick, operator, select, change, self._loop, accepted=self._accepted
-        )
+        self._writer.tick(image, tick, operator, select, change, self._loop, accepted=self.accepted)
         if self.sequence.regulating:
-            self._estimator.solve_cables(self._referencing.measured)
+            self._solve_cables()
             self._writer.results(self._law)
         return self.record
+
+    def leave_unwritten(self) -> None:
+        """In place of `write`: what a tick without a record has to be watched for too."""
+        if self.sequence.regulating:
+            self._solve_cables()
+
+    def _solve_cables(self) -> None:
+        measured = self._referencing.measured
+        self._estimator.solve_cables(measured, recorded=self.records_cable_pose)
 
     @property
     def selectable(self) -> bool:
         """Another scenario may be chosen: nothing moves, and nothing will until a START."""
         state = self.sequence.state
         return state not in ARMED or (state is _HOLD and self._guide.standing)
+
+    @property
+    def scenario_time(self) -> float:
+        """s of the scenario, or of the lift, that have been played."""
+        return self._guide.time
+
+    @property
+    def grade(self) -> Grade:
+        """The envelope's."""
+        return self._envelope.grade
+
+    @property
+    def consistency(self) -> Consistency:
+        """Whether what is measured fits together."""
+        return self._estimator.consistency
+
+    @property
+    def disagreement(self) -> Disagreement:
+        """Of the tracker with the cables."""
+        return self._estimator.disagreement
+
+    @property
+    def deficit(self) -> float:
+        """N of the wanted wrench that the cables cannot deliver."""
+        return self._allocation.distribution.deficit
 
     @property
     def tare(self) -> Array:
@@ -322,7 +358,7 @@ class ControlCycle:
             slack = sequence.sound & ~descent.taut
             self._isolation.reeled(self._kinematics.lengths, lengths, slack)
             self._isolation.lengths(estimator.strays, estimator.believed)
-        self._accepted = bool(tracker["fresh"]) and estimator.track(
+        self.accepted = bool(tracker["fresh"]) and estimator.track(
             tracker["position"], tracker["quaternion"], float(tracker["delay"])
         )
         return estimate

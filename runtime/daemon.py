@@ -23,7 +23,7 @@ from tonus.runtime.operation.operator import Commander
 from tonus.runtime.operation.orders import Orders
 from tonus.runtime.operation.reporter import EventSink, Reporter
 from tonus.runtime.operation.self_test import SelfTest
-from tonus.runtime.ports import Ring, TrackerDoor
+from tonus.runtime.ports import ALL, Recorded, Ring, TrackerDoor
 from tonus.runtime.recording.keyframe_keeper import KeyframeKeeper, KeyframeSink
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.safety.fallback import Fallback
@@ -75,9 +75,11 @@ class Daemon:
         keyframes: KeyframeSink | None = None,
         others: Sequence[Scenario] = (),
         firewall: Firewall | None = None,
+        recorded: Recorded = ALL,
     ) -> None:
         """``others``: scenarios that may be chosen instead, by their numbers from 1 on;
-        ``firewall``: one that guards parts outside the daemon too."""
+        ``firewall``: one that guards parts outside the daemon too; ``recorded``: what of the run
+        goes into ``ring``."""
         self._config = config
         self._fieldbus, self._tracker, self._commander = fieldbus, tracker, commander
         self._ring, self._events, self._stopwatch = ring, events, stopwatch
@@ -90,10 +92,12 @@ class Daemon:
             references,
             config.operation.tunable,
         )
+        self.cycle.records_cable_pose = recorded.cable_pose
+        self._record_ns = recorded.stride * config.control.rates.period_ns
         self.firewall = firewall or Firewall(config.operation.firewall.failures)
         self._guard = GuardedParts(self.firewall)
         self._fallback = Fallback(config, self.cycle, self._guard.fallback)
-        self._reporter = Reporter(config, self.cycle, self._send)
+        self._reporter = Reporter(config, self.cycle, fieldbus.image, self._send)
         self._brakes = BrakeWatch(config)
         self.self_test = SelfTest(config, self._brakes)
         self.scheduler: Scheduler | None = None
@@ -207,7 +211,7 @@ class Daemon:
             return "stopped by the operator while the bus was brought up"
         if self._commander.interrupted:
             return "stopped by the operator"
-        played, asked = float(self.cycle.record.state.scenario_time), self._duration
+        played, asked = self.cycle.scenario_time, self._duration
         late = asked - played
         if late > _NOTICEABLE_S:
             return (
@@ -267,25 +271,35 @@ class Daemon:
         self._collect_tracker()
         collected = wall()
         command = self._command(tick, scheduler)
-        select, change = self._orders.select, self._orders.change
-        self._act(tick, command, select, change)
+        self._act(tick, command, self._orders.select, self._orders.change)
         computed = wall()
         fieldbus.publish(tick)
         published = wall()
         used = self._stopwatch.processor_ns() - used
         self._judge(tick)
         guard = self._guard
-        record = guard.record.call(cycle.write, fieldbus.image, tick, command, select, change)
-        if record is not None:
+        if due_ns % self._record_ns:
+            guard.record.call(cycle.leave_unwritten)
+        else:
             marks = Marks(began, collected, computed, published)
-            guard.record.call(self._write_timing, record, scheduler, marks, used)
-            guard.ring.call(self._ring.publish, record.data, due_ns)
+            self._record(tick, command, scheduler, marks, used)
         if self._keeper is not None:
             guard.keyframe.call(self._keeper, due_ns, tick)
         self._report(tick, command)
         guard.self_test.call(self._look, tick)
         self._serve_all()
         self._after_ns = wall() - published
+
+    def _record(
+        self, tick: int, command: Operator, scheduler: Scheduler, marks: Marks, used_ns: int
+    ) -> None:
+        guard, orders, image = self._guard, self._orders, self._fieldbus.image
+        record = guard.record.call(
+            self.cycle.write, image, tick, command, orders.select, orders.change
+        )
+        if record is not None:
+            guard.record.call(self._write_timing, record, scheduler, marks, used_ns)
+            guard.ring.call(self._ring.publish, record.data, self._due_ns)
 
     def _write_timing(
         self, record: CycleRecord, scheduler: Scheduler, marks: Marks, used_ns: int

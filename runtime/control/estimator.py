@@ -384,10 +384,13 @@ class PoseEstimator:
         self._count += 1
         return self.estimate
 
-    def solve_cables(self, lengths: Array) -> None:
+    def solve_cables(self, lengths: Array, *, recorded: bool = True) -> None:
         """The pose from the ``lengths`` (n,) alone, for the tick that `advance` has just been
         called for. It is recorded and watched, and nothing is controlled by it: the drives need not
-        wait for it."""
+        wait for it. Where it is not ``recorded``, only in the ticks in which it is watched."""
+        watched = (self._count - 1) % _CONDITION_TICKS == 0
+        if not (recorded or watched):
+            return
         self.residual = self._cables.fit(
             lengths,
             self.believed,
@@ -395,7 +398,7 @@ class PoseEstimator:
             self._cable_quaternion,
             iterations=_FIT_ITERATIONS,
         )
-        if (self._count - 1) % _CONDITION_TICKS == 0:
+        if watched:
             self.condition = self._cables.condition
 
     def track(self, position: Array, quaternion: Array, delay: float) -> bool:

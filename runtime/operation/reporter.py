@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from tonus.config.schema.root import Config
+from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.signals import Consistency, Grade
@@ -28,11 +29,13 @@ class EventSink(Protocol):
 
 
 class Reporter:
-    """Looks at each tick's record and tells what is new, once."""
+    """Looks at each tick and reports what is new, once."""
 
-    def __init__(self, config: Config, cycle: ControlCycle, events: EventSink) -> None:
+    def __init__(
+        self, config: Config, cycle: ControlCycle, image: ProcessImage, events: EventSink
+    ) -> None:
         self._config, self._events = config, events
-        self._sequence, self._record = cycle.sequence, cycle.record
+        self._cycle, self._sequence, self._tracker = cycle, cycle.sequence, image.tracker
         self._drums, self._blind = cycle.drums, False
         seconds = config.control.isolation.unobserved_s
         self._blind_ticks = round(seconds / config.control.rates.period)
@@ -51,7 +54,7 @@ class Reporter:
         self._tracker_patience = int(patience)
 
     def look(self, stamp_ns: int, tick: int) -> None:
-        """At what the cycle has just recorded; events are stamped ``stamp_ns``."""
+        """At what the cycle has just made of the tick; events are stamped ``stamp_ns``."""
         self._stamp_ns, self._tick = stamp_ns, tick
         sequence = self._sequence
         if sequence.fault is not self._fault:
@@ -67,21 +70,27 @@ class Reporter:
         if sequence.state is not self._state:
             before, self._state = self._state, sequence.state
             self._tell(Level.INFO, "state", "", f"{before.name} to {sequence.state.name}")
-        if int(self._record.envelope.grade) != self._grade:
-            grade = self._grade = Grade(int(self._record.envelope.grade))
-            level = Level.INFO if grade is Grade.GREEN else Level.WARNING
-            self._tell(level, "envelope", "", f"grade {grade.name.lower()}")
-        self._watch_tracker()
-        self._watch_estimator()
-        self._watch_deficit()
+        regulating = sequence.regulating
+        if regulating:
+            self._watch_envelope()
+        # Where nothing is estimated no pose is accepted either.
+        used = self._cycle.accepted if regulating else bool(self._tracker["fresh"])
+        self._watch_tracker(used)
+        if regulating:
+            self._watch_estimator()
+            self._watch_deficit()
         self._watch_drums()
 
-    def _watch_tracker(self) -> None:
+    def _watch_envelope(self) -> None:
+        grade = self._cycle.grade
+        if grade is not self._grade:
+            self._grade = grade
+            level = Level.INFO if grade is Grade.GREEN else Level.WARNING
+            self._tell(level, "envelope", "", f"grade {grade.name.lower()}")
+
+    def _watch_tracker(self, used: bool) -> None:
         """Without poses the estimator runs on the cables alone: a degraded mode, and said so."""
-        tracker = self._record.tracker
-        # Where nothing is estimated no pose is accepted either.
-        believed = tracker.accepted if self._sequence.regulating else tracker.fresh
-        if believed:
+        if used:
             if self._tracker_silent:
                 self._tell(Level.INFO, "tracker_back", "tracker", "poses are used again")
             self._tracker_tick, self._tracker_silent = self._tick, False
@@ -92,24 +101,24 @@ class Reporter:
 
     def _watch_estimator(self) -> None:
         """Measurements that contradict each other, and what the estimator made of it."""
-        pose, tracker = self._record.pose, self._record.tracker
-        learnt = int(tracker.learnt)
-        if int(pose.consistency) != self._consistency:
-            consistency = self._consistency = Consistency(int(pose.consistency))
+        consistency, disagreement = self._cycle.consistency, self._cycle.disagreement
+        learnt = disagreement.learnt
+        if consistency is not self._consistency:
+            self._consistency = consistency
             level = Level.INFO if consistency is Consistency.GOOD else Level.WARNING
             text = _CONSISTENCY[consistency]
             if consistency is Consistency.TRACKER:
-                text += f", {1e3 * float(tracker.disagreement):.1f} mm away"
+                text += f", {1e3 * disagreement.distance:.1f} mm away"
             self._tell(level, f"pose_{consistency.name.lower()}", "estimator", text)
         if learnt > self._learnt:
-            away = f"{1e3 * float(tracker.disagreement):.1f} mm"
+            away = f"{1e3 * disagreement.distance:.1f} mm"
             text = f"the tracker stays {away} away: the cable lengths are referenced again"
             self._tell(Level.WARNING, "tracker_learnt", "estimator", text)
         self._learnt = learnt
 
     def _watch_deficit(self) -> None:
         """A wrench the cables cannot deliver inside their bounds: said once an episode."""
-        deficit = float(self._record.wrench.deficit)
+        deficit = self._cycle.deficit
         short = deficit > self._config.control.distribution.deficit_limit
         if short and not self._short:
             text = f"{deficit:.1f} N of the commanded wrench cannot be delivered"

@@ -50,7 +50,9 @@ def test_drums_that_cannot_be_observed_are_a_named_mode() -> None:
     config, scenario = configured("hold", QUICK)
     loop, told = ClosedLoop(config, scenario), list[str]()
     loop.until(State.HOLD)
-    reporter = Reporter(config, loop.cycle, lambda _s, _t, _l, name, _w, _x: told.append(name))
+    reporter = Reporter(
+        config, loop.cycle, loop.image, lambda _s, _t, _l, name, _w, _x: told.append(name)
+    )
     for late_ns, ticks in ((0, 300), (200_000, 150), (0, 5), (200_000, 250), (0, 10)):
         for _ in range(ticks):
             loop.image.axes["doubt_ns"] = late_ns

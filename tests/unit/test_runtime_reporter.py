@@ -18,7 +18,7 @@ class Watched:
     def __init__(self, state: State) -> None:
         self.told: list[str] = []
         self.statue = Statue().until(state)
-        self.reporter = Reporter(CONFIG, self.statue.cycle, self._keep)
+        self.reporter = Reporter(CONFIG, self.statue.cycle, self.statue.image, self._keep)
         self.tick(POSE_TICKS)  # it has looked at no tick before
         self.told.clear()
 

@@ -21,6 +21,7 @@ from tonus.drivers.devices.tracker import TrackerInput
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Script
+from tonus.runtime.ports import Recorded
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.safety.sequence import Sequence as ControlSequence
 from tonus.runtime.signals import cycle_dtype
@@ -41,8 +42,7 @@ from tonus.tools.run.turning import TurningPacing
 
 SLOW_TICKS = 10
 """A trial of stage 1 moves at 1 mm/s for minutes: one tick in so many is kept."""
-
-
+_CABLE_POSE = frozenset({"pose.cable_position", "pose.bias", "pose.residual", "pose.condition"})
 _ACTIVE, _HOLD = State.ACTIVE, State.HOLD
 
 
@@ -67,16 +67,16 @@ class _UntilDone(Script):
 class _Cycles(Kept):
     """The records of ACTIVE."""
 
-    def __init__(self, cables: int, stride_ns: int) -> None:
+    def __init__(self, cables: int) -> None:
         dtype = cycle_dtype(cables)
-        super().__init__(dtype, stride_ns)
+        super().__init__(dtype)
         state = dtype["state"].fields
         assert dtype.fields is not None
         assert state is not None
         self._state = dtype.fields["state"][1] + state["state"][1]
         """the byte that has it"""
 
-    def _wanted(self, data: bytes) -> bool:
+    def _wanted(self, data: memoryview) -> bool:
         return data[self._state] == _ACTIVE
 
 
@@ -97,10 +97,10 @@ class Together:
         self.left = list(runs)
         self._config, self._lost = config, lost
         self._shared = script if len(runs) > 1 else runs[0].case.scenario.lab
-        stride = SLOW_TICKS if runs[0].case.kind is Kind.SLOPE else 1
-        stride_ns = stride * config.control.rates.period_ns
+        self._stride = SLOW_TICKS if runs[0].case.kind is Kind.SLOPE else 1
+        stride_ns = self._stride * config.control.rates.period_ns
         cables = config.robot.cables
-        self._cycles = _Cycles(cables, stride_ns)
+        self._cycles = _Cycles(cables)
         self._truths = Kept(truth_dtype(cables), stride_ns)
         self._events: list[Event] = []
         self._contact_peak = 0.0
@@ -116,11 +116,13 @@ class Together:
 
         Raises a `DriverError` when the bus cannot be brought up.
         """
-        outcome = clock.run(self._main(), virtual=True)
+        alone = cycle is None or not _CABLE_POSE.isdisjoint(cycle)
+        recorded = Recorded(self._stride, cable_pose=alone)
+        outcome = clock.run(self._main(recorded), virtual=True)
         first = self._trial(outcome, cycle, truth)
         return [replace(first, run=run) for run in self.left]
 
-    async def _main(self) -> Outcome:
+    async def _main(self, recorded: Recorded) -> Outcome:
         config, scenarios = (
             without_relay(self._config),
             [run.case.scenario for run in self.left],
@@ -141,6 +143,7 @@ class Together:
             events=self._event,
             stopwatch=clock.Stopwatch(running=False),
             others=scenarios[1:],
+            recorded=recorded,
         )
         try:
             return await daemon.run(

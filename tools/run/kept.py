@@ -23,12 +23,18 @@ class Kept:
         self._end = 0
         """bytes in use"""
         self._stamps: list[int] = []
+        self._source: NDArray[Any] | None = None
+        """what was published last, mostly one array that is written anew each time"""
+        self._data = memoryview(b"")
+        """its bytes"""
 
     def publish(self, payload: NDArray[Any], stamp_ns: int) -> None:
         """Keep ``payload``, an array of one."""
         if stamp_ns % self._stride_ns:
             return
-        data = payload.tobytes()
+        if payload is not self._source:
+            self._source, self._data = payload, payload.view(np.uint8).data
+        data = self._data
         if not self._wanted(data):
             return
         end = self._end + len(data)
@@ -38,7 +44,7 @@ class Kept:
         self._end = end
         self._stamps.append(stamp_ns)
 
-    def _wanted(self, data: bytes) -> bool:
+    def _wanted(self, data: memoryview) -> bool:
         """Whether a record is one of those to be kept: all are."""
         del data
         return True
