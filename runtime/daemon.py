@@ -93,7 +93,7 @@ class Daemon:
             config.operation.tunable,
         )
         self.cycle.records_cable_pose = recorded.cable_pose
-        self._record_ns = recorded.stride * config.control.rates.period_ns
+        self._stride = recorded.stride
         self.firewall = firewall or Firewall(config.operation.firewall.failures)
         self._guard = GuardedParts(self.firewall)
         self._fallback = Fallback(config, self.cycle, self._guard.fallback)
@@ -278,7 +278,7 @@ class Daemon:
         used = self._stopwatch.processor_ns() - used
         self._judge(tick)
         guard = self._guard
-        if due_ns % self._record_ns:
+        if self._stride > 1 and due_ns // scheduler.period_ns % self._stride:
             guard.record.call(cycle.leave_unwritten)
         else:
             marks = Marks(began, collected, computed, published)

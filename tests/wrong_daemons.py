@@ -58,6 +58,38 @@ def anew(change: Callable[[], Change]) -> Change:
     return made
 
 
+def angles(change: Callable[[Any, float], Any]) -> Change:
+    """Of what the exchange takes for drum angles (n,) rad, and the s since the change began; the
+    first are as they were."""
+
+    def made() -> Change:
+        begun: list[Any] = []
+
+        def changed(_: Any, exchange: Any, tick: int) -> None:
+            table = exchange._axis_table
+            if not begun:
+                begun.extend((tick, table["angle"].copy()))
+            first, at_first = begun
+            moved = change(table["angle"] - at_first, (tick - first) * 1e-3)
+            table["angle"] = at_first + moved
+
+        return after(Exchange, "fill", changed)
+
+    return anew(made)
+
+
+def without_power(*axes: int) -> Change:
+    """The exchange commands these drives to shut down, and the record goes on."""
+
+    def changed(result: tuple[Any, Any], *_: Any) -> tuple[Any, Any]:
+        words = list(result[0])
+        for axis in axes:
+            words[axis] = 0x06
+        return words, result[1]
+
+    return after(Exchange, "commands", changed)
+
+
 def torque_on_the_bus(change: Callable[[Any], Any]) -> Change:
     def changed(result: tuple[Any, Any], *_: Any) -> tuple[Any, Any]:
         words, torques = result
@@ -191,7 +223,7 @@ class Later(NamedTuple):
 
 LATER: dict[str, Later] = {
     "tensions far beyond their bound, no fault found": Later(
-        both(blind, after(Allocation, "distribute", tensed)), 25.0, Requirement.FROZEN, 0.8, 600.0
+        both(blind, after(Allocation, "distribute", tensed)), 25.0, Requirement.OPPOSED, 0.8, 600.0
     ),
     "a sign wrong in control, no fault found": Later(
         both(blind, torque_in_control(opposite)), 40.0, Requirement.OPPOSED, 0.8, 100.0
@@ -206,3 +238,25 @@ LATER: dict[str, Later] = {
         both(blind, torque_in_control(exchanged)), 45.0, Requirement.OPPOSED, 0.75, 170.0
     ),
 }
+
+CONTRADICTED: dict[str, Later] = {
+    "drum angles that drift by 4 rad/s, no fault found": Later(
+        both(blind, angles(lambda moved, s: moved + 4.0 * s)),
+        *(27.0, Requirement.MEASURED_LOGGED, 0.65, 60.0),
+    ),
+    "drum angles that stand still, no fault found": Later(
+        both(blind, angles(lambda moved, _: 0.0 * moved)),
+        *(55.0, Requirement.MEASURED_LOGGED, 0.75, 60.0),
+    ),
+    "each drum angle is that of the next axis, no fault found": Later(
+        both(blind, angles(lambda moved, _: np.roll(moved, 1))),
+        *(45.0, Requirement.MEASURED_LOGGED, 0.6, 60.0),
+    ),
+    "two drives have no power, no fault found": Later(
+        both(blind, without_power(0, 4)), 45.0, Requirement.DISARMED, 0.6, 60.0
+    ),
+    "one drive has no power, no fault found": Later(
+        both(blind, without_power(5)), 45.0, Requirement.DISARMED, 0.6, 60.0
+    ),
+}
+"""By frames with which a record does not agree."""

@@ -51,8 +51,8 @@ REQUIREMENT_TEXTS: dict[Requirement, str] = {
     Requirement.SPEED: "the drums' speeds allow the platform to be within its speed bound",
     Requirement.STIFFNESS: "K_eq is within its bounds and rises no faster than allowed",
     Requirement.COMMAND_LOGGED: "the torque on the bus is the one that the daemon records",
-    Requirement.MEASURED_LOGGED: "the force that the daemon records is the one on the bus",
-    Requirement.DISARMED: "no drive is enabled while the daemon says that it is disarmed",
+    Requirement.MEASURED_LOGGED: "the recorded forces and lengths are those on the bus",
+    Requirement.DISARMED: "the drives have power as the daemon's record says",
     Requirement.STOP_ENDS: "a controlled stop comes to its end",
     Requirement.STALE: "no torque is sent to a drive whose measurements have stopped",
     Requirement.LATE: "it looks in time itself",
@@ -73,6 +73,7 @@ LARGEST = {
     "frozen_frames": 20.0,
     "frozen_rate": 0.06,
     "frozen_tension": 0.1,
+    "logged_length": 0.002,
     "logged_ticks": 16.0,
     "margin": 1.2,
     "rotation": 3.0,
@@ -99,6 +100,7 @@ SMALLEST = {
     "stopping_ms": 100.0,
     "window_ms": 8.0,
     "opposed_ms": 10.0,
+    "logged_length": 0.0002,
     "opposed_error": 1.0,
     "frozen_frames": 3.0,
     "frozen_rate": 0.01,
@@ -193,6 +195,8 @@ class Supervisor(Section):
     """rad/s, in every state"""
     logged_tension: Annotated[Positive, Field(le=50)]
     """N by which a recorded force may differ from the one on the bus"""
+    logged_length: Annotated[Positive, Field(le=0.01)] = 0.0005
+    """m by which a recorded length of cable may be outside of those on the bus lately"""
     answered_torque: Annotated[Positive, Field(le=100)] = 10.0
     """N at the cable by which the torque that a drive reports may be outside of those that it was
     sent lately; judged where its frames are not read"""

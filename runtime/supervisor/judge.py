@@ -13,10 +13,9 @@ from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import Requirement, Supervisor
 from tonus.runtime.states import ARMED, Operator, State, StopMode
 from tonus.runtime.supervisor.observation import Observation
-from tonus.runtime.supervisor.record import Claim, Floats
+from tonus.runtime.supervisor.record import CONTROLLED, Claim, Floats
 
 NOWHERE = -1
-CONTROLLED = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
 _STIFF = (State.HOLD, State.ACTIVE)
 _AT_ONCE = (
     *(Requirement.TICK, Requirement.TORQUE, Requirement.FROZEN, Requirement.STALE),
@@ -72,10 +71,12 @@ class Judge:
         self._least_stiffness = control.stiffness.minimum / settings.margin
         self._most_rise = control.stiffness.rise_rate * settings.margin
         self._tare = control.sequence.tare_limit
+        self._least_tension = control.tension.min / settings.margin
         self._slack, self._passive_tension = control.tension.slack, control.stop.passive_tension
         self._tick_ns = control.rates.period_ns
         self._opposed_ns = round(settings.opposed_ms * 1e6)
         self._pulling_ns = round(settings.patience_ms * 1e6)
+        self._unpowered_ns = max(self._opposed_ns, self._pulling_ns)
         # The daemon's own envelope ends the control of a slack cable after so many ticks.
         self._slack_ns = self._pulling_ns + control.envelope.over_tension_ticks * self._tick_ns
         # Twice what the daemon itself takes for a fault, for twice as long.
@@ -170,6 +171,7 @@ class Judge:
         long_ns = round(self._settings.stopping_ms * 1e6)
         for each in self._always(seen, speeds):
             yield each, long_ns
+        yield from self._recorded(seen)
         if seen.claim is not None and seen.claim.state in _STIFF:
             loose = seen.enabled & (seen.tension < self._slack)
             for each in _at(Requirement.TENSION, seen, seen.tension, None, loose):
@@ -326,7 +328,7 @@ class Judge:
         self._tension = seen.tension
         if claim is None:
             return
-        on_path = claim.state == State.SAFE_STOP and claim.stop_mode == StopMode.ON_PATH
+        on_path = _is_on_path(claim)
         if not (on_path or claim.state in CONTROLLED):
             return
         reference = claim.reference[seen.axes]
@@ -336,6 +338,9 @@ class Judge:
         led = np.where(pull > 0.0, seen.tension < before, seen.tension > before)
         opposed &= against & (abs(error) > settings.opposed_error) & ~led
         opposed |= seen.enabled & ~np.isfinite(reference)
+        if claim.state in _STIFF:
+            inside = (reference >= self._least_tension) & (reference <= self._most_tension)
+            opposed |= seen.enabled & ~claim.failed[seen.axes] & ~inside
         for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
             yield each, self._patience_ns[Requirement.OPPOSED]
         if on_path or claim.state in _STIFF:
@@ -347,6 +352,25 @@ class Judge:
         if claim.state in _STIFF:
             for each in _at(Requirement.OPPOSED, seen, abs(error), self._astray, seen.enabled):
                 yield each, self._astray_ns
+
+    def _recorded(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
+        """SUP-11 of lengths; and SUP-12 the other way round: a drive without power, of a cable that
+        is not given up. In a stop along the path only as long as it is asked for tension: at its
+        end none is."""
+        claim, limit = seen.claim, self._settings.logged_length
+        if claim is None:
+            return
+        if claim.state in CONTROLLED:
+            for each in _at(Requirement.MEASURED_LOGGED, seen, seen.off_bus, limit, seen.enabled):
+                yield each, self._period_ns
+        asked = ~claim.failed
+        if _is_on_path(claim):
+            asked &= claim.reference > 0.0
+        elif claim.state not in CONTROLLED[1:]:
+            return
+        off = asked[seen.axes] & ~seen.enabled
+        for each in _at(Requirement.DISARMED, seen, claim.reference[seen.axes], None, off):
+            yield each, self._unpowered_ns
 
     def _stopping(self, seen: Observation) -> Iterator[Violation]:
         """In SAFE_STOP, besides what holds in every state: SUP-7 and 26."""
@@ -391,6 +415,10 @@ class Judge:
         twists = (self._inverted[key] @ rate[told]).reshape(-1, 2, 3)
         speeds: list[float] = np.sqrt((twists**2).sum(axis=2).min(axis=0)).tolist()
         return tuple(speeds)
+
+
+def _is_on_path(claim: Claim) -> bool:
+    return claim.state == State.SAFE_STOP and claim.stop_mode == StopMode.ON_PATH
 
 
 def _faster(speeds: tuple[float, ...], limits: tuple[float, ...]) -> Iterator[Violation]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.config.schema.supervisor import Supervisor
+from tonus.runtime.supervisor.lengths import Lengths
 from tonus.runtime.supervisor.listener import Heard
 from tonus.runtime.supervisor.record import Claim, Floats
 from tonus.runtime.supervisor.wiring import Cell, Wiring
@@ -93,6 +94,8 @@ class Observation:
     """a torque that the drive was sent is in none of the newest records"""
     late: NDArray[np.bool_]
     """but in one of before, as long as a drive waits for the heartbeat"""
+    off_bus: Floats
+    """m by which a recorded length is outside of those on the bus lately"""
     beating: NDArray[np.bool_]
     """its channel has the heartbeat"""
 
@@ -149,6 +152,7 @@ class Observer:
         self._sent: list[set[float]] = [set() for _ in wiring.axes]
         """to each axis in the look before, per mille"""
         self._samples: deque[_Sample] = deque()
+        self._lengths = Lengths(wiring.axes, settings, tick_ns)
         self._rates = np.zeros(len(wiring.axes))
         """m/s, the last that were known"""
         self._since = _Since(len(wiring.axes))
@@ -218,6 +222,7 @@ class Observer:
             claims,
             self._claim,
             *self._compared(sent, mille, len(claims)),
+            self._lengths(now_ns, self._samples[-1].length, self._claim),
             np.ones(len(enabled), bool),
         )
 

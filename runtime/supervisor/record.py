@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from tonus.runtime.recording.ring import RingReader
 from tonus.runtime.signals import cycle_dtype
+from tonus.runtime.states import State
 
 Floats = NDArray[np.float64]
+CONTROLLED = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
 
 
 @dataclass(frozen=True)
 class Answers:
-    """What drives and amplifiers have answered, as the daemon records it."""
+    """What else drives and amplifiers have answered, as the daemon records it."""
 
-    angle: Floats
-    """rad of the drums (n,)"""
     torque: Floats
     """N m at the drums, the drives' own figure (n,)"""
     statusword: NDArray[np.uint16]
@@ -55,6 +55,8 @@ class Claim:
     """N/m"""
     failed: NDArray[np.bool_]
     """cables that are given up (n,)"""
+    angle: Floats
+    """rad of the drums (n,)"""
     answers: Answers | None = None
     """where they are asked for"""
     tick: int = 0
@@ -100,6 +102,7 @@ def claims(records: New, *, answered: bool = False) -> list[Claim]:
             rows["force_cells"]["filtered"][:, -1].tolist(),
             rows["stiffness"]["k_eq"].tolist(),
             state["failed"].astype(bool),
+            rows["drives"]["angle"].copy(),
             _answers(rows) if answered else [None] * len(stamps),
             rows["timing"]["tick"].tolist(),
             state["fault"].tolist(),
@@ -115,7 +118,6 @@ def _answers(rows: NDArray[Any]) -> list[Answers]:
     return [
         Answers(*each)
         for each in zip(
-            drives["angle"].copy(),
             drives["torque"].copy(),
             drives["statusword"].copy(),
             drives["age"].copy(),

@@ -68,6 +68,7 @@ class RecordedWiring(Wiring):
                     _METRE,
                     train.drum.inertia / radius**2,
                     train.drum.viscous_friction / radius**2,
+                    None,
                 )
             )
         self.cells = [
@@ -120,7 +121,7 @@ class Replayed:
         heard, at_ns = self.heard, claim.at_ns
         sent = np.clip(_finite(claim.torque), -self._most, self._most)
         wanted = np.rint(sent * self._mille).astype(np.int64)
-        length = np.rint(_finite(answers.angle) * self._radius / _METRE).astype(np.int64)
+        length = np.rint(_finite(claim.angle) * self._radius / _METRE).astype(np.int64)
         sampled = _anew(claim.tick, answers.age, self._sampled)
         for axis, mille, position, word, new in zip(
             self._axes,
@@ -168,7 +169,7 @@ class Replayed:
             compared = enabled & sampled & (claim.at_ns - self._off_ns > self._opening_ns)
             np.maximum(self.astray, beyond / self._radius, out=self.astray, where=compared)
         # What is no number is beyond every bound.
-        known = np.isfinite(answers.torque) & np.isfinite(answers.angle)
+        known = np.isfinite(answers.torque) & np.isfinite(claim.angle)
         self.astray[~np.isfinite(claim.torque) | (sampled & ~known)] = np.inf
         commanded.append(sent)
 

@@ -16,10 +16,10 @@ from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import ARMED, State
 from tonus.runtime.supervisor.commands import NMT, REQUEST, Commands, Own, Told, told_by
 from tonus.runtime.supervisor.heartbeat import Beats
-from tonus.runtime.supervisor.judge import CONTROLLED, NOWHERE, Judge, Violation
+from tonus.runtime.supervisor.judge import NOWHERE, Judge, Violation
 from tonus.runtime.supervisor.listener import Heard, Listener, Watched
 from tonus.runtime.supervisor.observation import Listened, Observation, Observer, age
-from tonus.runtime.supervisor.record import Claim, Records, claims
+from tonus.runtime.supervisor.record import CONTROLLED, Claim, Records, claims
 from tonus.runtime.supervisor.recorded import RecordedWiring, Replayed
 from tonus.runtime.supervisor.wiring import Value, Wiring
 
@@ -83,7 +83,8 @@ class Supervisor:
         self._quiet_ns: int | None = None
         """since when no drive is enabled"""
         self._looked_ns = 0
-        self._tick = -1
+        self._tick = self._recorded_ns = -1
+        """of the newest record: its tick, and when that was due"""
         self._booted = np.zeros(len(self._axes), bool)
         """drives that have booted since their last measurement, and were told no power since"""
         self._led = np.zeros(len(self._axes), bool)
@@ -236,13 +237,13 @@ class Supervisor:
         return seen
 
     def _risen(self, now_ns: int, found: list[Claim]) -> list[Claim]:
-        """Without those of the future, and those of no later tick than the one before: whoever
-        writes the same again has recorded nothing."""
+        """Without those of the future, and those of no later tick, or time, than the one before:
+        whoever writes the same again has recorded nothing."""
         latest_ns = now_ns + self._tick_ns
         risen: list[Claim] = []
         for claim in found:
-            if claim.tick > self._tick and claim.at_ns <= latest_ns:
-                self._tick = claim.tick
+            if claim.tick > self._tick and self._recorded_ns < claim.at_ns <= latest_ns:
+                self._tick, self._recorded_ns = claim.tick, claim.at_ns
                 risen.append(claim)
         return risen
 

@@ -69,6 +69,8 @@ class Axis:
     """kg of the drum at the cable"""
     damping: float
     """N s/m of its bearings"""
+    radius: float | None
+    """m of the drum; None where the record alone tells its angle, or like ``newton``"""
     heartbeat: int = 0
     """identifier of the drive's own; 0 where its frames are not read"""
     sync: int = 0
@@ -136,6 +138,7 @@ class Wiring:
                         turn / ratio * radius if own else None,
                         train.drum.inertia / radius**2,
                         train.drum.viscous_friction / radius**2,
+                        radius if own else None,
                         _HEARTBEAT + drive.node_id,
                         _SYNC,
                         _REQUEST + drive.node_id,

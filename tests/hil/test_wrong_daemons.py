@@ -15,6 +15,7 @@ import pytest
 from tests.supervised import BRIEF, DRIVES, REPORT_MS, Run, configured
 from tests.wrong_daemons import (
     AT_ONCE,
+    CONTRADICTED,
     LATER,
     Change,
     Tightened,
@@ -28,6 +29,7 @@ from tests.wrong_daemons import (
     torque_in_control,
     torque_on_the_bus,
     without,
+    without_power,
 )
 from tonus.config.loader import load_scenario
 from tonus.config.schema.faults import CellBreak, Disconnect, Loss
@@ -88,9 +90,9 @@ def _fastest(run: Run, seen: Observed) -> float:
     return float(np.linalg.norm(seen.truth["velocity"][changed], axis=1).max())
 
 
-@pytest.mark.parametrize("name", LATER)
+@pytest.mark.parametrize("name", [*LATER, *CONTRADICTED])
 def test_a_daemon_whose_mistake_has_to_show(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    later = LATER[name]
+    later = (LATER | CONTRADICTED)[name]
     run, seen = _run(monkeypatch, later.change, overrides=BRIEF)
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
     assert run.slowest_ms - REPORT_MS <= later.longest_ms
@@ -100,16 +102,15 @@ def test_a_daemon_whose_mistake_has_to_show(name: str, monkeypatch: pytest.Monke
     assert seen.truth["tension"][seen.truth_ns > run.changed_ns].max() <= later.tension
 
 
-def test_tensions_that_rise_beyond_their_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the instant at which one is truly beyond the supervisor's bound."""
+def test_references_that_rise_beyond_their_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the record on in which one is beyond the supervisor's bound; the tensions follow."""
     rising = both(blind, anew(lambda: after(Allocation, "distribute", Tightened())))
     run, seen = _run(monkeypatch, rising, overrides=BRIEF, seconds=1.2)
     assert sorted(run.stopped_ns) == list(DRIVES), seen.error
-    assert {number for number, _ in run.said} == {Requirement.TENSION}
-    tension = seen.truth["tension"]
-    beyond = seen.truth_ns[(tension > 220.0).any(axis=1)][0]
+    assert {number for number, _ in run.said} == {Requirement.OPPOSED}
+    beyond = seen.cycle_ns[(seen.cycle["tension"]["reference"] > 220.0).any(axis=1)][0]
     assert (max(run.stopped_ns.values()) - beyond) * 1e-6 <= WITHIN_MS
-    assert tension.max() <= 240.0
+    assert seen.truth["tension"].max() <= 235.0
 
 
 def test_torques_on_which_no_drive_acts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,6 +137,16 @@ def test_a_stop_whose_torques_are_wrong(
     assert run.slowest_ms <= longest_ms
     assert {number for number, _ in run.said} == {Requirement.OPPOSED}
     assert _fastest(run, seen) <= 0.8
+
+
+def test_a_stop_in_which_drives_have_no_power(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Along the path, in a daemon that finds no fault."""
+    stop = {"state": State.SAFE_STOP, "at": 0.05, "scenario": "hold", "seconds": 0.9}
+    run, seen = _run(monkeypatch, both(blind, without_power(3, 7)), overrides=BRIEF, **stop)
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert run.slowest_ms <= 45.0
+    assert {number for number, _ in run.said} == {Requirement.DISARMED}
+    assert _fastest(run, seen) <= 0.6
 
 
 def test_a_passive_stop_that_drives_its_drums(monkeypatch: pytest.MonkeyPatch) -> None:

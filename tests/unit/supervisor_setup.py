@@ -38,7 +38,9 @@ def claim(state: State = State.ACTIVE, at_ms: float = 100.0, **given: Any) -> Cl
     tension = np.full(N, 45.0)
     zero = np.zeros(N)
     tare, given_up = np.zeros(N + 1), np.zeros(N, bool)
-    found = Claim(round(at_ms * MS), state, zero, tension, tension, tare, 0.0, 3210.0, given_up)
+    found = Claim(
+        round(at_ms * MS), state, zero, tension, tension, tare, 0.0, 3210.0, given_up, zero
+    )
     return replace(found, **given)
 
 
@@ -75,6 +77,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         claim=said,
         unlogged=np.zeros(N, bool),
         late=np.zeros(N, bool),
+        off_bus=np.zeros(N),
         beating=np.ones(N, bool),
     )
     if "mille" in given:
@@ -255,7 +258,8 @@ class Watchdog:
                 record = np.zeros(1, cycle_dtype(N))
                 record["state"]["state"] = state
                 record["timing"]["tick"] = round(now_ms * 1000) + (state == self.state)
-                self.records.append((round(now_ms * MS), record[0]))
+                at_ms = now_ms - (state != self.state)
+                self.records.append((round(at_ms * MS), record[0]))
         self._powered = enabled
         before, self.now_ms = len(self.buses[0].sent), now_ms
         self.supervisor.step(round(now_ms * MS))

@@ -22,9 +22,9 @@ from tests.unit.supervisor_setup import (
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
-from tonus.runtime.supervisor.judge import CONTROLLED, NOWHERE, Judge
+from tonus.runtime.supervisor.judge import NOWHERE, Judge
 from tonus.runtime.supervisor.observation import Observation
-from tonus.runtime.supervisor.record import Claim
+from tonus.runtime.supervisor.record import CONTROLLED, Claim
 
 
 @pytest.fixture(scope="module")

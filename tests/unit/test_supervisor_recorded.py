@@ -16,8 +16,7 @@ from tonus.config.schema.axis import Brake
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
-from tonus.runtime.supervisor.judge import CONTROLLED
-from tonus.runtime.supervisor.record import Claim, New, claims
+from tonus.runtime.supervisor.record import CONTROLLED, Claim, New, claims
 from tonus.runtime.supervisor.recorded import RecordedWiring, Replayed
 from tonus.runtime.supervisor.supervisor import Supervisor
 from tonus.runtime.supervisor.wiring import Wiring

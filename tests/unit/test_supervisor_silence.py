@@ -507,16 +507,19 @@ def commanded(
 
 
 def test_which_records_are_new(watchdog: Watchdog) -> None:
-    """The first of all, and each of a later tick that is not of the future: one of the future
-    counts for nothing, also for those that follow."""
+    """The first of all, and each of a later tick and a later time that is not of the future: one of
+    the future counts for nothing, also for those that follow."""
     risen = watchdog.supervisor._risen
     first, again = claim(at_ms=0.0, tick=0), claim(at_ms=0.0, tick=0)
     assert risen(0, [first]) == [first]
     assert risen(0, [again]) == []
     beyond = [claim(at_ms=1.000001, tick=7), claim(at_ms=1.0, tick=1)]
     assert [each.tick for each in risen(0, beyond)] == [1]
-    later = [claim(at_ms=1.0, tick=tick) for tick in (3, 2, 4)]
-    assert [each.tick for each in risen(0, later)] == [3, 4]
+    later = [
+        claim(at_ms=at_ms, tick=tick)
+        for at_ms, tick in ((1.0, 2), (1.1, 3), (1.2, 2), (1.1, 4), (1.3, 5), (1.2, 6), (1.4, 7))
+    ]
+    assert [each.tick for each in risen(MS, later)] == [3, 5, 7]
 
 
 @pytest.mark.parametrize(("silent_ms", "watched"), [(22, True), (24, True), (26, False)])

@@ -279,7 +279,7 @@ def test_a_cable_that_hangs_loose(config: Config, state: State) -> None:
     """5 N are the daemon's own bound, for 5 ticks; 5 ms of patience more."""
     judges = state in (State.HOLD, State.ACTIVE)
     for tension, for_ms, found in ((4.9, 10.0, judges), (4.9, 9.9, False), (5.0, 50.0, False)):
-        said = np.full(N, tension)
+        said = np.full(N, 45.0)
         given = {"tension": at(6, tension, 45.0), "torque": at(6, tension, 45.0)}
         looks = [
             seen(at_ms, claim(state, at_ms, tension=given["tension"], reference=said), **given)
@@ -289,7 +289,8 @@ def test_a_cable_that_hangs_loose(config: Config, state: State) -> None:
         assert (verdict is not None) is found
         assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.TENSION, 6)
         off = [replace(look, enabled=np.arange(N) != 6) for look in looks]
-        assert judged(config, *off)[-1] is None
+        verdict = judged(config, *off)[-1]
+        assert verdict is None or verdict.requirement is Requirement.DISARMED
 
 
 # --- a torque that is missing --------------------------------------------------------------------
@@ -332,7 +333,9 @@ def test_a_small_torque_against_the_reference_that_lasts(
         assert (verdict is not None) is found
         assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 5)
     others = [replace(look(at_ms), enabled=np.arange(N) != 5) for at_ms in (100.0, 120.0)]
-    assert judged(config, *others)[1] is None
+    off = judged(config, *others)[1]
+    assert off is not None
+    assert off.requirement is Requirement.DISARMED, "one without power opposes nothing"
     for state, mode in (
         (State.PRETENSION, StopMode.NONE),
         (State.ACTIVE, StopMode.PASSIVE),

@@ -1,0 +1,49 @@
+"""Drum angles that the daemon records against the positions that drives answer on the bus."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from tonus.config.schema.supervisor import Supervisor
+from tonus.runtime.supervisor.record import CONTROLLED, Claim, Floats
+from tonus.runtime.supervisor.wiring import Axis
+
+
+class Lengths:
+    """How far the recorded length of each cable is outside of those on the bus lately. Both begin
+    anywhere, so what they differ by when the robot comes under control is what they may differ by.
+    """
+
+    def __init__(self, axes: list[Axis], settings: Supervisor, tick_ns: int) -> None:
+        self._numbers = np.array([axis.number for axis in axes], np.int64)
+        self._radius = np.array([math.nan if a.radius is None else a.radius for a in axes])
+        kept_ms = settings.patience_ms + settings.period_ms
+        self._kept_ns = round(kept_ms * 1e6) + settings.logged_ticks * tick_ns
+        self._lately: deque[tuple[int, Floats]] = deque()
+        """when each look was, and the lengths on the bus (n,) m, for as long as a record may be
+        behind"""
+        self._apart = np.full(len(axes), np.nan)
+        """m (n,)"""
+
+    def __call__(self, now_ns: int, length: Floats, claim: Claim | None) -> Floats:
+        """m (n,), from the newest ``length`` (n,) on the bus and the newest record; not a number
+        where it is not known."""
+        lately = self._lately
+        lately.append((now_ns, length))
+        while len(lately) > 1 and now_ns - lately[1][0] >= self._kept_ns:
+            lately.popleft()
+        if claim is None:
+            return np.full(len(length), np.nan)
+        recorded = claim.angle[self._numbers] * self._radius
+        anew = ~np.isfinite(self._apart) | (claim.state not in CONTROLLED)
+        self._apart = np.where(anew, length - recorded, self._apart)
+        bus = np.array([each for _, each in lately])
+        with np.errstate(invalid="ignore"):
+            place = recorded + self._apart
+            off: Floats = np.maximum(place - bus.max(axis=0), bus.min(axis=0) - place)
+        known = np.isfinite(length * self._radius)
+        off[known & ~np.isfinite(claim.angle[self._numbers])] = np.inf
+        return off
