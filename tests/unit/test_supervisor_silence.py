@@ -136,6 +136,25 @@ def test_what_is_forgotten_at_once(config: Config) -> None:
     assert judge(seen(50.0, claim(State.FAULT, 50.0))) is None
 
 
+@pytest.mark.parametrize("state", [State.SAFE_STOP, State.FAULT])
+@pytest.mark.parametrize("booted", [False, True])
+def test_drives_that_boot_and_are_not_heard_again(
+    watchdog: Watchdog, state: State, booted: bool
+) -> None:
+    """All at once: those that have booted are off where the record is disarmed, and what they were
+    where it is armed."""
+    list(watchdog.steps(0, 310, enabled=False))
+    drives = range(len(watchdog.wiring.axes))
+    assert watchdog.step(310, enabled=True, beats=[(k, OPERATIONAL) for k in drives]) == BEAT
+    watchdog.state = state
+    deaf = {(axis.channel, axis.received) for axis in watchdog.wiring.axes}
+    boots = [(k, BOOT_UP if booted else OPERATIONAL) for k in drives]
+    assert watchdog.step(312, enabled=True, deaf=deaf, beats=boots) == BEAT
+    list(watchdog.steps(314, 400, enabled=True, deaf=deaf))
+    off = booted and state is State.FAULT
+    assert (watchdog.supervisor.violation is None) is off
+
+
 @pytest.mark.parametrize(
     ("beats", "forgotten"),
     [([], False), ([OPERATIONAL], False), ([BOOT_UP], True), ([BOOT_UP, OPERATIONAL], True)],
