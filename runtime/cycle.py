@@ -137,8 +137,8 @@ class ControlCycle:
         self._law = 0.0
         self.accepted = False
         """a tracker pose, in the last tick that regulated"""
-        self.records_cable_pose = True
-        """As in `tonus.runtime.ports.Recorded.cable_pose`."""
+        self.lean = False
+        """As in `tonus.runtime.ports.Recorded`."""
         self._finite = True
 
     def step(
@@ -260,7 +260,8 @@ class ControlCycle:
     ) -> CycleRecord:
         """The record of the tick that `act` has just been called for, with the same arguments: the
         drives need not wait for it."""
-        self._writer.tick(image, tick, operator, select, change, self._loop, accepted=self.accepted)
+        loop, accepted, lean = self._loop, self.accepted, self.lean
+        self._writer.tick(image, tick, operator, select, change, loop, accepted=accepted, lean=lean)
         if self.sequence.regulating:
             self._solve_cables()
             self._writer.results(self._law)
@@ -273,7 +274,7 @@ class ControlCycle:
 
     def _solve_cables(self) -> None:
         measured = self._referencing.measured
-        self._estimator.solve_cables(measured, recorded=self.records_cable_pose)
+        self._estimator.solve_cables(measured, recorded=not self.lean)
 
     @property
     def selectable(self) -> bool:

@@ -92,8 +92,8 @@ class Daemon:
             references,
             config.operation.tunable,
         )
-        self.cycle.records_cable_pose = recorded.cable_pose
-        self._stride = recorded.stride
+        self.cycle.lean = recorded.lean
+        self._recorded = recorded
         self.firewall = firewall or Firewall(config.operation.firewall.failures)
         self._guard = GuardedParts(self.firewall)
         self._fallback = Fallback(config, self.cycle, self._guard.fallback)
@@ -278,7 +278,8 @@ class Daemon:
         used = self._stopwatch.processor_ns() - used
         self._judge(tick)
         guard = self._guard
-        if self._stride > 1 and due_ns // scheduler.period_ns % self._stride:
+        stride = self._recorded.stride
+        if stride > 1 and due_ns // scheduler.period_ns % stride:
             guard.record.call(cycle.leave_unwritten)
         else:
             marks = Marks(began, collected, computed, published)
@@ -298,7 +299,8 @@ class Daemon:
             self.cycle.write, image, tick, command, orders.select, orders.change
         )
         if record is not None:
-            guard.record.call(self._write_timing, record, scheduler, marks, used_ns)
+            if not self._recorded.lean:
+                guard.record.call(self._write_timing, record, scheduler, marks, used_ns)
             guard.ring.call(self._ring.publish, record.data, self._due_ns)
 
     def _write_timing(

@@ -25,6 +25,22 @@ class Ring(Protocol):
     def publish(self, payload: NDArray[np.void], stamp_ns: int) -> None: ...
 
 
+LEFT_OUT = frozenset(
+    {
+        *("pose.cable_position", "pose.bias", "pose.residual"),
+        # From a start that is less near: not the same to the last bit.
+        "pose.condition",
+        "state.inputs",
+        *("timing.due_ns", "timing.missed_own", "timing.missed_host", "timing.page_faults"),
+        *("timing.switches", "timing.wakeup_us", "timing.bus_us", "timing.collect_us"),
+        *("timing.compute_us", "timing.publish_us", "timing.processor_us", "timing.slack_us"),
+        "timing.after_us",
+    }
+)
+"""By topic and name: what only a replay, or one who looks at the host or at the lengths, has use
+for."""
+
+
 @dataclass(frozen=True)
 class Recorded:
     """What of a run is recorded, where whoever keeps the records needs less than all: writing
@@ -33,9 +49,8 @@ class Recorded:
     stride: int = 1
     """one tick in so many, by the due time; where nothing is regulated the fields of regulation are
     of the last record in which it was"""
-    cable_pose: bool = True
-    """`pose.cable_position`, `pose.bias` and `pose.residual` of each record; else they are of some
-    ticks, and `pose.condition` is not the same to the last bit"""
+    lean: bool = False
+    """without what is in `LEFT_OUT`, of which a record then has old values or none"""
 
 
 ALL = Recorded()

@@ -68,19 +68,15 @@ class CycleWriter:
         loop: TensionLoop,
         *,
         accepted: bool,
+        lean: bool,
     ) -> None:
         """What every tick has; ``loop``: where its torques come from; ``accepted``: whether a
-        tracker pose was."""
+        tracker pose was; ``lean``: without the checksum of its inputs."""
         sensing, sequence, guide = self._sensing, self._sequence, self._guide
         allocation = self._allocation
-        said = tick * len(Operator) + operator
-        checksum = image.checksum(said ^ select << _SELECT_BIT)
         number, value = change
-        if number:
-            checksum = zlib.crc32(_CHANGE.pack(*change), checksum)
         unguarded = image.unguarded | image.supervisor_ignored << 1
-        if unguarded:
-            checksum = zlib.crc32(_UNGUARDED[unguarded], checksum)
+        checksum = 0 if lean else _checksum(image, tick, operator, select, change, unguarded)
         regulating = sequence.regulating
         faults, gains = sequence.faults, self._tuning.gains
         write_tick(
@@ -161,3 +157,21 @@ class CycleWriter:
             int(envelope.bound),
             *self._found,
         )
+
+
+def _checksum(
+    image: ProcessImage,
+    tick: int,
+    operator: Operator,
+    select: int,
+    change: GainChange,
+    unguarded: int,
+) -> int:
+    """Of all that the tick was given."""
+    said = tick * len(Operator) + operator
+    checksum = image.checksum(said ^ select << _SELECT_BIT)
+    if change.number:
+        checksum = zlib.crc32(_CHANGE.pack(*change), checksum)
+    if unguarded:
+        checksum = zlib.crc32(_UNGUARDED[unguarded], checksum)
+    return checksum

@@ -71,7 +71,7 @@ class CrossCheck:
             skipped=skipped,
             enabled=sequence.enabled,
         )
-        if sequence.faults.count and failed.any():
+        if failed.any():
             cells, held = image.cells[: len(failed)], sequence.faults.held
             self._isolation.unwound(
                 cells["force"], cells["age"], sensing.tension, sensing.angle, held

@@ -21,7 +21,7 @@ from tonus.drivers.devices.tracker import TrackerInput
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.daemon import Daemon, Outcome
 from tonus.runtime.operation.operator import Script
-from tonus.runtime.ports import Recorded
+from tonus.runtime.ports import LEFT_OUT, Recorded
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.safety.sequence import Sequence as ControlSequence
 from tonus.runtime.signals import cycle_dtype
@@ -42,7 +42,6 @@ from tonus.tools.run.turning import TurningPacing
 
 SLOW_TICKS = 10
 """A trial of stage 1 moves at 1 mm/s for minutes: one tick in so many is kept."""
-_CABLE_POSE = frozenset({"pose.cable_position", "pose.bias", "pose.residual", "pose.condition"})
 _ACTIVE, _HOLD = State.ACTIVE, State.HOLD
 
 
@@ -116,8 +115,8 @@ class Together:
 
         Raises a `DriverError` when the bus cannot be brought up.
         """
-        alone = cycle is None or not _CABLE_POSE.isdisjoint(cycle)
-        recorded = Recorded(self._stride, cable_pose=alone)
+        lean = cycle is not None and LEFT_OUT.isdisjoint(cycle)
+        recorded = Recorded(self._stride, lean=lean)
         outcome = clock.run(self._main(recorded), virtual=True)
         first = self._trial(outcome, cycle, truth)
         return [replace(first, run=run) for run in self.left]
