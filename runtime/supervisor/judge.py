@@ -76,7 +76,6 @@ class Judge:
         self._tick_ns = control.rates.period_ns
         self._opposed_ns = round(settings.opposed_ms * 1e6)
         self._pulling_ns = round(settings.patience_ms * 1e6)
-        self._unpowered_ns = max(self._opposed_ns, self._pulling_ns)
         # The daemon's own envelope ends the control of a slack cable after so many ticks.
         self._slack_ns = self._pulling_ns + control.envelope.over_tension_ticks * self._tick_ns
         # Twice what the daemon itself takes for a fault, for twice as long.
@@ -86,6 +85,8 @@ class Judge:
         self._inverted: dict[bytes, Floats] = {}
         """of these rows, by the cables that tell"""
         self._period_ns = round(settings.period_ms * 1e6)
+        # Longer than `_pulling_ns`, of the same requirement, whose time is forgotten more slowly.
+        self._unpowered_ns = max(self._opposed_ns, self._pulling_ns + self._period_ns)
         self._brakes = config.relay is None
         patience = dict.fromkeys(Requirement, settings.patience_ms) | dict.fromkeys(_AT_ONCE, 0.0)
         # A frame that is lost at an end of the window shows in one look there.

@@ -199,8 +199,8 @@ def test_without_power_is_never_found_before_the_general_patience() -> None:
     patient = STRICT | {"supervisor.patience_ms": 30, "supervisor.timeout_ms": 50}
     config = load("config/can.yaml", overrides=patient)[0]
     off = {"enabled": np.arange(N) != 3}
-    assert ended(config, 29.9, State.ACTIVE, **off) is None
-    assert ended(config, 30.0, State.ACTIVE, **off) == Violation(Requirement.DISARMED, 3, 45.0)
+    assert ended(config, 31.9, State.ACTIVE, **off) is None
+    assert ended(config, 32.0, State.ACTIVE, **off) == Violation(Requirement.DISARMED, 3, 45.0)
 
 
 @pytest.mark.parametrize("state", State)
