@@ -115,6 +115,12 @@ def test_torques_of_one_channel_that_come_late(config: Config) -> None:
             alone,
             where,
         )
+    zeros = {"unlogged": one, "late": one, "same": np.full(N, 60), "mille": at(0, 0, 100)}
+    found = lasting(config, 3.0, State.SAFE_STOP, **zeros)
+    assert found is not None
+    assert (found.requirement, found.alone) == (Requirement.COMMAND_LOGGED, True), (
+        "of a drum that had no torque until now"
+    )
 
 
 def test_what_is_wrong_with_all_comes_before_a_channel(config: Config) -> None:
