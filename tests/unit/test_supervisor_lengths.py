@@ -75,6 +75,20 @@ def test_they_begin_anew_until_the_robot_is_controlled(lengths: Lengths, state: 
     assert off == pytest.approx(np.full(N, expected), abs=1e-12)
 
 
+@pytest.mark.parametrize(("metre", "anew"), [(0.0001, True), (-0.0001, True), (0.00011, False)])
+def test_they_begin_anew_only_where_the_drum_stands(
+    lengths: Lengths, metre: float, anew: bool
+) -> None:
+    """Within the time for which a record may be behind."""
+    state = State.STANDBY
+    lengths(0, np.full(N, 0.3), said(0.1, state))
+    lengths(18 * MS, np.full(N, 0.3), said(0.1, state))
+    lengths(20 * MS, np.full(N, 0.3 + metre), said(0.15, state))
+    off = lengths(21 * MS, np.full(N, 0.3 + metre), said(0.15))
+    expected = 0.0 if anew else 0.05 - metre
+    assert off == pytest.approx(np.full(N, expected), abs=1e-12)
+
+
 @pytest.mark.parametrize("metre", [0.02, -0.02])
 def test_how_far_a_record_may_be_behind(lengths: Lengths, metre: float) -> None:
     """The platform moves for some time, in a record that stands still."""
