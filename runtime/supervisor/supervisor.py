@@ -83,7 +83,8 @@ class Supervisor:
         self._quiet_ns: int | None = None
         """since when no drive is enabled"""
         self._looked_ns = 0
-        self._tick = self._recorded_ns = -1
+        self._tick = -1
+        self._recorded_ns = -1
         """of the newest record: its tick, and when that was due"""
         self._booted = np.zeros(len(self._axes), bool)
         """drives that have booted since their last measurement, and were told no power since"""
