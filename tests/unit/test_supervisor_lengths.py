@@ -81,10 +81,10 @@ def test_they_begin_anew_only_where_the_drum_stands(
 ) -> None:
     """Within the time for which a record may be behind."""
     state = State.STANDBY
-    lengths(0, np.full(N, 0.3), said(0.1, state))
-    lengths(18 * MS, np.full(N, 0.3), said(0.1, state))
-    lengths(20 * MS, np.full(N, 0.3 + metre), said(0.15, state))
-    off = lengths(21 * MS, np.full(N, 0.3 + metre), said(0.15))
+    lengths(0, np.zeros(N), said(0.1, state))
+    lengths(18 * MS, np.zeros(N), said(0.1, state))
+    lengths(20 * MS, np.full(N, metre), said(0.15, state))
+    off = lengths(21 * MS, np.full(N, metre), said(0.15))
     expected = 0.0 if anew else 0.05 - metre
     assert off == pytest.approx(np.full(N, expected), abs=1e-12)
 
