@@ -31,7 +31,7 @@ def config() -> Config:
 
 NO_NUMBERS = [
     ("tension", Requirement.MEASURED_LOGGED, [State.ACTIVE]),
-    ("reference", Requirement.OPPOSED, [State.ACTIVE]),
+    ("reference", Requirement.OPPOSED, [State.PRETENSION, State.ACTIVE]),
     ("tare", Requirement.MEASURED_LOGGED, [State.ACTIVE, State.SAFE_STOP]),
     ("contact", Requirement.MEASURED_LOGGED, [State.ACTIVE]),
 ]
