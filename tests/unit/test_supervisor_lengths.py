@@ -239,3 +239,17 @@ def test_a_recorded_reference_has_the_bounds_of_the_tensions(
     off = [replace(look, enabled=np.arange(N) != 5) for look in looks]
     verdict = judged(config, *off)[-1]
     assert verdict is None or verdict.requirement is not Requirement.OPPOSED
+
+
+def test_a_recorded_reference_at_its_bounds_is_within_them(
+    config: Config, settings: Supervisor
+) -> None:
+    tension = config.control.tension
+    for bound in (tension.min / settings.margin, tension.max * settings.margin):
+        there = at(5, min(bound, tension.max), 45.0)
+        record = {"tension": there, "reference": at(5, bound, 45.0)}
+        looks = [
+            seen(ms, claim(State.HOLD, ms, **record), tension=there, torque=there)
+            for ms in (100.0, 110.0)
+        ]
+        assert judged(config, *looks)[-1] is None
