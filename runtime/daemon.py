@@ -126,10 +126,12 @@ class Daemon:
 
     def go_on(self, duration: float) -> None:
         """Between two ticks: what is recorded from here on is a run of its own, whose scenario
-        lasts ``duration`` s. It begins with the last tick's record and a keyframe."""
+        lasts ``duration`` s. It begins with the last tick's record, if that is recorded, and a
+        keyframe."""
         self._duration = duration
         record = self.cycle.record
-        self._ring.publish(record.data, self._due_ns)
+        if not self._leaves_unwritten(self._due_ns):
+            self._ring.publish(record.data, self._due_ns)
         if self._keeper is not None:
             self._keeper.now(self._due_ns, int(record.timing.tick))
 
@@ -278,8 +280,7 @@ class Daemon:
         used = self._stopwatch.processor_ns() - used
         self._judge(tick)
         guard = self._guard
-        stride = self._recorded.stride
-        if stride > 1 and due_ns // scheduler.period_ns % stride:
+        if self._leaves_unwritten(due_ns):
             guard.record.call(cycle.leave_unwritten)
         else:
             marks = Marks(began, collected, computed, published)
@@ -290,6 +291,14 @@ class Daemon:
         guard.self_test.call(self._look, tick)
         self._serve_all()
         self._after_ns = wall() - published
+
+    def _leaves_unwritten(self, due_ns: int) -> bool:
+        """Whether the tick that was due then is none of those that are recorded."""
+        recorded = self._recorded
+        if recorded is ALL:
+            return False
+        period = due_ns // self._config.control.rates.period_ns
+        return period % recorded.stride != 0 or self.cycle.sequence.state not in recorded.states
 
     def _record(
         self, tick: int, command: Operator, scheduler: Scheduler, marks: Marks, used_ns: int

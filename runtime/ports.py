@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.drivers.fieldbus import BusEvent
+from tonus.runtime.states import State
 
 
 class TrackerDoor(Protocol):
@@ -49,6 +50,8 @@ class Recorded:
     stride: int = 1
     """one tick in so many, by the due time; where nothing is regulated the fields of regulation are
     of the last record in which it was"""
+    states: frozenset[State] = frozenset(State)
+    """only the ticks that are in one of these after it was computed"""
     lean: bool = False
     """without what is in `LEFT_OUT`, of which a record then has old values or none"""
 

@@ -164,7 +164,7 @@ class Scheduler:
         stopwatch = self._stopwatch
         finished_ns = self._now_ns()
         finished_processor_ns = stopwatch.processor_ns()
-        blocked = self._disturbed(stopwatch.usage())
+        blocked = stopwatch.running and self._disturbed(stopwatch.usage())
         wanted = self._tick + 1
         due = self.due_ns(wanted)
         moved = self._pacing.steer(due)

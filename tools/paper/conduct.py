@@ -63,22 +63,6 @@ class _UntilDone(Script):
         return command
 
 
-class _Cycles(Kept):
-    """The records of ACTIVE."""
-
-    def __init__(self, cables: int) -> None:
-        dtype = cycle_dtype(cables)
-        super().__init__(dtype)
-        state = dtype["state"].fields
-        assert dtype.fields is not None
-        assert state is not None
-        self._state = dtype.fields["state"][1] + state["state"][1]
-        """the byte that has it"""
-
-    def _wanted(self, data: memoryview) -> bool:
-        return data[self._state] == _ACTIVE
-
-
 class Together:
     """Trials of one configuration and one seed whose scenarios differ in the reference, the load,
     the phantom and the duration alone. After `play` each process that returns has played those in
@@ -99,7 +83,7 @@ class Together:
         self._stride = SLOW_TICKS if runs[0].case.kind is Kind.SLOPE else 1
         stride_ns = self._stride * config.control.rates.period_ns
         cables = config.robot.cables
-        self._cycles = _Cycles(cables)
+        self._cycles = Kept(cycle_dtype(cables))
         self._truths = Kept(truth_dtype(cables), stride_ns)
         self._events: list[Event] = []
         self._contact_peak = 0.0
@@ -116,7 +100,7 @@ class Together:
         Raises a `DriverError` when the bus cannot be brought up.
         """
         lean = cycle is not None and LEFT_OUT.isdisjoint(cycle)
-        recorded = Recorded(self._stride, lean=lean)
+        recorded = Recorded(self._stride, frozenset({_ACTIVE}), lean)
         outcome = clock.run(self._main(recorded), virtual=True)
         first = self._trial(outcome, cycle, truth)
         return [replace(first, run=run) for run in self.left]
