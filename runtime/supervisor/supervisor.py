@@ -218,7 +218,7 @@ class Supervisor:
         seen.beating = np.array(self._beating)[self._channel_of]
         seen.enabled &= seen.beating
         if seen.enabled.any() or self._commands.led or changed:
-            found = changed or self._late(now_ns) or commanded or self._judge(seen)
+            found = changed or commanded or self._late(now_ns) or self._judge(seen)
             if found is not None and found.alone:
                 self._beating[self._channel_of[seen.axes == found.where].item()] = False
             elif found is not None:
@@ -283,7 +283,6 @@ class Supervisor:
         self.violation, self._quiet_ns = found, None
         first = found.requirement is Requirement.COMMANDED and not self._foul
         self._foul |= first
-        self._changed = None
         for place, beating in enumerate(self._beating):
             if beating or first:
                 self._send(place, _EMERGENCY + self.settings.node_id, _error(found))

@@ -221,10 +221,12 @@ class Watchdog:
         interrupted: bool = False,
         beats: Any = (),
         everywhere: bool = False,
+        powered: Any = (),
     ) -> list[tuple[int, bytes]]:
         """What the first channel was sent in this step. Identifiers in ``deaf`` do not arrive; on
         the other channels no drive is enabled, unless ``everywhere``. ``interrupted``: all drives
-        were off before. ``beats``: heartbeats of drives, axis and state each."""
+        were off before. ``beats``: heartbeats of drives, axis and state each. ``powered``: axes
+        whose process data tell them to have power, whatever they answer."""
         place = {channel: number for number, (_, channel, _) in enumerate(self.wiring.channels)}
         frames = {
             (cell.channel, cell.received): bytes(cell.received_bytes) for cell in self.wiring.cells
@@ -234,7 +236,10 @@ class Watchdog:
             word = 0x0237 if on else 0x0240
             data = word.to_bytes(2, "little") + bytes(axis.received_bytes - 2)
             frames[axis.channel, axis.received] = data
-            frames[axis.channel, axis.sent] = bytes(axis.sent_bytes)
+            told = 0
+            if axis.number in powered and axis.controlword is not None:
+                told = 0x0F << axis.controlword.shift
+            frames[axis.channel, axis.sent] = told.to_bytes(axis.sent_bytes, "little")
         frames |= {(axis.channel, axis.sync): b"" for axis in self.wiring.axes}
         off = {
             (axis.channel, axis.received): (0x0240).to_bytes(axis.received_bytes, "little")
