@@ -131,33 +131,42 @@ class SupervisorMonitor:
                 text = "the drives are enabled, and it has not begun"
                 self._events.begin("unsupervised", heard.channel, text)
         self.ignored = any(self._is_ignored(heard, tick) for heard in self._heard)
-        obstacle = self._obstacle()
+        obstacle = self._obstacle(tick)
         if obstacle:
             self._image.obstacles[self._item] = obstacle
         else:
             self._image.obstacles.pop(self._item, None)
 
+    def _holds(self, heard: _Heard, tick: int) -> bool:
+        """Its heartbeats follow each other in time."""
+        return heard.held_at is not None and tick - heard.held_at <= self._patience
+
     def _is_ignored(self, heard: _Heard, tick: int) -> bool:
         """A drive says that it is enabled, later than it may be. Those that are enabled after a
         loss, where the policy allows it, wait for nobody: their watch has not begun."""
-        if heard.held_at is None or tick - heard.held_at <= self._patience:
+        if heard.held_at is None or self._holds(heard, tick):
             return False
         axis = self._image.axis
         enabled = axis.state[heard.axes] == AxisState.OPERATION_ENABLED
-        heard.obeyed |= not enabled.any()
+        heard.obeyed |= not (self._required or enabled.any())
         late = axis.age[heard.axes] < tick - heard.held_at - heard.obeyed_ticks
         return not heard.obeyed and bool((enabled & late).any())
 
-    def _obstacle(self) -> str:
+    @property
+    def _required(self) -> bool:
+        return self._settings is not None and self._settings.policy == "require"
+
+    def _obstacle(self, tick: int) -> str:
         """To arming; "" for none."""
         if self.doubt:
             return "another master may have written to a device: emergency stop, then reset"
-        if self._settings is None or self._settings.policy != "require":
+        if not self._required:
             return ""
         if self._out_of_reach:
             drives = ", ".join(self._out_of_reach)
             return f"cannot stop {drives}: no second heartbeat consumer"
-        silent = [heard.channel for heard in self._heard if not heard.beating]
+        # A single heartbeat begins a watch, and holds nothing.
+        silent = [heard.channel for heard in self._heard if not self._holds(heard, tick)]
         return f"is not heard on {', '.join(silent)}" if silent else ""
 
     def _on_heartbeat(self, heard: _Heard, data: bytes) -> None:

@@ -76,13 +76,15 @@ class Orders:
             self._recovery = None
 
     def _operator(self, tick: int) -> Operator:
-        """What the operator says. Arming needs a good self-test. A reset in FAULT waits, while
-        ticks go on, until the bus has brought back what it can; an emergency stop ends that wait
-        and the reset with it."""
+        """What the operator says. Arming needs a good self-test, and no obstacle on the bus since
+        then. A reset in FAULT waits, while ticks go on, until the bus has brought back what it can;
+        an emergency stop ends that wait and the reset with it."""
         command = self._commander.next(self._sequence)
         self.who = self._commander.who
         if command is Operator.ARM and self._sequence.state is State.STANDBY:
-            obstacles = self._self_test.obstacles(tick)
+            obstacles = self._self_test.obstacles(tick) or [
+                f"{item}: {text}" for item, text in self._fieldbus.image.obstacles.items()
+            ]
             if obstacles:
                 self._refuse(tick, "; ".join(obstacles))
                 return Operator.NONE

@@ -23,9 +23,11 @@ TWICE = 2 * SUPERVISOR.timeout_ms
 class Watching:
     """Two channels, of which the second one's drives are axes 2 and 3; 4 waits for nobody."""
 
-    def __init__(self) -> None:
+    def __init__(self, policy: str = "use") -> None:
+        assert SUPERVISOR is not None
+        settings = SUPERVISOR.model_copy(update={"policy": policy})
         self.image = ProcessImage(5)
-        self.monitor = SupervisorMonitor(SUPERVISOR, 1000, self.image, EventLog())
+        self.monitor = SupervisorMonitor(settings, 1000, self.image, EventLog())
         self.channels: list[Any] = [SimpleNamespace(name=f"can{n}", handlers={}) for n in (0, 1)]
         for channel, axes in zip(self.channels, ([0, 1], [2, 3]), strict=True):
             self.monitor.listen(channel, axes)
@@ -124,3 +126,32 @@ def test_drives_without_a_second_consumer_are_not_asked_to_stop() -> None:
     watching.beat(0, 1)
     watching.axes["state"][:4] = AxisState.FAULT
     assert not watching.look(2 * TWICE)
+
+
+def test_drives_that_are_enabled_after_a_loss_where_it_is_required() -> None:
+    """Nothing may arm them then: those that are all the same do not wait for it."""
+    watching = Watching("require")
+    watching.axes["state"] = AxisState.SWITCH_ON_DISABLED
+    watching.beat(0, 1)
+    assert not watching.look(3 * TWICE)
+    watching.axes["state"][1] = AxisState.OPERATION_ENABLED
+    assert watching.look()
+    watching.beat(0, 1)
+    assert not watching.look()
+
+
+def test_single_heartbeats_arm_no_robot() -> None:
+    """One that is required has to hold the drives, on each channel, before they are enabled."""
+    watching = Watching("require")
+    for _ in range(3):
+        watching.single(0, 1)
+        assert watching.image.obstacles
+        watching.look(TWICE)
+    watching.beat(0)
+    assert list(watching.image.obstacles.values()) == ["is not heard on can1"]
+    watching.beat(0, 1)
+    assert not watching.image.obstacles
+    watching.look(TWICE // 2)
+    assert not watching.image.obstacles
+    watching.look()
+    assert watching.image.obstacles
