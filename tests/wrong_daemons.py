@@ -78,16 +78,26 @@ def angles(change: Callable[[Any, float], Any]) -> Change:
     return anew(made)
 
 
-def without_power(*axes: int) -> Change:
-    """The exchange commands these drives to shut down, and the record goes on."""
+def told(word: int, *axes: int) -> Change:
+    """The exchange gives these drives a controlword of its own, and the record goes on."""
 
     def changed(result: tuple[Any, Any], *_: Any) -> tuple[Any, Any]:
         words = list(result[0])
         for axis in axes:
-            words[axis] = 0x06
+            words[axis] = word
         return words, result[1]
 
     return after(Exchange, "commands", changed)
+
+
+def without_power(*axes: int) -> Change:
+    """They shut down."""
+    return told(0x06, *axes)
+
+
+def in_quick_stop(*axes: int) -> Change:
+    """They hold their motors by themselves."""
+    return told(0x02, *axes)
 
 
 def torque_on_the_bus(change: Callable[[Any], Any]) -> Change:

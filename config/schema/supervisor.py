@@ -78,6 +78,7 @@ LARGEST = {
     "margin": 1.2,
     "rotation": 3.0,
     "rotation_stopping": 20.0,
+    "speed_on_path": 0.8,
 }
 """What a robot may state, in the keys' units, frames and ticks as of 1 ms; in a lab the keys' own
 bounds hold. All R: with more a mistake is found too late. `tonus.config.schema.place` has period,
@@ -91,6 +92,7 @@ LARGEST_SHARES = {
     "logged_tension": 0.5,
     "opposed_long_force": 0.5,
     "opposed_long_error": 0.25,
+    "excess_force": 8.0,
     "answered_torque": 0.5,
     "passive_torque": 0.25,
 }
@@ -110,6 +112,7 @@ SMALLEST = {
     "rotation": 0.3,
     "rotation_stopping": 3.0,
     "speed_stopping": 1.5,
+    "speed_on_path": 0.4,
 }
 """What a robot has to state at least, in the keys' units, frames and ticks. All R: between what a
 robot in order was seen to reach (config/supervisor.yaml) and what is shipped."""
@@ -119,6 +122,7 @@ SMALLEST_SHARES = {
     "logged_tension": 0.15,
     "opposed_long_force": 0.3,
     "opposed_long_error": 0.1,
+    "excess_force": 6.0,
     "answered_torque": 0.05,
     "passive_torque": 0.025,
 }
@@ -179,6 +183,9 @@ class Supervisor(Section):
     opposed_long_error: Annotated[Positive, Field(le=50)] = 8.0
     """N as ``opposed_error``, the same way"""
     opposed_ms: Annotated[Positive, Field(le=100)] = 20.0
+    excess_force: Annotated[Positive, Field(le=500)] = 300.0
+    """N between torque and reference, on the reference's side: in HOLD, ACTIVE, a stop along the
+    path"""
     margin: Annotated[Number, Field(ge=1, le=1.5)]
     """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
     tension_stopping: Positive
@@ -187,6 +194,8 @@ class Supervisor(Section):
     """N, in every state"""
     contact_at_once: Annotated[Positive, Field(le=200)] = 70.0
     """N that a stop may not exceed for longer than ``patience_ms``"""
+    speed_on_path: Annotated[Positive, Field(le=2)] = 0.5
+    """m/s, in a stop along the path for ``opposed_ms``; with ``rotation``"""
     speed_stopping: Annotated[Positive, Field(le=5)]
     """m/s, in every state"""
     rotation: Annotated[Positive, Field(le=5)]

@@ -78,7 +78,8 @@ class Commands:
         """where among what was found last was a controlword that may lead to power, which no daemon
         in order writes: it resets faults"""
         self.changed: Violation | None = None
-        """among what was found last, a download to anything but the controlword"""
+        """among what was found last, a download to anything but the controlword, or a command of
+        the network"""
 
     def __call__(self) -> Violation | None:
         """An NMT command, or a download but to switch the power off, by a stranger or by the
@@ -99,7 +100,7 @@ class Commands:
             for word in map(int, each.commands.numbers):
                 code, node = word & 0xFF, word >> 8 & 0xFF
                 if node in (_EVERY_NODE, each.node):
-                    found = Violation(Requirement.COMMANDED, each.where, code)
+                    found = self.changed = Violation(Requirement.COMMANDED, each.where, code)
         for each in self._told:
             each.requests.numbers.clear()
             each.commands.numbers.clear()

@@ -173,6 +173,11 @@ class Judge:
         for each in self._always(seen, speeds):
             yield each, long_ns
         yield from self._recorded(seen)
+        if seen.claim is not None and _is_on_path(seen.claim):
+            # One that is thrown is soon slower again, or in another stop.
+            limits = (self._settings.speed_on_path, self._settings.rotation)
+            for each in _faster(speeds, limits):
+                yield each, self._opposed_ns
         if seen.claim is not None and seen.claim.state in _STIFF:
             loose = seen.enabled & (seen.tension < self._slack)
             for each in _at(Requirement.TENSION, seen, seen.tension, None, loose):
@@ -320,17 +325,17 @@ class Judge:
 
     def _against(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
         """SUP-5, wherever tensions follow the references, so in a stop along the path too: a torque
-        against them; a smaller one that lasts, such as one that is missing; and, whatever the
-        torque, a tension that stays away. Where a tension goes against the torque it is the
-        platform that moves, and its drum has to follow it. Where a drum turns the way that its
-        tension has to go, so much of the torque as would not stop it in ``opposed_ms`` brakes it,
-        as a platform that is thrown wants."""
+        against them; a smaller one that lasts, such as one that is missing; one that is far beyond
+        them; and, whatever the torque, a tension that stays away. Where a tension goes against the
+        torque it is the platform that moves, and its drum has to follow it. Where a drum turns the
+        way that its tension has to go, so much of the torque as would not stop it in ``opposed_ms``
+        brakes it, as a platform that is thrown wants."""
         claim, settings = seen.claim, self._settings
         before = seen.tension if self._tension is None else self._tension
         self._tension = seen.tension
         if claim is None:
             return
-        on_path = _is_on_path(claim)
+        on_path, stiff = _is_on_path(claim), claim.state in _STIFF
         if not (on_path or claim.state in CONTROLLED):
             return
         reference = claim.reference[seen.axes]
@@ -339,26 +344,29 @@ class Judge:
         opposed = abs(pull) > settings.opposed_force
         led = np.where(pull > 0.0, seen.tension < before, seen.tension > before)
         opposed &= against & (abs(error) > settings.opposed_error) & ~led
-        opposed |= seen.enabled & ~np.isfinite(reference)
-        if claim.state in _STIFF:
-            inside = (reference >= self._least_tension) & (reference <= self._most_tension)
-            opposed |= seen.enabled & ~claim.failed[seen.axes] & ~inside
+        # A cable that is given up may have a reference of 0.
+        given_up = claim.failed[seen.axes] | (not stiff)
+        least = np.where(given_up, 0.0, self._least_tension)
+        opposed |= seen.enabled & ~((reference >= least) & (reference <= self._most_tension))
+        if on_path or stiff:
+            excess = abs(seen.torque - reference) > settings.excess_force
+            opposed |= excess & seen.enabled & ~(against & (abs(error) > settings.opposed_error))
         for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
             yield each, self._patience_ns[Requirement.OPPOSED]
-        if on_path or claim.state in _STIFF:
+        if on_path or stiff:
             braking = np.fmax(0.0, np.sign(error) * seen.momentum) / (self._opposed_ns * 1e-9)
             opposed = abs(pull) - braking > settings.opposed_long_force
             opposed &= against & (abs(error) > settings.opposed_long_error)
             for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
                 yield each, self._opposed_ns
-        if claim.state in _STIFF:
+        if stiff:
             for each in _at(Requirement.OPPOSED, seen, abs(error), self._astray, seen.enabled):
                 yield each, self._astray_ns
 
     def _recorded(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
-        """SUP-11 of lengths; and SUP-12 the other way round: a drive without power, of a cable that
-        is not given up. In a stop along the path only as long as it is asked for tension: at its
-        end none is."""
+        """SUP-11 of lengths; and SUP-12 the other way round: a drive without power, or in quick
+        stop, of a cable that is not given up. In a stop along the path only as long as it is asked
+        for tension: at its end none is."""
         claim, limit = seen.claim, self._settings.logged_length
         if claim is None:
             return
@@ -370,7 +378,7 @@ class Judge:
             asked &= claim.reference > 0.0
         elif claim.state not in CONTROLLED[1:]:
             return
-        off = asked[seen.axes] & ~seen.enabled
+        off = asked[seen.axes] & (seen.in_quick_stop | ~seen.enabled)
         for each in _at(Requirement.DISARMED, seen, claim.reference[seen.axes], None, off):
             yield each, self._unpowered_ns
 

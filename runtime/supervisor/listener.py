@@ -101,6 +101,12 @@ class Heard:
         return self.statusword is not None and _powered(self.word, self.statusword)
 
     @property
+    def in_quick_stop(self) -> bool:
+        """By the newest statusword."""
+        found = self.statusword
+        return found is not None and self.word >> found.shift & STATE == _QUICK_STOP_ACTIVE
+
+    @property
     def startable(self) -> bool:
         """By the newest statusword."""
         found = self.statusword

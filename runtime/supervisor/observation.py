@@ -42,6 +42,8 @@ class Observation:
     """numbers"""
     enabled: NDArray[np.bool_]
     """powered by any statusword since the last look, or by the newest; or told to be"""
+    in_quick_stop: NDArray[np.bool_]
+    """by the newest statusword: power that control does not have"""
     told: NDArray[np.bool_]
     """told to be lately, and no answer since says otherwise"""
     measured_age: Floats
@@ -198,6 +200,7 @@ class Observer:
             now_ns,
             self._numbers,
             enabled,
+            np.array([each.in_quick_stop for each in received], bool),
             told,
             measured_age,
             np.where(self._together, measured_age, np.inf).min(axis=1),

@@ -84,7 +84,7 @@ class Supervisor:
         """since when no drive is enabled"""
         self._looked_ns = 0
         self._tick = -1
-        self._recorded_ns = -1
+        self._recorded_ns = -self._tick_ns
         """of the newest record: its tick, and when that was due"""
         self._booted = np.zeros(len(self._axes), bool)
         """drives that have booted since their last measurement, and were told no power since"""
@@ -93,10 +93,10 @@ class Supervisor:
         they are off"""
         self._led_before = self._led.copy()
         """which were so in the look before"""
-        self._recorded = False
-        """the record went on in the look before, and was not of FAULT"""
+        self._recorded = self._paused = False
+        """there was a record before this look, not of FAULT; and none for ``quiet_s``"""
         self._changed: Violation | None = None
-        """a download since then, until the next record"""
+        """since then, until the next record"""
         self._foul = False
         """others commanded devices, or wrote to them, and FAULT, in which a daemon brings them up
         again, was not recorded since"""
@@ -239,11 +239,13 @@ class Supervisor:
 
     def _risen(self, now_ns: int, found: list[Claim]) -> list[Claim]:
         """Without those of the future, and those of no later tick, or time, than the one before:
-        whoever writes the same again has recorded nothing."""
-        latest_ns = now_ns + self._tick_ns
+        whoever writes the same again has recorded nothing. More than two in a tick's time are none
+        of a daemon, and would make what is compared with them as many."""
+        latest_ns, least_ns = now_ns + self._tick_ns, self._tick_ns // 2
         risen: list[Claim] = []
         for claim in found:
-            if claim.tick > self._tick and self._recorded_ns < claim.at_ns <= latest_ns:
+            later = self._recorded_ns + least_ns < claim.at_ns <= latest_ns
+            if claim.tick > self._tick and later:
                 self._tick, self._recorded_ns = claim.tick, claim.at_ns
                 risen.append(claim)
         return risen
@@ -289,21 +291,23 @@ class Supervisor:
         self._beating = [False] * len(self._listeners)
 
     def _changed_beside(self, seen: Observation) -> Violation | None:
-        """A download while the record goes on, but not of FAULT, in which alone a daemon makes
-        some: the device is no longer what the bring-up has made of it. The daemon that ends makes
-        some too, and has no record behind them."""
-        newest = seen.claim
-        age_ns = math.inf if newest is None else seen.now_ns - newest.at_ns
-        recorded = age_ns <= self.settings.patience_ms * 1e6
-        recovered = any(claim.state == State.FAULT for claim in seen.claims)
-        if recovered or age_ns > self.settings.quiet_s * 1e9:
-            self._foul = False
-        found = self._changed if seen.claims and not (recovered or self._foul) else None
-        if seen.claims or not recorded:
+        """A download, or a command of the network, between records that are not of FAULT, in which
+        alone a daemon makes some: the device is no longer what the bring-up has made of it. However
+        long the record pauses, it counts once that goes on. A daemon that ends makes some too, and
+        the next one's record begins with OFF."""
+        newest, claims = seen.claim, seen.claims
+        recovered = any(claim.state == State.FAULT for claim in claims)
+        if claims:
+            recovered |= self._paused and claims[0].state == State.OFF
+        self._foul &= not recovered
+        found = self._changed if claims and not (recovered or self._foul) else None
+        if claims:
             self._changed = None
         if self._recorded:
             self._changed = self._changed or self._commands.changed
-        self._recorded = recorded and newest is not None and newest.state != State.FAULT
+        self._recorded = newest is not None and newest.state != State.FAULT
+        age_ns = 0 if newest is None else seen.now_ns - newest.at_ns
+        self._paused = age_ns > self.settings.quiet_s * 1e9
         return found
 
     def _begin_watches(self, now_ns: int, seen: Observation, quiet: bool) -> None:

@@ -18,6 +18,7 @@ from tonus.runtime.states import Fault, Operator, State, StopMode
 from tonus.runtime.timing import clock
 from tonus.tools.campaign.again import first_difference
 from tonus.tools.campaign.play import Operated
+from tonus.tools.run.supervision import Overheard
 
 ROBOT = {**BRIEF, "supervisor.timeout_ms": 22}
 FOLLOWING_ERROR = 0x8611
@@ -167,14 +168,18 @@ def test_a_device_that_another_master_writes_to_in_standby(
     assert len(run.scales) == (3 if requests[0][0] == _AMPLIFIER else 1)
 
 
+@pytest.mark.parametrize(
+    ("arm_s", "pause"), [(0.334, 0), (0.38, 0), (0.9, 0), (0.9, 12), (0.9, 400)]
+)
 def test_drives_that_another_master_has_wait_for_no_heartbeat(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, arm_s: float, pause: int
 ) -> None:
-    """None of them stops: what demands the reset that brings them up is that it is not armed."""
+    """None of them stops: what demands the reset that brings them up is that it is not armed, also
+    at once, between two self-tests. The record pauses by so many ticks meanwhile."""
     orders = [
         (State.ACTIVE, 0.1, Operator.ESTOP),
         (State.FAULT, 0.7, Operator.RESET),
-        (State.STANDBY, 0.9, Operator.ARM),
+        (State.STANDBY, arm_s, Operator.ARM),
         (State.STANDBY, 1.0, Operator.ESTOP),
         (State.FAULT, 0.5, Operator.RESET),
         (State.STANDBY, 0.5, Operator.ARM),
@@ -183,6 +188,13 @@ def test_drives_that_another_master_has_wait_for_no_heartbeat(
     config, _ = configured(**ROBOT, **{"supervisor.policy": "require"})
     run = Written(config, load_scenario("hold"), at=60.0)
     run.requests = tuple((node, 0x1016, 2, 0) for node in DRIVES)
+    publish = Overheard.publish
+
+    def published(ring: Overheard, payload: Any, stamp_ns: int) -> None:
+        if not run.changed_ns or stamp_ns > run.changed_ns + pause * 1_000_000:
+            publish(ring, payload, stamp_ns)
+
+    monkeypatch.setattr(Overheard, "publish", published)
     run.play(3.0)
     after = run.states[run.states.index(State.FAULT) :]
     assert after[1:5] == [State.STANDBY, State.FAULT, State.STANDBY, State.REFERENCING]

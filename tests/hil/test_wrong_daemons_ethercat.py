@@ -21,6 +21,7 @@ from tests.wrong_daemons import (
     Change,
     blind,
     both,
+    in_quick_stop,
     opposite,
     torque_on_the_bus,
 )
@@ -97,6 +98,17 @@ def test_a_mistake_on_ethercat_that_has_to_show(
     found = FOUND.get(name, {LATER[name].requirement})
     assert {number for number, _ in run.said} == found
     assert State.SAFE_STOP not in seen.state, "the daemon stops nothing"
+
+
+@pytest.mark.parametrize("axes", [(5,), (0, 4), tuple(range(8))], ids=str)
+def test_drives_on_ethercat_that_hold_their_motors_by_themselves(
+    axes: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Commanded to quick stop on the bus alone. At a standstill they had not been found in 2 s."""
+    change = both(blind, in_quick_stop(*axes))
+    run, seen = _run(monkeypatch, change, overrides=BRIEF, scenario="hold")
+    _all_stopped(run, seen, 30.0)
+    assert {number for number, _ in run.said} == {Requirement.DISARMED}
 
 
 def test_a_torque_beyond_the_limit_of_a_drive_in_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:

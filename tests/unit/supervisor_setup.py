@@ -51,6 +51,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         now_ns=round(at_ms * MS),
         axes=np.arange(N),
         enabled=np.ones(N, bool),
+        in_quick_stop=np.zeros(N, bool),
         told=np.zeros(N, bool),
         measured_age=np.zeros(N),
         channel_age=np.zeros(N),

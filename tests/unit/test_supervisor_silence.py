@@ -332,37 +332,32 @@ def test_a_download_in_which_a_drive_is_brought_back(
 def test_a_download_at_the_end_of_a_daemon_and_the_beginning_of_the_next(
     watchdog: Watchdog,
 ) -> None:
-    """No record is behind the first, and none of before goes on at the second."""
+    """No record is behind the first, and that of the second begins with OFF."""
     watchdog.state = State.STANDBY
     list(watchdog.steps(0, 310, enabled=False))
-    for now_ms in (310, 312, 314, 316, 318, 320):
+    for now_ms in range(310, 612, 2):
         written(watchdog, RAMP)
         assert watchdog.step(now_ms, enabled=False, tick=False) == BEAT
     watchdog.state = State.OFF
-    assert all(sent == BEAT for sent in watchdog.steps(322, 340, enabled=False))
+    assert all(sent == BEAT for sent in watchdog.steps(612, 640, enabled=False))
 
 
-@pytest.mark.parametrize(("late_ms", "stopped"), [(5.0, True), (5.000002, False)])
-def test_how_old_the_record_may_be_behind_which_a_download_counts(
-    watchdog: Watchdog, late_ms: float, stopped: bool
+@pytest.mark.parametrize("pause_ms", [2, 12, 200, 1000])
+@pytest.mark.parametrize("into_ms", [0, 2, 8, 180])
+def test_a_download_while_the_record_pauses(
+    watchdog: Watchdog, pause_ms: int, into_ms: int
 ) -> None:
+    """It counts once that goes on, but not as another daemon's."""
     watchdog.state = State.STANDBY
     list(watchdog.steps(0, 310, enabled=False))
-    last_ms = 308
-    watchdog.step(last_ms + late_ms, enabled=False, tick=False)
-    written(watchdog, RAMP)
-    watchdog.step(last_ms + late_ms + 0.5, enabled=False)
-    sent = watchdog.step(last_ms + late_ms + 2.0, enabled=False)
-    assert (sent != BEAT) is stopped
-
-
-def test_a_download_that_is_never_recorded_past(watchdog: Watchdog) -> None:
-    """The record goes on long after it, as that of another daemon."""
-    watchdog.state = State.STANDBY
-    list(watchdog.steps(0, 310, enabled=False))
-    written(watchdog, RAMP)
-    assert all(sent == BEAT for sent in watchdog.steps(310, 320, enabled=False, tick=False))
-    assert all(sent == BEAT for sent in watchdog.steps(320, 340, enabled=False))
+    for now in range(310, 310 + pause_ms, 2):
+        if now == 310 + into_ms:
+            written(watchdog, RAMP)
+        assert watchdog.step(now, enabled=False, tick=False) == BEAT
+    stopped = [
+        sent != BEAT for sent in watchdog.steps(310 + pause_ms, 330 + pause_ms, enabled=False)
+    ]
+    assert stopped == [into_ms < pause_ms] * 10
 
 
 def test_the_first_of_two_downloads_is_told(watchdog: Watchdog) -> None:
@@ -401,16 +396,17 @@ def test_it_does_not_begin_while_a_device_is_not_as_it_was_brought_up(watchdog: 
 
 
 @pytest.mark.parametrize(("pause_ms", "begins"), [(300, False), (302, True)])
+@pytest.mark.parametrize("another", [True, False])
 def test_another_daemon_brings_the_devices_up(
-    watchdog: Watchdog, pause_ms: int, begins: bool
+    watchdog: Watchdog, pause_ms: int, begins: bool, another: bool
 ) -> None:
-    """One whose record begins after a pause of more than quiet_s."""
+    """One whose record begins after a pause of more than quiet_s, with OFF."""
     changed(watchdog)
     end = 312 + pause_ms
     beats = beginnings(watchdog, 314, end + 2, tick=False)
-    watchdog.state = State.OFF
+    watchdog.state = State.OFF if another else State.STANDBY
     beats += beginnings(watchdog, end + 2, 1000)
-    assert beats[:1] == ([end] if begins else [])
+    assert beats[:1] == ([end + 2] if begins and another else [])
 
 
 def test_a_download_while_it_is_silent_is_told_too(watchdog: Watchdog) -> None:
@@ -505,8 +501,20 @@ def test_commands_of_the_network(
     assert commanded(watchdog, 0x000, bytes((code, node)) + more, enabled=True) == found
 
 
-def test_a_command_of_before_is_over(watchdog: Watchdog) -> None:
+@pytest.mark.parametrize("state", [State.OFF, State.STANDBY, State.SAFE_STOP])
+def test_a_command_of_the_network_at_rest(watchdog: Watchdog, state: State) -> None:
+    """A reset node, or one that is started anew, is not as the bring-up has made it."""
+    watchdog.state = state
     assert commanded(watchdog, 0x000, b"\x82\0", enabled=False) is None
+    sent = watchdog.step(312, enabled=False)
+    assert struct.unpack("<HBBf", sent[0][1]) == (0xFF1B, 0x81, 6, 0x82)
+    assert broken(watchdog) is Requirement.COMMANDED
+
+
+def test_a_command_of_before_is_over(watchdog: Watchdog) -> None:
+    watchdog.state = State.FAULT
+    assert commanded(watchdog, 0x000, b"\x82\0", enabled=False) is None
+    watchdog.state = State.REFERENCING
     assert watchdog.step(312, enabled=True) == BEAT
 
 
@@ -526,8 +534,8 @@ def commanded(
 
 
 def test_which_records_are_new(watchdog: Watchdog) -> None:
-    """The first of all, and each of a later tick and a later time that is not of the future: one of
-    the future counts for nothing, also for those that follow."""
+    """The first of all, and each of a later tick, later by more than half of its time, that is not
+    of the future: one of the future counts for nothing, also for those that follow."""
     risen = watchdog.supervisor._risen
     first, again = claim(at_ms=0.0, tick=0), claim(at_ms=0.0, tick=0)
     assert risen(0, [first]) == [first]
@@ -536,9 +544,12 @@ def test_which_records_are_new(watchdog: Watchdog) -> None:
     assert [each.tick for each in risen(0, beyond)] == [1]
     later = [
         claim(at_ms=at_ms, tick=tick)
-        for at_ms, tick in ((1.0, 2), (1.1, 3), (1.2, 2), (1.1, 4), (1.3, 5), (1.2, 6), (1.4, 7))
+        for at_ms, tick in (
+            *((1.0, 2), (1.5, 3), (1.500001, 4), (2.000001, 5), (2.1, 4), (1.6, 6)),
+            *((2.000002, 7), (2.500003, 8), (2.6, 9)),
+        )
     ]
-    assert [each.tick for each in risen(MS, later)] == [3, 5, 7]
+    assert [each.tick for each in risen(2 * MS, later)] == [4, 7, 8]
 
 
 @pytest.mark.parametrize(("silent_ms", "watched"), [(22, True), (24, True), (26, False)])

@@ -1,0 +1,139 @@
+"""The judge: how far references may go, and torques from them (SUP-5); how fast a stop along the
+path may be (SUP-8); and a drive in quick stop of a cable that is in use (SUP-12)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.unit.supervisor_setup import STRICT, N, at, claim, judged, seen
+from tonus.config import Config, load
+from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.states import State, StopMode
+from tonus.runtime.supervisor.judge import Violation
+
+ON_PATH = (State.SAFE_STOP, StopMode.ON_PATH)
+STIFF = [(State.HOLD, StopMode.NONE), (State.ACTIVE, StopMode.NONE)]
+SOFT = [(State.REFERENCING, StopMode.NONE), (State.PRETENSION, StopMode.NONE)]
+OTHER_STOPS = [(State.SAFE_STOP, StopMode.DESCENT), (State.SAFE_STOP, StopMode.PASSIVE)]
+NONE = np.zeros(N, bool)
+THIRD = at(3, 1.0) > 0.0
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("config/can.yaml", overrides=STRICT)[0]
+
+
+def found(config: Config, for_ms: float, said: dict[str, Any], **given: Any) -> Violation | None:
+    """The verdict at the end of a condition that lasts, after a record that was controlled."""
+    before = seen(98.0, claim(at_ms=98.0))
+    looks = [seen(now, claim(at_ms=now, **said), **given) for now in (100.0, 100.0 + for_ms)]
+    return judged(config, before, *looks)[-1]
+
+
+@pytest.mark.parametrize(("state", "mode"), [*STIFF, *SOFT, ON_PATH, *OTHER_STOPS])
+@pytest.mark.parametrize("given_up", [False, True])
+@pytest.mark.parametrize("reference", [-0.1, 0.0, 18.4, 18.5, 220.0, 220.1, -np.inf, np.nan])
+def test_how_large_a_reference_may_be(
+    config: Config, state: State, mode: StopMode, given_up: bool, reference: float
+) -> None:
+    """From 0 to a tenth beyond T_max wherever tensions follow it, also of a cable that is given up;
+    less than T_min only in HOLD and ACTIVE is wrong, of one that is not."""
+    said = {
+        "reference": at(3, reference, 45.0),
+        "tension": at(3, 45.0, 45.0),
+        "failed": THIRD & given_up,
+        "state": state,
+        "stop_mode": mode,
+    }
+    verdict = found(config, 5.0, said)
+    above = not reference <= 220.0
+    least = 20.25 / 1.1 if (state, mode) in STIFF and not given_up else 0.0
+    below = reference < least
+    judges = (state, mode) not in OTHER_STOPS
+    assert (verdict is not None) is (judges and (above or below))
+    assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
+    assert verdict is None or found(config, 4.9, said) is None
+
+
+@pytest.mark.parametrize(("state", "mode"), [*STIFF, ON_PATH, *SOFT, *OTHER_STOPS])
+@pytest.mark.parametrize(
+    ("error", "excess", "wrong"),
+    [
+        (10.0, 300.1, True),
+        (10.0, 300.0, False),
+        (-10.0, -300.1, True),
+        (-10.0, -300.0, False),
+        (0.0, 300.1, True),
+        (0.0, -300.1, True),
+        (2.0, -300.1, True),
+        (-2.0, 300.1, True),
+    ],
+)
+def test_a_torque_far_beyond_its_reference(
+    config: Config, state: State, mode: StopMode, error: float, excess: float, wrong: bool
+) -> None:
+    """On the side of the reference, or where the tension has reached it. On the other side it is
+    judged by how far it is from the tension."""
+    said = {"reference": at(3, 45.0 + error, 45.0), "state": state, "stop_mode": mode}
+    given = {"torque": at(3, 45.0 + error + excess, 45.0)}
+    judges = (state, mode) in (*STIFF, ON_PATH)
+    verdict = found(config, 5.0, said, **given)
+    assert (verdict is not None) is (judges and wrong)
+    assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
+    assert found(config, 4.9, said, **given) is None
+
+
+def test_a_torque_that_is_driven_away_by_a_thrown_platform(config: Config) -> None:
+    """It is away from a tension that goes against it: what follows the platform."""
+    for tension, torque in ((60.0, 380.0), (30.0, -320.0)):
+        looks = []
+        for look in range(4):
+            step = 0.1 * look if torque > tension else -0.1 * look
+            pulled = at(3, tension - step, 45.0)
+            said = claim(at_ms=100.0 + 2 * look, tension=pulled)
+            given = {"tension": pulled, "torque": at(3, torque, 45.0)}
+            looks.append(seen(100.0 + 2 * look, said, **given))
+        assert judged(config, *looks[1:]) == [None] * 3
+
+
+def test_a_drive_without_power_may_have_been_sent_any_torque(config: Config) -> None:
+    """What it is sent acts on nothing."""
+    said = {"reference": np.full(N, 45.0), "failed": THIRD, "state": State.ACTIVE}
+    given = {"torque": at(3, 400.0, 45.0), "enabled": ~THIRD, "mille": at(3, 0, 100)}
+    assert found(config, 5.0, said, **given) is None
+
+
+@pytest.mark.parametrize(
+    ("speed", "for_ms", "wrong"), [(0.9, 20.0, True), (0.9, 19.9, False), (0.49, 60.0, False)]
+)
+@pytest.mark.parametrize(("state", "mode"), [ON_PATH, *OTHER_STOPS])
+def test_how_fast_a_stop_along_the_path_may_be(
+    config: Config, state: State, mode: StopMode, speed: float, for_ms: float, wrong: bool
+) -> None:
+    geometry = config.robot.geometry
+    along = np.array(geometry.frame) - np.array(geometry.platform)
+    rates = along @ np.array([0.0, 0.0, speed]) / np.linalg.norm(along, axis=1)
+    said = {"state": state, "stop_mode": mode}
+    # A passive stop's torques brake its drums.
+    torque = np.where(rates > 0.0, 0.0, 20.0)
+    verdict = found(config, for_ms, said, rate=rates, torque=torque)
+    assert (verdict is not None) is (wrong and mode is StopMode.ON_PATH)
+    assert verdict is None or verdict.requirement is Requirement.SPEED
+
+
+@pytest.mark.parametrize(("state", "mode"), [*STIFF, *SOFT, ON_PATH, *OTHER_STOPS])
+@pytest.mark.parametrize("given_up", [False, True])
+def test_a_drive_that_holds_its_motor_by_itself(
+    config: Config, state: State, mode: StopMode, given_up: bool
+) -> None:
+    """In quick stop it has power, and takes no torque."""
+    said = {"state": state, "stop_mode": mode, "failed": THIRD & given_up}
+    verdict = found(config, 20.0, said, in_quick_stop=THIRD)
+    judges = (state, mode) in (*STIFF, (State.PRETENSION, StopMode.NONE), ON_PATH)
+    assert (verdict is not None) is (judges and not given_up)
+    assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.DISARMED, 3)
+    assert found(config, 19.9, said, in_quick_stop=THIRD) is None
