@@ -118,6 +118,8 @@ class Supervisor:
         self._beating = [False] * len(names)
         """on each channel"""
         timeout_ms = settings.timeout_ms if relay is None else relay.timeout_ms
+        self._timeout_ns = timeout_ms * 1_000_000
+        """how long drives, or the relay's node, wait for its heartbeat"""
         self._beats = [
             Beats(own, frames[name, own], settings.period_ms, timeout_ms) for name in names
         ]
@@ -185,9 +187,9 @@ class Supervisor:
             self._quiet_ns = None
         else:
             self._judge.rest(now_ns)
-            stalled = now_ns - self._looked_ns > self.settings.timeout_ms * 1e6
+            stalled = now_ns - self._looked_ns > self._timeout_ns
             if stalled:
-                # Drives have lost the heartbeat, and are off for it: as after a start of its own.
+                # Drives, or the relay, have lost the heartbeat: as after a start of its own.
                 self._beating = [False] * len(self._listeners)
             if stalled or self._quiet_ns is None:
                 self._quiet_ns = now_ns
@@ -327,7 +329,7 @@ class Supervisor:
                 self._unwatched_ns[place] = now_ns
             else:
                 beats = self._beats[place]
-                due_ns = (8e6 if beats.waits else 2e6) * self.settings.timeout_ms
+                due_ns = (8 if beats.waits else 2) * self._timeout_ns
                 if now_ns - since_ns < due_ns:
                     continue
                 beats.give_up()
@@ -396,7 +398,7 @@ class Supervisor:
             if beats.follows() and self._tell(place, beats, _OPERATIONAL):
                 self._beat_ns[place] = now_ns
             waited_ns = now_ns - self._beat_ns[place]
-            self._beating[place] = waited_ns <= self.settings.timeout_ms * 1e6
+            self._beating[place] = waited_ns <= self._timeout_ns
 
     def _tell(self, place: int, own: Own, data: bytes) -> bool:
         """Send what only the supervisor sends."""

@@ -460,3 +460,13 @@ def test_a_frame_without_the_output_sets_none(held: Held) -> None:
     empty = can.Message(arbitration_id=0x200 + NODE, is_extended_id=False)
     held.armed().bus.waiting += [empty] * 200
     assert held.step() == [BEAT, HELD]
+
+
+@pytest.mark.parametrize(("stalled_ms", "goes_on"), [(7, True), (8, False)])
+def test_a_stall_in_which_the_relay_has_opened(held: Held, stalled_ms: int, goes_on: bool) -> None:
+    """Its node waits for 7 ms, drives on CAN for 22: nothing is held before it begins anew."""
+    list(held.steps(160, disarmed))
+    held._now += stalled_ms - 2
+    sent = list(held.steps(150, disarmed))
+    assert [each == [BEAT, HELD] for each in sent] == [goes_on] * 150
+    assert [BEAT, HELD] in list(held.steps(3, disarmed))
