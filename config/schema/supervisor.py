@@ -184,8 +184,8 @@ class Supervisor(Section):
     """N as ``opposed_error``, the same way"""
     opposed_ms: Annotated[Positive, Field(le=100)] = 20.0
     excess_force: Annotated[Positive, Field(le=500)] = 300.0
-    """N between torque and reference, on the reference's side: in HOLD, ACTIVE, a stop along the
-    path"""
+    """N between torque and reference, on the reference's side: in HOLD and ACTIVE for
+    ``patience_ms``, in a stop along the path for ``opposed_ms``"""
     margin: Annotated[Number, Field(ge=1, le=1.5)]
     """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
     tension_stopping: Positive

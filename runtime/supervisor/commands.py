@@ -14,6 +14,8 @@ from tonus.runtime.supervisor.wiring import Value
 REQUEST, NMT = 0x600, 0x000
 """Identifiers (CiA 301): of SDO requests, with the node's number added, and of NMT commands"""
 _BYTES, _NMT_BYTES = 8, 2
+_START = 0x01
+"""a node, by NMT"""
 _BEGINS, _GOES_ON, _EXPEDITED = (0x20, 0xC0), 0x00, 0x22
 """upper three bits of a request that begins a download, also in blocks, or goes on with one; and of
 one that has its data in it, the second lowest too (CiA 301)"""
@@ -79,7 +81,7 @@ class Commands:
         in order writes: it resets faults"""
         self.changed: Violation | None = None
         """among what was found last, a download to anything but the controlword, or a command of
-        the network"""
+        the network but to start, as the daemon starts a relay's node at rest"""
 
     def __call__(self) -> Violation | None:
         """An NMT command, or a download but to switch the power off, by a stranger or by the
@@ -100,7 +102,9 @@ class Commands:
             for word in map(int, each.commands.numbers):
                 code, node = word & 0xFF, word >> 8 & 0xFF
                 if node in (_EVERY_NODE, each.node):
-                    found = self.changed = Violation(Requirement.COMMANDED, each.where, code)
+                    found = Violation(Requirement.COMMANDED, each.where, code)
+                    if code != _START:
+                        self.changed = found
         for each in self._told:
             each.requests.numbers.clear()
             each.commands.numbers.clear()

@@ -348,11 +348,16 @@ class Judge:
         given_up = claim.failed[seen.axes] | (not stiff)
         least = np.where(given_up, 0.0, self._least_tension)
         opposed |= seen.enabled & ~((reference >= least) & (reference <= self._most_tension))
-        if on_path or stiff:
-            excess = abs(seen.torque - reference) > settings.excess_force
-            opposed |= excess & seen.enabled & ~(against & (abs(error) > settings.opposed_error))
+        excess = abs(seen.torque - reference) > settings.excess_force
+        excess &= seen.enabled & ~(against & (abs(error) > settings.opposed_error))
+        if stiff:
+            opposed |= excess
         for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
             yield each, self._patience_ns[Requirement.OPPOSED]
+        if on_path:
+            # A stop of a platform that is thrown begins with as much, for some ms.
+            for each in _at(Requirement.OPPOSED, seen, pull, None, excess):
+                yield each, self._opposed_ns
         if on_path or stiff:
             braking = np.fmax(0.0, np.sign(error) * seen.momentum) / (self._opposed_ns * 1e-9)
             opposed = abs(pull) - braking > settings.opposed_long_force

@@ -18,7 +18,7 @@ from tests.supervised import BRIEF, DRIVES, Run, configured
 from tests.wired import CHANNEL
 from tests.wrong_daemons import after, blind, both, opposite, raises, torque_in_control
 from tonus.config.loader import load_scenario
-from tonus.config.schema.faults import Loss
+from tonus.config.schema.faults import Loss, Unplug
 from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.canopen.channels import Channels
 from tonus.drivers.ethercat.master import EthercatFieldbus
@@ -463,10 +463,10 @@ def test_a_stop_of_what_was_never_controlled(monkeypatch: pytest.MonkeyPatch) ->
     def change() -> None:
         after(Exchange, "commands", ticks.commands)(monkeypatch)
         after(ControlCycle, "write", write)(monkeypatch)
+        lab = run._playing.lab
+        assert lab is not None
         for node in range(17, 26):
-            for bus in run._buses:
-                told = can.Message(data=bytes([0x80, node]), is_extended_id=False)
-                bus.send(told)
+            lab.inject(Unplug(channel=CHANNEL[node], node=node))
 
     idle(monkeypatch)
     config, _ = configured(**BRIEF)

@@ -49,7 +49,7 @@ CASES = {
         State.SAFE_STOP, (690.0, 0.0), (600.0, 18.6), Requirement.OPPOSED, 25.0, 0.35, 100.0
     ),
     "torques far beyond their references in a stop": Wrong(
-        State.SAFE_STOP, (690.0, 0.0), (199.0, 18.6), Requirement.OPPOSED, 25.0, 0.35, 100.0
+        State.SAFE_STOP, (690.0, 0.0), (199.0, 18.6), Requirement.OPPOSED, 40.0, 0.9, 120.0
     ),
     "torques within their references in a stop": Wrong(
         State.SAFE_STOP, (150.0, 0.0), (199.0, 18.6), Requirement.SPEED, 120.0, 0.75, 90.0
