@@ -57,6 +57,8 @@ def test_how_large_a_reference_may_be(
     assert (verdict is not None) is (judges and (above or below))
     assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
     assert verdict is None or found(config, 4.9, said) is None
+    off = found(config, 5.0, said, enabled=~THIRD)
+    assert off is None or off.requirement is not Requirement.OPPOSED, "it acts on nothing"
 
 
 @pytest.mark.parametrize(("state", "mode"), [*STIFF, ON_PATH, *SOFT, *OTHER_STOPS])
