@@ -78,7 +78,6 @@ LARGEST = {
     "margin": 1.2,
     "rotation": 3.0,
     "rotation_stopping": 20.0,
-    "speed_on_path": 0.8,
 }
 """What a robot may state, in the keys' units, frames and ticks as of 1 ms; in a lab the keys' own
 bounds hold. All R: with more a mistake is found too late. `tonus.config.schema.place` has period,

@@ -128,6 +128,7 @@ def test_a_run_that_requires_one_that_has_no_drive_to_act_on() -> None:
         ("excess_force", 360.0),
         ("passive_torque", 11.25),
         ("speed_stopping", 2.5),
+        ("speed_on_path", 0.75),
         ("unexplained_force", 90.0),
         ("opposed_force", 67.5),
         ("answered_torque", 22.5),
