@@ -83,7 +83,7 @@ def test_a_torque_far_beyond_its_reference(
     said = {"reference": at(3, 45.0 + error, 45.0), "state": state, "stop_mode": mode}
     given = {"torque": at(3, 45.0 + error + excess, 45.0)}
     judges = (state, mode) in (*STIFF, ON_PATH)
-    longest_ms = 20.0 if (state, mode) == ON_PATH else 5.0
+    longest_ms = 5.0 if (state, mode) in STIFF else 20.0
     verdict = found(config, longest_ms, said, **given)
     assert (verdict is not None) is (judges and wrong)
     assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
