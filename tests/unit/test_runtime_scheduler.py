@@ -48,6 +48,7 @@ class Thread:
         self.processor_ns = 0
         self.usage = Unused()
         self.stopwatch = Stopwatch(running=False)
+        self.stopwatch.running = True
         self.stopwatch.processor_ns = lambda: self.processor_ns
         self.stopwatch.usage = lambda: replace(self.usage)
 
