@@ -195,7 +195,7 @@ DAEMONS: dict[str, Mutated] = {
     ),
     "no fault is looked for, a cable is cut": Mutated(
         blind,
-        Requirement.TENSION,
+        Requirement.OPPOSED,
         30.0,
         0.6,
         0.95,

@@ -329,7 +329,8 @@ class Supervisor:
                 self._unwatched_ns[place] = now_ns
             else:
                 beats = self._beats[place]
-                due_ns = (8 if beats.waits else 2) * self._timeout_ns
+                # Farther apart than a relay needs: closer ones would be those that hold it.
+                due_ns = (8e6 if beats.waits else 2e6) * self.settings.timeout_ms
                 if now_ns - since_ns < due_ns:
                     continue
                 beats.give_up()
