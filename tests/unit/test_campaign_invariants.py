@@ -260,6 +260,18 @@ def test_power_cut_on_purpose_may_drop_the_platform() -> None:
     assert "free_fall" in names(replace(run, strikes=tuple(cut[:7])))
 
 
+@pytest.mark.parametrize(("off", "broken"), [(5, True), (6, False)])
+def test_a_platform_on_two_drives_may_speed_up_as_it_sinks(off: int, broken: bool) -> None:
+    """With three it may not, and no faster than the common bound with either."""
+    run = faster(good())
+    at = run.strikes[0].at_ns
+    cut = [Strike("sto", at, unpowered=frozenset({axis})) for axis in range(off)]
+    assert names(replace(run, strikes=(*run.strikes, *cut))) == ["speed_rises"] * broken
+    later = [replace(each, at_ns=int(run.truth_ns[-1]) + 1) for each in cut]
+    assert names(replace(run, strikes=(*run.strikes, *later))) == ["speed_rises"]
+    assert "speed" in names(thrown(replace(run, strikes=(*run.strikes, *cut))))
+
+
 def test_a_stop_by_the_supervisor_needs_a_bound_that_is_broken_before() -> None:
     """By what the robot does or is commanded; that a fault has no event, or what comes after the
     stop, is no reason."""
@@ -388,7 +400,8 @@ def test_a_strike_knows_its_devices() -> None:
     [
         ({"kind": "cable_break", "behind": 0}, range(8)),
         ({"kind": "cable_break", "behind": 6, "duration": 0.063}, (6, 7)),
-        ({"kind": "cable_break", "behind": 0, "duration": 0.062}, ()),
+        ({"kind": "cable_break", "behind": 6, "duration": 0.0605}, (6, 7)),
+        ({"kind": "cable_break", "behind": 0, "duration": 0.0595}, ()),
         ({"kind": "power_loss", "node": 6}, (5, 6, 7)),
         ({"kind": "power_loss", "node": 6, "duration": 0.01}, (5,)),
     ],

@@ -29,6 +29,8 @@ Flags = NDArray[np.bool_]
 _AT_COMMAND = (State.HOLD, State.ACTIVE)
 _REGULATING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 _ROUNDING = 1.0 + 1e-9
+_FEWEST_CARRYING = 3
+"""cables that can hold a weight at rest, but for poses in one plane with two anchors"""
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,8 @@ def _motion(run: Observed, bounds: Bounds, limits: Limits | None) -> Iterator[Vi
 def _not_falling(run: Observed, bounds: Bounds, speed: Floats) -> Iterator[Violation]:
     """From a while after each fault on, no speed that was not reached before. One that did no harm
     at first counts once more when it is found: the stop that follows moves the platform. A push
-    does work as long as it lasts, and its end is a step of force as its beginning is."""
+    does work as long as it lasts, and its end is a step of force as its beginning is. With power on
+    fewer cables than can carry it the platform sinks on its drums' friction until it lies."""
     times = run.truth_ns
     wrong = np.zeros(len(speed), bool)
     allowed = np.full(len(speed), np.inf)
@@ -161,6 +164,7 @@ def _not_falling(run: Observed, bounds: Bounds, speed: Floats) -> Iterator[Viola
         wrong[last:end] = ~(speed[last:end] <= allowed[last:end])
     for at, end in pushes:
         wrong[slice(*np.searchsorted(times, [at, end]))] = False
+    wrong &= _axes(run) - cut_off(run) >= _FEWEST_CARRYING
     bound = float(allowed[wrong.argmax()]) if wrong.any() else 0.0
     yield from _worst("speed_rises", times, wrong, speed, bound, "m/s, reached long after a fault")
 
@@ -198,8 +202,7 @@ def _contact(run: Observed, bounds: Bounds) -> Iterator[Violation]:
 
 def unpowered(run: Observed) -> Flags:
     """(m,) times of the truth at which all power was off, and not by control's choice: an emergency
-    stop, what is no number, a stop by the supervisor, or every axis without STO, supply or a way to
-    the master."""
+    stop, what is no number, a stop by the supervisor, or every axis `cut_off`."""
     state = run.cycle["state"]
     asked = (state["operator"] == Operator.ESTOP) | (
         np.isin(state["fault"], (Fault.EMERGENCY_STOP, Fault.NOT_FINITE))
@@ -214,15 +217,23 @@ def unpowered(run: Observed) -> Flags:
     for index in np.flatnonzero(asked | np.diff(armed, prepend=False)):
         now = bool(asked[index]) or (now and not armed[index])
         off[index:] = now
-    found = run.at_truth(off, before=False)
-    cut: set[int] = set()
-    count = run.cycle["drives"]["torque_command"].shape[1]
-    for strike in run.strikes:
-        if strike.unpowered:
-            cut |= strike.unpowered
-            if len(cut) == count:
-                found = found | (run.truth_ns >= strike.at_ns)
+    found = run.at_truth(off, before=False) | (cut_off(run) == _axes(run))
     return np.asarray(found)
+
+
+def cut_off(run: Observed) -> NDArray[np.int64]:
+    """(m,) axes without STO, supply or a way to the master at each time of the truth. A drive that
+    lost its power has it back only after the operator's reset, which no armed robot gets."""
+    cut: set[int] = set()
+    count = np.zeros(len(run.truth_ns), np.int64)
+    for strike in run.strikes:
+        cut |= strike.unpowered
+        count[run.truth_ns >= strike.at_ns] = len(cut)
+    return count
+
+
+def _axes(run: Observed) -> int:
+    return int(run.cycle["drives"]["torque_command"].shape[1])
 
 
 def _named(run: Observed, bounds: Bounds) -> Iterator[Violation]:
