@@ -128,7 +128,7 @@ class CanopenFieldbus:
             count = f"{len(self._nodes)} nodes on {len(self._buses)} channels"
             progress(f"resetting and configuring {count}")
             await self._every_node("configured", lambda node: node.configure(progress))
-            await self._refuse_foreign_supervisor()
+            await self._supervisor.refuse_foreign()
             progress(f"starting {count}")
             await self._every_node("started", lambda node: node.start())
             progress(f"{count} are operational")
@@ -204,15 +204,6 @@ class CanopenFieldbus:
         self.image.supervisor_ignored = False
 
     # -- bring-up ---------------------------------------------------------------------------
-
-    async def _refuse_foreign_supervisor(self) -> None:
-        foreign = await self._supervisor.foreign()
-        if foreign:
-            raise BringUpError(
-                f"bring-up failed: another device on {', '.join(foreign)} sends heartbeats of the "
-                "supervisor's node number, so that its silence would stop no drive; give the "
-                "device another number, or set supervisor.node_id"
-            )
 
     def _open_with_python_can(self, name: str) -> can.BusABC:
         bus = self._bus

@@ -94,7 +94,8 @@ class RelayedFieldbus:
         self._released: bool | None = None
         """by the mirror contact; None: not reported, or no more"""
         self._reported = False
-        self._restarted = self._silent = False
+        self._restarted = self._silent = self._unproven = False
+        """`_unproven`: its contacts have not been seen open since the supervisor fell silent"""
         self._heard_at = self._reported_at = self._held_at = self._started_at = 0
 
     # -- bring-up and end ------------------------------------------------------------------------
@@ -109,6 +110,7 @@ class RelayedFieldbus:
             except DriverError as error:
                 text = f"bring-up failed: {node.where} ({node.role.title}): {error}"
                 raise BringUpError(text) from error
+            await self._supervisor.refuse_foreign()
             self._events.take()
             await self.fieldbus.start(progress)
             started = True
@@ -130,7 +132,7 @@ class RelayedFieldbus:
                 "contact is welded, or the wire to its input is broken"
             )
         await node.start()
-        self._restarted = self._silent = self._supervisor.doubt = False
+        self._restarted = self._silent = self._unproven = self._supervisor.doubt = False
 
     def _begin(self) -> Node:
         try:
@@ -182,7 +184,7 @@ class RelayedFieldbus:
     async def recover(self) -> None:
         node = self._node
         stopped = node is not None and node.monitor.state is not NmtState.OPERATIONAL
-        lost = self._restarted or self._silent or self._supervisor.doubt
+        lost = self._restarted or self._silent or self._unproven or self._supervisor.doubt
         if node is not None and (stopped or lost):
             try:
                 reset = (
@@ -240,6 +242,8 @@ class RelayedFieldbus:
             self._released = None
         if self._supervisor.beating:
             self._held_at = tick
+        if self._released or not self._supervisor.beating:
+            self._unproven = not self._released
         if self.image.enabling:
             self._tell(node)
         else:
@@ -285,6 +289,8 @@ class RelayedFieldbus:
             text = "is closed although its output is off"
             self._events.begin("sto_relay_stuck", node.where, f"{node.role.title} {text}")
             return f"{text}: a contact is welded"
+        if self._unproven:
+            return "was not seen to open while the supervisor was silent; reset"
         return ""
 
     def _on_heartbeat(self, data: bytes) -> None:

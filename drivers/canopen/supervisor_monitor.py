@@ -11,6 +11,7 @@ from tonus.config.schema.supervisor import REQUIREMENT_TEXTS, Requirement, Super
 from tonus.drivers.canopen.channel import Channel
 from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT
 from tonus.drivers.canopen.nmt import NmtState
+from tonus.drivers.errors import BringUpError
 from tonus.drivers.events import EventLog
 from tonus.drivers.process_image import AxisState, ProcessImage
 
@@ -64,7 +65,8 @@ class SupervisorMonitor:
         self.ignored = False
         """its heartbeat has ended, and drives that were to stop by themselves have not"""
         self.doubt = False
-        """another master may have written to devices, which a reset has to bring up again"""
+        """a reset has to bring the devices up again: another master may have written to them, or they
+        did not stop by themselves"""
 
     def cannot_stop(self, where: str) -> None:
         """A drive that does not wait for its heartbeat."""
@@ -100,6 +102,16 @@ class SupervisorMonitor:
         await asyncio.sleep(2 * settings.timeout_ms * 1e-3)
         return [heard.channel for heard in self._heard if heard.anybody]
 
+    async def refuse_foreign(self) -> None:
+        """Raises `BringUpError` where another device is `foreign`."""
+        foreign = await self.foreign()
+        if foreign:
+            raise BringUpError(
+                f"bring-up failed: another device on {', '.join(foreign)} sends heartbeats of the "
+                "supervisor's node number, so that its silence would stop no drive; give the "
+                "device another number, or set supervisor.node_id"
+            )
+
     def forget(self) -> None:
         self._image.obstacles.pop(self._item, None)
         self._heard, self._out_of_reach = [], []
@@ -131,6 +143,7 @@ class SupervisorMonitor:
                 text = "the drives are enabled, and it has not begun"
                 self._events.begin("unsupervised", heard.channel, text)
         self.ignored = any(self._is_ignored(heard, tick) for heard in self._heard)
+        self.doubt |= self.ignored
         obstacle = self._obstacle(tick)
         if obstacle:
             self._image.obstacles[self._item] = obstacle
@@ -159,7 +172,10 @@ class SupervisorMonitor:
     def _obstacle(self, tick: int) -> str:
         """To arming; "" for none."""
         if self.doubt:
-            return "another master may have written to a device: emergency stop, then reset"
+            return (
+                "a device did not stop without its heartbeat, or another master may have written "
+                "to one: emergency stop, then reset"
+            )
         if not self._required:
             return ""
         if self._out_of_reach:

@@ -489,6 +489,61 @@ async def test_a_relay_that_is_welded_later_is_seen_when_nobody_holds_it(bench: 
 
 
 @played()
+async def test_contacts_that_were_not_seen_open_are_in_doubt(bench: Bench) -> None:
+    """The supervisor was silent and is back; only a reset, in which they are seen open, tells that
+    they still open. A supervisor that goes on has nothing to be seen by."""
+    await bench.held()
+    read = bench.node.objects.find(0x6000, 1).read
+    welded(bench)
+    await bench.pass_ms(40)
+    assert bench.obstacles == {}
+    bench.beats = bench.holds = False
+    assert bench.config.supervisor is not None
+    await bench.pass_ms(bench.config.supervisor.timeout_ms + 5)
+    bench.beats = bench.holds = True
+    await bench.pass_ms(200)
+    assert bench.obstacles["sto relay"] == (
+        "was not seen to open while the supervisor was silent; reset"
+    )
+    bench.node.objects.find(0x6000, 1).read = read
+    bench.beats = bench.holds = False
+    task = asyncio.get_running_loop().create_task(bench.fieldbus.recover())
+    while not task.done():
+        await bench.pass_ms(1)
+    bench.beats = bench.holds = True
+    await bench.pass_ms(200)
+    assert bench.obstacles == {}
+
+
+@played()
+async def test_contacts_that_were_seen_open_are_in_order(bench: Bench) -> None:
+    await bench.held()
+    for _ in range(2):
+        bench.beats = bench.holds = False
+        await bench.pass_ms(200)
+        assert "sto relay" in bench.obstacles
+        bench.beats = bench.holds = True
+        await bench.pass_ms(200)
+        assert bench.obstacles == {}
+
+
+@played(**{"supervisor.quiet_s": 0.3})
+async def test_a_stranger_that_holds_the_relay_is_refused(bench: Bench) -> None:
+    """It sends the supervisor's heartbeat while there is no record that one could judge."""
+    stranger = asyncio.get_running_loop().create_task(beat(bench))
+    with pytest.raises(BringUpError, match=r"another device on sto sends heartbeats"):
+        await bench.start()
+    stranger.cancel()
+    assert bench.segment.done == []
+
+
+async def beat(bench: Bench) -> None:
+    while True:
+        bench.send(0x700 + SUPERVISOR, b"\5")
+        await asyncio.sleep(0.006)
+
+
+@played()
 async def test_a_recovery_that_fails_is_an_event(bench: Bench) -> None:
     await bench.held()
     bench.lab.nodes[bench.relay.channel, bench.relay.node_id].power_cycle()

@@ -69,6 +69,25 @@ def test_drives_that_stay_enabled_twice_as_long_as_they_should(watching: Watchin
     assert not watching.monitor.ignored
 
 
+@pytest.mark.parametrize("policy", ["use", "require"])
+def test_drives_that_did_not_stop_are_not_armed_before_a_reset(policy: str) -> None:
+    """What they wait for is in doubt, until a bring-up has written it anew."""
+    watching = Watching(policy)
+    watching.beat(0, 1)
+    assert not watching.look(TWICE)
+    assert not watching.monitor.doubt
+    assert watching.look()
+    watching.axes["state"] = AxisState.FAULT
+    watching.beat(0, 1)
+    assert not watching.monitor.ignored
+    (obstacle,) = watching.image.obstacles.values()
+    assert obstacle.startswith("a device did not stop without its heartbeat")
+    assert obstacle.endswith("emergency stop, then reset")
+    watching.monitor.doubt = False
+    watching.beat(0, 1)
+    assert not watching.image.obstacles
+
+
 def test_single_heartbeats_hold_no_drive(watching: Watching) -> None:
     """Under `require` it sends one now and then to drives that have power though it is silent: each
     begins their watch, and ends it. Two in one tick, after a stall of the daemon, are two."""
