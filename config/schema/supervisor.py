@@ -112,6 +112,7 @@ SMALLEST = {
     "rotation_stopping": 3.0,
     "speed_stopping": 1.5,
     "speed_on_path": 0.4,
+    "speed_in_descent": 0.7,
 }
 """What a robot has to state at least, in the keys' units, frames and ticks. All R: between what a
 robot in order was seen to reach (config/supervisor.yaml) and what is shipped."""
@@ -183,7 +184,7 @@ class Supervisor(Section):
     """N as ``opposed_error``, the same way"""
     opposed_ms: Annotated[Positive, Field(le=100)] = 20.0
     excess_force: Annotated[Positive, Field(le=500)] = 300.0
-    """N between torque and reference, on the reference's side: in HOLD and ACTIVE for
+    """N between torque and reference, on the reference's side: while the robot is controlled for
     ``patience_ms``, in a stop along the path for ``opposed_ms``"""
     margin: Annotated[Number, Field(ge=1, le=1.5)]
     """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
@@ -195,6 +196,8 @@ class Supervisor(Section):
     """N that a stop may not exceed for longer than ``patience_ms``"""
     speed_on_path: Annotated[Positive, Field(le=2)] = 0.5
     """m/s, in a stop along the path for ``opposed_ms``; with ``rotation``"""
+    speed_in_descent: Annotated[Positive, Field(le=3)] = 0.8
+    """m/s, in a stop that is neither along the path nor passive, for ``opposed_ms``"""
     speed_stopping: Annotated[Positive, Field(le=5)]
     """m/s, in every state"""
     rotation: Annotated[Positive, Field(le=5)]

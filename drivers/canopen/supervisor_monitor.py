@@ -65,7 +65,7 @@ class SupervisorMonitor:
         self.ignored = False
         """its heartbeat has ended, and drives that were to stop by themselves have not"""
         self.doubt = False
-        """a reset has to bring the devices up again: another master may have written to them, or they
+        """a reset has to bring devices up again: another master may have written to them, or they
         did not stop by themselves"""
 
     def cannot_stop(self, where: str) -> None:

@@ -17,6 +17,8 @@ from tonus.runtime.supervisor.record import CONTROLLED, Claim, Floats
 
 NOWHERE = -1
 _STIFF = (State.HOLD, State.ACTIVE)
+_REGULATING = CONTROLLED.index(State.HOLD)
+"""from HOLD to ACTIVE and back it goes as ordered"""
 _AT_ONCE = (
     *(Requirement.TICK, Requirement.TORQUE, Requirement.FROZEN, Requirement.STALE),
     *(Requirement.STIFFNESS, Requirement.STOP_ENDS),
@@ -42,13 +44,19 @@ class Violation:
 
 @dataclass
 class _Orders:
-    """To stop: those of the operator, and faults. Both last."""
+    """To stop: those of the operator, and faults, with cables that are given up. All last."""
 
     stop: int = Operator.NONE
     fault: bool = False
+    reached: int = 0
+    """the latest state of arming; control goes back to no earlier one"""
 
     def note(self, claim: Claim) -> None:
         self.fault |= claim.fault != 0
+        if claim.state in CONTROLLED:
+            place = min(CONTROLLED.index(claim.state), _REGULATING)
+            self.fault |= place < self.reached or bool(claim.failed.any())
+            self.reached = max(self.reached, place)
         if claim.operator in (Operator.STOP, Operator.ESTOP):
             self.stop = max(self.stop, claim.operator)
 
@@ -87,6 +95,7 @@ class Judge:
         self._period_ns = round(settings.period_ms * 1e6)
         # Longer than `_pulling_ns`, of the same requirement, whose time is forgotten more slowly.
         self._unpowered_ns = max(self._opposed_ns, self._pulling_ns + self._period_ns)
+        self._timeout_ns = round(settings.timeout_ms * 1e6)
         self._brakes = config.relay is None
         patience = dict.fromkeys(Requirement, settings.patience_ms) | dict.fromkeys(_AT_ONCE, 0.0)
         # A frame that is lost at an end of the window shows in one look there.
@@ -127,6 +136,9 @@ class Judge:
         self._before: Claim | None = None
         self._tension: Floats | None = None
         """N, of the look before"""
+        self._felt_ns = 0
+        self._tared: Floats | None = None
+        """N, as they were recorded first"""
         self._orders = replace(self._lately)
 
     def __call__(self, seen: Observation) -> Violation | None:
@@ -155,7 +167,10 @@ class Judge:
         self._held = held
 
     def _broken(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
-        speeds = self._speeds(seen)
+        speeds = self._speeds(seen, seen.rate)
+        if np.isfinite(seen.travel).any():
+            travel = np.where(np.isfinite(seen.travel), seen.travel, seen.rate)
+            speeds = tuple(np.fmax(speeds, self._speeds(seen, travel)).tolist())
         for each in (
             *self._daemon(seen),
             *self._bus(seen),
@@ -173,15 +188,23 @@ class Judge:
         for each in self._always(seen, speeds):
             yield each, long_ns
         yield from self._recorded(seen)
-        if seen.claim is not None and _is_on_path(seen.claim):
+        for each in _faster(speeds, self._of_a_stop(seen.claim)):
             # One that is thrown is soon slower again, or in another stop.
-            limits = (self._settings.speed_on_path, self._settings.rotation)
-            for each in _faster(speeds, limits):
-                yield each, self._opposed_ns
+            yield each, self._opposed_ns
         if seen.claim is not None and seen.claim.state in _STIFF:
             loose = seen.enabled & (seen.tension < self._slack)
             for each in _at(Requirement.TENSION, seen, seen.tension, None, loose):
                 yield each, self._slack_ns
+
+    def _of_a_stop(self, claim: Claim | None) -> tuple[float, float]:
+        """Bounds of speed and turning rate besides the wide ones. A passive stop lets the platform
+        sink as fast as friction and damping do."""
+        settings = self._settings
+        if claim is None or claim.state != State.SAFE_STOP or claim.stop_mode == StopMode.PASSIVE:
+            return math.inf, math.inf
+        if claim.stop_mode == StopMode.ON_PATH:
+            return settings.speed_on_path, settings.rotation
+        return settings.speed_in_descent, math.inf
 
     def _is_disarmed(self, claim: Claim) -> bool:
         """A stop is of what was controlled: power that begins with it has no measured bound."""
@@ -201,11 +224,19 @@ class Judge:
         most = float(np.abs(claim.tare).max())
         if not most <= self._tare:
             yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, most)
+        if claim.state in ARMED:
+            self._tared = claim.tare if self._tared is None else self._tared
+            with np.errstate(invalid="ignore"):
+                moved = float(np.abs(claim.tare - self._tared).max())
+            if moved > 0.0:
+                yield Violation(Requirement.MEASURED_LOGGED, NOWHERE, moved)
         yield from self._stop_ends(seen)
         yield from self._follows(seen.claims, claim)
 
     def _follows(self, claims: list[Claim], newest: Claim) -> Iterator[Violation]:
-        """While power is on nothing ends an order or a fault, whatever the daemon records."""
+        """While power is on nothing ends an order or a fault, whatever the daemon records. A state
+        of arming after a later one is a fault of the record, which nothing of the robot's brings
+        about; a cable that is given up is one that stops the robot."""
         orders = self._orders
         for claim in claims:
             orders.note(claim)
@@ -287,9 +318,15 @@ class Judge:
             if used.any() or not self._brakes:
                 frozen = used
             frozen = frozen & ~self._at_its_limit(seen, claim)
+        if not frozen.any():
+            return
+        least = int(seen.same[frozen].min())
+        # A stop that lets go changes each torque so slowly that all are the same for some ticks by
+        # chance: only what moves meanwhile counts, not since one of them has been the same.
+        jolt = seen.jolt if controlled else seen.jolt * least / np.maximum(seen.same, 1)
         felt = controlled and (seen.swing > settings.frozen_tension)[frozen].any()
-        if felt or (seen.jolt > settings.frozen_rate)[frozen].any():
-            yield Violation(Requirement.FROZEN, NOWHERE, int(seen.same[frozen].min()))
+        if felt or (jolt > settings.frozen_rate)[frozen].any():
+            yield Violation(Requirement.FROZEN, NOWHERE, least)
 
     def _at_its_limit(self, seen: Observation, claim: Claim) -> NDArray[np.bool_]:
         """Torques that cannot follow a motion any further: the motor's limit, as long as it takes
@@ -329,10 +366,12 @@ class Judge:
         them; and, whatever the torque, a tension that stays away. Where a tension goes against the
         torque it is the platform that moves, and its drum has to follow it. Where a drum turns the
         way that its tension has to go, so much of the torque as would not stop it in ``opposed_ms``
-        brakes it, as a platform that is thrown wants."""
+        brakes it, as a platform that is thrown wants; and a tension that is at its reference in
+        that time, as fast as it moves, needs no torque that takes it there."""
         claim, settings = seen.claim, self._settings
         before = seen.tension if self._tension is None else self._tension
-        self._tension = seen.tension
+        since_ns = seen.now_ns - self._felt_ns
+        self._tension, self._felt_ns = seen.tension, seen.now_ns
         if claim is None:
             return
         on_path, stiff = _is_on_path(claim), claim.state in _STIFF
@@ -341,16 +380,19 @@ class Judge:
         reference = claim.reference[seen.axes]
         pull, error = seen.torque - seen.tension, reference - seen.tension
         against = seen.enabled & ((pull > 0.0) != (error > 0.0))
-        opposed = abs(pull) > settings.opposed_force
+        braking = np.fmax(0.0, np.sign(error) * seen.momentum) / (self._opposed_ns * 1e-9)
+        opposing = abs(pull) - braking
+        opposed = opposing > settings.opposed_force
         led = np.where(pull > 0.0, seen.tension < before, seen.tension > before)
         opposed &= against & (abs(error) > settings.opposed_error) & ~led
-        # A cable that is given up may have a reference of 0.
-        given_up = claim.failed[seen.axes] | (not stiff)
-        least = np.where(given_up, 0.0, self._least_tension)
+        least = self._least_tension if stiff else 0.0
         opposed |= seen.enabled & ~((reference >= least) & (reference <= self._most_tension))
-        excess = abs(seen.torque - reference) > settings.excess_force
-        excess &= seen.enabled & ~(against & (abs(error) > settings.opposed_error))
-        if stiff:
+        # Whichever was sent since the look before: a look sees the newest in every second tick.
+        drawn = (seen.torques > seen.tension) != (error > 0.0)
+        far = abs(seen.torques - reference) > settings.excess_force
+        far &= ~(drawn & (abs(error) > settings.opposed_error))
+        excess = seen.enabled & far.any(axis=0)
+        if not on_path:
             opposed |= excess
         for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
             yield each, self._patience_ns[Requirement.OPPOSED]
@@ -359,9 +401,11 @@ class Judge:
             for each in _at(Requirement.OPPOSED, seen, pull, None, excess):
                 yield each, self._opposed_ns
         if on_path or stiff:
-            braking = np.fmax(0.0, np.sign(error) * seen.momentum) / (self._opposed_ns * 1e-9)
-            opposed = abs(pull) - braking > settings.opposed_long_force
+            opposed = opposing > settings.opposed_long_force
             opposed &= against & (abs(error) > settings.opposed_long_error)
+            with np.errstate(invalid="ignore"):
+                closer = np.sign(error) * (seen.tension - before)
+            opposed &= closer * self._opposed_ns < abs(error) * since_ns
             for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
                 yield each, self._opposed_ns
         if stiff:
@@ -370,7 +414,7 @@ class Judge:
 
     def _recorded(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
         """SUP-11 of lengths; and SUP-12 the other way round: a drive without power, or in quick
-        stop, of a cable that is not given up. In a stop along the path only as long as it is asked
+        stop. In a stop along the path only of a cable that is not given up, as long as it is asked
         for tension: at its end none is."""
         claim, limit = seen.claim, self._settings.logged_length
         if claim is None:
@@ -378,14 +422,19 @@ class Judge:
         if claim.state in CONTROLLED:
             for each in _at(Requirement.MEASURED_LOGGED, seen, seen.off_bus, limit, seen.enabled):
                 yield each, self._period_ns
-        asked = ~claim.failed
+        asked = np.ones(len(claim.failed), bool)
         if _is_on_path(claim):
-            asked &= claim.reference > 0.0
+            asked = ~claim.failed & (claim.reference > 0.0)
         elif claim.state not in CONTROLLED[1:]:
             return
         off = asked[seen.axes] & (seen.in_quick_stop | ~seen.enabled)
-        for each in _at(Requirement.DISARMED, seen, claim.reference[seen.axes], None, off):
+        reference = claim.reference[seen.axes]
+        for each in _at(Requirement.DISARMED, seen, reference, None, off & seen.beating):
             yield each, self._unpowered_ns
+        # Drives of a channel without a heartbeat go on for a while, and only then the daemon can
+        # know of it: its own stop has the others.
+        for each in _at(Requirement.DISARMED, seen, reference, None, off):
+            yield each, self._unpowered_ns + self._timeout_ns
 
     def _stopping(self, seen: Observation) -> Iterator[Violation]:
         """In SAFE_STOP, besides what holds in every state: SUP-7 and 26."""
@@ -414,16 +463,16 @@ class Judge:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
         yield from _faster(speeds, (settings.speed_stopping, settings.rotation_stopping))
 
-    def _speeds(self, seen: Observation) -> tuple[float, ...]:
+    def _speeds(self, seen: Observation, rates: Floats) -> tuple[float, ...]:
         """The least speed and turning rate that any of the poses tried needs to give the drums
-        their rates, m/s and rad/s; not a number where a rate is not known. A drum without power
+        these ``rates``, m/s and rad/s; not a number where a rate is not known. A drum without power
         whose cable is slack turns by itself, and tells nothing."""
-        if len(seen.rate) != self._rows.shape[1]:
+        if len(rates) != self._rows.shape[1]:
             return math.nan, math.nan  # some of the axes are on another bus
-        told = np.empty(len(seen.rate), bool)
+        told = np.empty(len(rates), bool)
         told[seen.axes] = seen.enabled | ~(seen.tension < self._slack)
-        rate = np.empty(len(seen.rate))
-        rate[seen.axes] = seen.rate
+        rate = np.empty(len(rates))
+        rate[seen.axes] = rates
         key = told.tobytes()
         if key not in self._inverted:
             self._inverted[key] = np.linalg.pinv(self._rows[:, told]).astype(np.float64)

@@ -21,6 +21,8 @@ _ROUNDING = 1
 """per mille"""
 _TICKS = 1.5
 """by which the time between two answers may differ from what their number says"""
+_TRAVEL_LOOKS = 4
+"""over which a rate is taken whose SYNCs are irregular"""
 _UNANSWERED = 4
 """ticks without an answer: sampled, read, recorded and looked at, each may take one"""
 _SETTLED = 2
@@ -66,6 +68,9 @@ class Observation:
     """the least and the largest of them since the last look (2, n)"""
     rate: Floats
     """m/s, reeling in"""
+    travel: Floats
+    """m/s, its mean over the last looks where SYNCs are not those of the ticks; elsewhere not a
+    number"""
     momentum: Floats
     """N s at the cable, of the drum"""
     tension: Floats
@@ -212,6 +217,7 @@ class Observer:
             mille * self._newton,
             np.sort(torques, axis=0),
             rate,
+            self._travel(),
             self._mass * rate,
             tension,
             _force(self._contact, heard, tared),
@@ -338,6 +344,17 @@ class Observer:
         most = abs(self._limit * self._newton) + abs(force) + self._settings.unexplained_force
         motion[abs(motion) > most] = np.nan
         return rate, torque - force - motion, torque
+
+    def _travel(self) -> Floats:
+        """Where answers over the window are more, or fewer, than its ticks, those between two looks
+        tell no time: the rate is one of before, or of less motion than they stand for."""
+        first, last = self._samples[0], self._samples[-1]
+        before = self._samples[max(0, len(self._samples) - 1 - _TRAVEL_LOOKS)]
+        answered_ns = (last.places - first.places) * self._tick_ns
+        irregular = abs(answered_ns - last.read_ns + first.read_ns) > _TICKS * self._tick_ns
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = (last.length - before.length) / ((last.read_ns - before.read_ns) * 1e-9)
+        return np.where(irregular & (last.read_ns > before.read_ns), found, np.nan)
 
     def _rate(self, before: _Sample, now: _Sample) -> Floats:
         """Over the time between the SYNCs of the two positions, which their number tells better

@@ -179,7 +179,8 @@ class Supervisor:
         self._booted &= ~led
         self._led |= led
         # What is answered in that look, or in the next one, may be of before it acted.
-        self._led &= seen.enabled | (seen.measured_age > 0.0) | led | self._led_before
+        unanswered = seen.measured_age * 1e6 >= now_ns - self._looked_ns
+        self._led &= seen.enabled | unanswered | led | self._led_before
         self._led_before = led
         armed = bool(seen.enabled.any())
         self._judge.note(seen.claims)
@@ -278,8 +279,8 @@ class Supervisor:
         """Its output is on as long as the heartbeat goes, and is off at once with its end."""
         if self._output is None or not (self.beating or self._holds):
             return
-        self._holds = self.beating
-        self._tell(0, self._output, _HELD if self._holds else _RELEASED)
+        told = self._tell(0, self._output, _HELD if self.beating else _RELEASED)
+        self._holds = self.beating or not told
 
     def _fall_silent(self, found: Violation) -> None:
         """On every channel. What others have done is told where no heartbeat goes too: the daemon

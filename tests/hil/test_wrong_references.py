@@ -58,7 +58,7 @@ CASES = {
         State.ACTIVE, (690.0, -690.0), (219.0, 18.6), Requirement.OPPOSED, 25.0, 0.7, 100.0
     ),
     "references of cables that are given up": Wrong(
-        State.ACTIVE, (380.0, 380.0), (300.0, 300.0), Requirement.OPPOSED, 25.0, 0.1, 100.0, True
+        State.ACTIVE, (380.0, 380.0), (300.0, 300.0), Requirement.ORDERS, 25.0, 0.1, 100.0, True
     ),
 }
 

@@ -78,6 +78,8 @@ class Held:
         self.bus, self.config = FakeBus(), config
         self.answers = True
         self.recorded = True
+        self.later_ns = 0
+        """of a look than the newest record"""
         self.waiting: list[tuple[int, Any]] = []
         self.supervisor = Supervisor(config, self._new, lambda *_: self.bus)  # type: ignore[arg-type, return-value]
         self._now = 0
@@ -98,7 +100,7 @@ class Held:
         if self.answers:
             beat = can.Message(arbitration_id=0x700 + NODE, is_extended_id=False, data=b"\5")
             self.bus.waiting.append(beat)
-        return self.look()
+        return self.look(self.later_ns)
 
     def look(self, later_ns: int = 0) -> list[tuple[int, bytes]]:
         """So long after the newest record: what it sends."""

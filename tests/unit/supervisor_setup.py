@@ -63,6 +63,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         torque=np.full(N, 45.0),
         torques=np.full((2, N), 45.0),
         rate=np.zeros(N),
+        travel=np.full(N, np.nan),
         momentum=np.zeros(N),
         tension=np.full(N, 45.0),
         contact=0.0,

@@ -88,6 +88,29 @@ def test_frozen_torques_in_each_controlled_state(config: Config) -> None:
         assert found.requirement is Requirement.FROZEN
 
 
+@pytest.mark.parametrize(
+    ("state", "jolt", "found"),
+    [
+        (State.SAFE_STOP, 0.07, True),
+        (State.SAFE_STOP, 0.059, False),
+        (State.REFERENCING, 0.07, True),
+        (State.REFERENCING, 0.059, False),
+        (State.HOLD, 0.031, True),
+        (State.HOLD, 0.029, False),
+    ],
+)
+def test_a_torque_that_was_the_same_before_the_others(
+    config: Config, state: State, jolt: float, found: bool
+) -> None:
+    """In twelve frames its drum has changed its rate; all have been the same for six of them. Where
+    a stop lets go only what is of these counts."""
+    same, swing = at(2, 12.0, 6.0).astype(np.int64), np.zeros(N)
+    look = seen(said=claim(state), same=same, jolt=at(2, jolt), swing=swing)
+    verdict = judged(config, look)[0]
+    assert (verdict is not None) is found
+    assert verdict is None or (verdict.requirement, verdict.value) == (Requirement.FROZEN, 6)
+
+
 def test_how_many_torques_have_been_equal(config: Config) -> None:
     """The value is the least over the drives: so many are equal at each of them."""
     found = judged(config, seen(same=np.array([9, 6, 7, 8, 9, 9, 9, 9])))[0]

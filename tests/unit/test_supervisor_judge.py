@@ -215,7 +215,6 @@ def test_what_was_broken_before_is_found_no_later_than_at_first(
     [
         ({"tension": at(6, 261.0, 45.0)}, Requirement.TENSION),
         ({"contact": 36.0}, Requirement.CONTACT),
-        ({"rate": np.array([1, 1, 1, 1, -1, -1, -1, -1]) * 3.0}, Requirement.SPEED),
     ],
 )
 def test_the_wide_bounds_hold_in_a_stop_too(

@@ -183,7 +183,12 @@ def test_a_drive_without_power_whose_cable_is_not_given_up(
     found = ended(config, 20.0, state, **off)
     assert found == Violation(Requirement.DISARMED, 3, 45.0)
     assert ended(config, 19.9, state, **off) is None
-    assert ended(config, 30.0, state, failed=np.arange(N) == 3, **off) is None
+    found = ended(config, 30.0, state, failed=np.arange(N) == 3, **off)
+    if state is State.SAFE_STOP:
+        assert found is None
+    else:
+        assert found is not None
+        assert found.requirement is Requirement.ORDERS, "a cable that is given up is a stop's"
     for reference in (0.0, 1e-6):
         off["reference"] = at(3, reference, 45.0)
         found = ended(config, 30.0, state, **off)
@@ -191,6 +196,24 @@ def test_a_drive_without_power_whose_cable_is_not_given_up(
             assert found is None, "at the end of a stop none is asked"
         else:
             assert found == Violation(Requirement.DISARMED, 3, reference)
+
+
+@pytest.mark.parametrize(("state", "mode"), POWERED)
+def test_drives_of_a_channel_whose_heartbeat_has_ended(
+    config: Config, state: State, mode: StopMode
+) -> None:
+    """They go on for `timeout_ms`, and the daemon's own stop of the others begins after that."""
+    ended_alone = np.isin(np.arange(N), (3, 5))
+    off: dict[str, Any] = {"enabled": ~ended_alone, "beating": ~ended_alone, "stop_mode": mode}
+    if state in (State.HOLD, State.ACTIVE):
+        off["reference"] = np.full(N, 45.0)
+    assert config.supervisor is not None
+    for_ms = 20.0 + config.supervisor.timeout_ms
+    assert ended(config, for_ms, state, **off) == Violation(Requirement.DISARMED, 3, 45.0)
+    assert ended(config, for_ms - 0.1, state, **off) is None
+    off["enabled"] = off["enabled"] & (np.arange(N) != 1)
+    found = ended(config, 20.0, state, **off)
+    assert found == Violation(Requirement.DISARMED, 1, 45.0), "one that has its heartbeat"
 
 
 @pytest.mark.parametrize(

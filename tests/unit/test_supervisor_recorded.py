@@ -118,6 +118,16 @@ def test_a_bus_of_the_relay_that_is_gone_raises_nothing(held: Held) -> None:
     assert held.step() == [BEAT, HELD]
 
 
+def test_an_output_that_cannot_be_taken_back_is_taken_back_later(held: Held) -> None:
+    held.armed().bus.broken = True
+    assert held.step(out_of_bounds) == []
+    list(held.steps(5, out_of_bounds))
+    assert not held.supervisor.beating
+    held.bus.broken = False
+    assert held.step(out_of_bounds) == [RELEASED]
+    assert held.step(out_of_bounds) == []
+
+
 # --- what the record shows -----------------------------------------------------------------------
 
 
@@ -470,3 +480,21 @@ def test_a_stall_in_which_the_relay_has_opened(held: Held, stalled_ms: int, goes
     sent = list(held.steps(150, disarmed))
     assert [each == [BEAT, HELD] for each in sent] == [goes_on] * 150
     assert [BEAT, HELD] in list(held.steps(3, disarmed))
+
+
+def test_a_drive_that_was_silent_in_a_stop_is_not_led_afterwards() -> None:
+    """On a relay a measurement is as old as its record, so never of the look itself. Single
+    heartbeats to it would be those of a robot that has power."""
+    held = Held(load("config/ethercat.yaml", overrides=ROBOT | {"supervisor.policy": "require"})[0])
+    held.later_ns = MS // 2
+    held.armed()
+
+    def silent(record: Any) -> None:
+        record["drives"]["age"][2] = 7
+
+    list(held.steps(4, silent))
+    list(held.steps(200, disarmed))
+    held.recorded = False
+    sent = list(held.steps(200, disarmed))
+    assert RELEASED in sent[2]
+    assert all(frames == [] for frames in sent[3:])

@@ -13,6 +13,7 @@ from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State, StopMode
 from tonus.runtime.supervisor.judge import Violation
+from tonus.runtime.supervisor.record import CONTROLLED
 
 ON_PATH = (State.SAFE_STOP, StopMode.ON_PATH)
 STIFF = [(State.HOLD, StopMode.NONE), (State.ACTIVE, StopMode.NONE)]
@@ -29,7 +30,9 @@ def config() -> Config:
 
 def found(config: Config, for_ms: float, said: dict[str, Any], **given: Any) -> Violation | None:
     """The verdict at the end of a condition that lasts, after a record that was controlled."""
-    before = seen(98.0, claim(at_ms=98.0))
+    state = said.get("state", State.ACTIVE)
+    controlled = state if state in CONTROLLED else State.ACTIVE
+    before = seen(98.0, claim(at_ms=98.0, state=controlled))
     looks = [seen(now, claim(at_ms=now, **said), **given) for now in (100.0, 100.0 + for_ms)]
     return judged(config, before, *looks)[-1]
 
@@ -40,8 +43,9 @@ def found(config: Config, for_ms: float, said: dict[str, Any], **given: Any) -> 
 def test_how_large_a_reference_may_be(
     config: Config, state: State, mode: StopMode, given_up: bool, reference: float
 ) -> None:
-    """From 0 to a tenth beyond T_max wherever tensions follow it, also of a cable that is given up;
-    less than T_min only in HOLD and ACTIVE is wrong, of one that is not."""
+    """From 0 to a tenth beyond T_max wherever tensions follow it, also of a cable that is given up,
+    which is none in control; less than T_min is wrong in HOLD and ACTIVE alone."""
+    given_up &= state is State.SAFE_STOP
     said = {
         "reference": at(3, reference, 45.0),
         "tension": at(3, 45.0, 45.0),
@@ -51,7 +55,7 @@ def test_how_large_a_reference_may_be(
     }
     verdict = found(config, 5.0, said)
     above = not reference <= 220.0
-    least = 20.25 / 1.1 if (state, mode) in STIFF and not given_up else 0.0
+    least = 20.25 / 1.1 if (state, mode) in STIFF else 0.0
     below = reference < least
     judges = (state, mode) not in OTHER_STOPS
     assert (verdict is not None) is (judges and (above or below))
@@ -82,12 +86,48 @@ def test_a_torque_far_beyond_its_reference(
     judged by how far it is from the tension."""
     said = {"reference": at(3, 45.0 + error, 45.0), "state": state, "stop_mode": mode}
     given = {"torque": at(3, 45.0 + error + excess, 45.0)}
-    judges = (state, mode) in (*STIFF, ON_PATH)
-    longest_ms = 5.0 if (state, mode) in STIFF else 20.0
+    judges = (state, mode) in (*STIFF, *SOFT, ON_PATH)
+    longest_ms = 20.0 if (state, mode) == ON_PATH else 5.0
     verdict = found(config, longest_ms, said, **given)
     assert (verdict is not None) is (judges and wrong)
     assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
     assert found(config, longest_ms - 0.1, said, **given) is None
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize(("torque", "wrong"), [(345.1, True), (345.0, False)])
+def test_a_torque_far_beyond_its_reference_in_one_tick_of_two(
+    config: Config, which: int, torque: float, wrong: bool
+) -> None:
+    """A look sees the newest of two in every second tick."""
+    torques = np.full((2, N), 45.0)
+    torques[which, 3] = torque if which else 90.0 - torque
+    said = {"reference": np.full(N, 45.0), "state": State.ACTIVE}
+    verdict = found(config, 5.0, said, torques=torques)
+    assert (verdict is not None) is wrong
+    assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(
+    ("step", "wrong"), [(0.0, True), (0.1, True), (0.9, True), (1.1, False), (-1.1, True)]
+)
+def test_a_tension_that_is_soon_at_its_reference(
+    config: Config, sign: float, step: float, wrong: bool
+) -> None:
+    """A torque of 40 N takes it away from there, and it is 10 N off. Each look it is so many N
+    nearer; in the 20 ms that the torque may last it gets there, or not."""
+    looks = []
+    for look in range(12):
+        at_ms = 100.0 + 2.0 * look
+        tension = at(3, 45.0 + sign * step * look, 45.0)
+        reference = at(3, tension[3] + sign * 10.0, 45.0)
+        said = claim(at_ms=at_ms, tension=tension, reference=reference)
+        torque = at(3, tension[3] - sign * 40.0, 45.0)
+        looks.append(seen(at_ms, said, tension=tension, torque=torque))
+    verdict = judged(config, *looks)[-1]
+    assert (verdict is not None) is wrong
+    assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
 
 
 def test_a_torque_that_is_driven_away_by_a_thrown_platform(config: Config) -> None:
@@ -105,27 +145,47 @@ def test_a_torque_that_is_driven_away_by_a_thrown_platform(config: Config) -> No
 
 def test_a_drive_without_power_may_have_been_sent_any_torque(config: Config) -> None:
     """What it is sent acts on nothing."""
-    said = {"reference": np.full(N, 45.0), "failed": THIRD, "state": State.ACTIVE}
+    said = {"reference": np.full(N, 45.0), "state": State.ACTIVE}
     given = {"torque": at(3, 400.0, 45.0), "enabled": ~THIRD, "mille": at(3, 0, 100)}
     assert found(config, 5.0, said, **given) is None
 
 
 @pytest.mark.parametrize(
-    ("speed", "for_ms", "wrong"), [(0.9, 20.0, True), (0.9, 19.9, False), (0.49, 60.0, False)]
+    ("speed", "for_ms", "found_in"),
+    [
+        (1.4, 20.0, (StopMode.ON_PATH, StopMode.DESCENT, StopMode.NONE)),
+        (1.4, 19.9, ()),
+        (3.5, 110.0, tuple(StopMode)),
+        (3.5, 109.9, (StopMode.ON_PATH, StopMode.DESCENT, StopMode.NONE)),
+        (0.79, 20.0, (StopMode.ON_PATH,)),
+        (0.49, 60.0, ()),
+    ],
 )
-@pytest.mark.parametrize(("state", "mode"), [ON_PATH, *OTHER_STOPS])
-def test_how_fast_a_stop_along_the_path_may_be(
-    config: Config, state: State, mode: StopMode, speed: float, for_ms: float, wrong: bool
+@pytest.mark.parametrize("mode", StopMode)
+def test_how_fast_a_stop_may_be(
+    config: Config, mode: StopMode, speed: float, for_ms: float, found_in: tuple[StopMode, ...]
 ) -> None:
+    """Along the path, and in a descent, or one of no known kind; a passive one sinks."""
     geometry = config.robot.geometry
     along = np.array(geometry.frame) - np.array(geometry.platform)
     rates = along @ np.array([0.0, 0.0, speed]) / np.linalg.norm(along, axis=1)
-    said = {"state": state, "stop_mode": mode}
+    said = {"state": State.SAFE_STOP, "stop_mode": mode}
     # A passive stop's torques brake its drums.
     torque = np.where(rates > 0.0, 0.0, 20.0)
     verdict = found(config, for_ms, said, rate=rates, torque=torque)
-    assert (verdict is not None) is (wrong and mode is StopMode.ON_PATH)
+    assert (verdict is not None) is (mode in found_in)
     assert verdict is None or verdict.requirement is Requirement.SPEED
+
+
+def test_how_fast_a_descent_may_turn(config: Config) -> None:
+    """As fast as a torn cable lets it."""
+    geometry = config.robot.geometry
+    frame, platform = np.array(geometry.frame), np.array(geometry.platform)
+    along = (frame - platform) / np.linalg.norm(frame - platform, axis=1, keepdims=True)
+    rates = 4.0 * np.cross(platform, along) @ np.array([0.0, 0.0, 1.0])
+    for mode, wrong in ((StopMode.ON_PATH, True), (StopMode.DESCENT, False)):
+        said = {"state": State.SAFE_STOP, "stop_mode": mode}
+        assert (found(config, 20.0, said, rate=rates) is not None) is wrong
 
 
 @pytest.mark.parametrize(("state", "mode"), [*STIFF, *SOFT, ON_PATH, *OTHER_STOPS])
@@ -134,6 +194,7 @@ def test_a_drive_that_holds_its_motor_by_itself(
     config: Config, state: State, mode: StopMode, given_up: bool
 ) -> None:
     """In quick stop it has power, and takes no torque."""
+    given_up &= state is State.SAFE_STOP
     said = {"state": state, "stop_mode": mode, "failed": THIRD & given_up}
     verdict = found(config, 20.0, said, in_quick_stop=THIRD)
     judges = (state, mode) in (*STIFF, (State.PRETENSION, StopMode.NONE), ON_PATH)

@@ -60,6 +60,28 @@ def test_the_speed_of_the_drums_bounds_that_of_the_platform(config: Config) -> N
     assert some is None, "some axes on another bus: not judged"
 
 
+@pytest.mark.parametrize(("faster", "found"), [("rate", True), ("travel", True), ("none", False)])
+def test_rates_over_more_looks_count_where_syncs_are_irregular(
+    config: Config, faster: str, found: bool
+) -> None:
+    """The larger speed of both, also where the newest rates are not known."""
+    geometry = config.robot.geometry
+    along = np.array(geometry.frame) - np.array(geometry.platform)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    fast, slow = along @ np.array([0.0, 0.0, 0.6]), along @ np.array([0.0, 0.0, 0.1])
+    given = {"rate": slow, "travel": slow, "mille": np.full(N, 100)} | {faster: fast}
+    given.pop("none", None)
+    verdict = lasting(config, 5.0, **given)
+    assert (verdict and verdict.requirement) == (Requirement.SPEED if found else None)
+    given["travel"] = at(3, fast[3], np.nan)
+    verdict = lasting(config, 5.0, **given)
+    assert (verdict is not None) is (faster == "rate"), "with the newest rates of the others"
+    given["rate"], given["travel"] = np.full(N, np.nan), fast
+    verdict = lasting(config, 5.0, **given)
+    assert verdict is not None
+    assert verdict.requirement is Requirement.SPEED
+
+
 def test_the_speed_does_not_depend_on_the_order_of_the_drives(config: Config) -> None:
     geometry = config.robot.geometry
     along = np.array(geometry.frame) - np.array(geometry.platform)

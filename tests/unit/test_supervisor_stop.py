@@ -12,7 +12,7 @@ from tests.unit.supervisor_setup import MS, STRICT, N, at, claim, judged, lastin
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.signals import cycle_dtype
-from tonus.runtime.states import Fault, Operator, State, StopMode
+from tonus.runtime.states import ARMED, Fault, Operator, State, StopMode
 from tonus.runtime.supervisor.judge import NOWHERE, Judge
 from tonus.runtime.supervisor.observation import Observation
 from tonus.runtime.supervisor.record import claims
@@ -179,6 +179,77 @@ def test_a_fault_that_stops_nothing(config: Config, state: State) -> None:
     found = [each and each.requirement for each in judged(config, *looks)]
     ignored = Requirement.ORDERS if state in CONTROLLED else None
     assert found == [None, None, ignored]
+
+
+@pytest.mark.parametrize("first", CONTROLLED)
+@pytest.mark.parametrize("then", CONTROLLED)
+def test_a_state_of_arming_after_a_later_one(config: Config, first: State, then: State) -> None:
+    """From HOLD to ACTIVE and back it goes as ordered; all else is a fault of the record, which
+    lasts until the drives are off."""
+    stiff = (State.HOLD, State.ACTIVE)
+    back = then < first and not (first in stiff and then in stiff)
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    looks = [told(first, 98.0), *(told(then, at_ms) for at_ms in (100.0, 104.9, 105.0))]
+    looks.append(told(State.ACTIVE, 106.0))
+    wanted = Requirement.ORDERS if back else None
+    found = [each and each.requirement for each in map(judge, looks)]
+    assert found == [None, None, None, wanted, wanted]
+    judge.note([claim(State.STANDBY, 107.0)])
+    judge.rest(107 * MS)
+    looks = [told(then, at_ms) for at_ms in (200.0, 206.0)]
+    assert list(map(judge, looks)) == [None, None]
+
+
+def test_an_earlier_state_between_two_looks(config: Config) -> None:
+    said = [claim(state, 99.0) for state in (State.ACTIVE, State.PRETENSION, State.ACTIVE)]
+    looks = [seen(100.0, said[-1], claims=said), told(State.ACTIVE, 105.0)]
+    found = judged(config, *looks)[-1]
+    assert found is not None
+    assert found.requirement is Requirement.ORDERS
+
+
+@pytest.mark.parametrize("state", [*CONTROLLED, State.SAFE_STOP])
+def test_a_cable_that_is_given_up_and_no_stop(config: Config, state: State) -> None:
+    """Nothing is controlled without one of its cables."""
+    given_up = np.arange(N) == 5
+    looks = [told(state, 98.0)]
+    looks += [told(state, at_ms, failed=given_up) for at_ms in (100.0, 104.9, 105.0)]
+    found = [each and each.requirement for each in judged(config, *looks)]
+    ignored = Requirement.ORDERS if state in CONTROLLED else None
+    assert found == [None, None, None, ignored]
+
+
+@pytest.mark.parametrize("state", ARMED)
+@pytest.mark.parametrize("row", [0, N])
+@pytest.mark.parametrize("moved", [-1e-9, 0.1])
+def test_a_tare_that_moves_while_the_robot_is_armed(
+    config: Config, state: State, row: int, moved: float
+) -> None:
+    """By as little as it is: it is taken off once, before."""
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    tare = np.full(N + 1, 1.0)
+    other = tare.copy()
+    other[row] += moved
+    looks = [told(state, 98.0, tare=tare)]
+    looks += [told(state, at_ms, tare=other) for at_ms in (100.0, 104.9, 105.0)]
+    found = list(map(judge, looks))
+    assert found[:-1] == [None] * 3
+    assert found[-1] is not None
+    assert found[-1].requirement is Requirement.MEASURED_LOGGED
+    assert found[-1].value == pytest.approx(abs(moved))
+    judge.note([claim(State.STANDBY, 106.0)])
+    judge.rest(106 * MS)
+    looks = [told(state, at_ms, tare=other) for at_ms in (200.0, 206.0)]
+    assert list(map(judge, looks)) == [None, None], "a new one, for a new arming"
+
+
+def test_a_tare_before_arming_may_be_another(config: Config) -> None:
+    looks = [told(State.STANDBY, 98.0, tare=np.ones(N + 1))]
+    looks += [told(State.REFERENCING, at_ms) for at_ms in (100.0, 106.0)]
+    found = [each and each.requirement for each in judged(config, *looks)]
+    assert Requirement.MEASURED_LOGGED not in found
 
 
 def test_orders_and_faults_of_a_record() -> None:

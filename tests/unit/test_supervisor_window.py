@@ -243,3 +243,60 @@ def test_a_window_is_of_two_looks_at_least(config: Config) -> None:
             found = observe(k * MS, stage.heard, [claim(at_ms=k)])
     assert found.mean_torque == pytest.approx(90.0, abs=0.3)
     assert found.rate == pytest.approx(0.2, rel=0.05)
+
+
+SPEED = 0.5
+"""m/s"""
+
+
+@pytest.mark.parametrize(
+    ("syncs", "told"),
+    [
+        ((1, 1, 1, 1), False),
+        ((1, 2, 1, 0), False),  # one may come just before a tick and the other just after
+        ((1, 3, 0, 0), False),
+        ((1, 1, 1, 0), True),
+        ((2, 1, 1, 1), True),
+        ((1, 0, 1, 0), True),
+        ((3, 0, 0, 0), True),
+    ],
+)
+def test_the_rate_over_the_last_looks_is_told_where_syncs_are_irregular(
+    stage: Stage, syncs: tuple[int, ...], told: bool
+) -> None:
+    """The drums turn at one speed, and answer so many SYNCs in each of four ticks."""
+    found = []
+    for k in range(BASE, BASE + 60):
+        for _ in range(syncs[k % 4]):
+            stage.tick(k * MS, newton=45.0, metre=SPEED * (k - BASE) * 1e-3, force=45.0)
+        if k % 2:
+            found.append(stage.observe(k * MS, stage.heard, [claim(at_ms=k)]))
+    for look in found[12:]:
+        assert np.isfinite(look.travel).all() == told
+        assert np.isfinite(look.travel).any() == told
+    mean = np.mean([look.travel for look in found[12:]], axis=0)
+    assert not told or mean == pytest.approx(np.full(N, SPEED), rel=0.05)
+
+
+def test_bunches_of_syncs_hide_no_speed(stage: Stage) -> None:
+    """One in a tick before a look, three in the one after it, and none in the next six: by their
+    number they are four ticks. Until 2026-11-28 a third of the speed was found."""
+    rates, travels = [], []
+    for k in range(BASE, BASE + 80):
+        for _ in range({1: 1, 2: 3}.get(k % 8, 0)):
+            # Read in the look.
+            stage.tick((k | 1) * MS, newton=45.0, metre=SPEED * (k - BASE) * 1e-3, force=45.0)
+        if k % 2:
+            look = stage.observe(k * MS, stage.heard, [claim(at_ms=k)])
+            rates.append(look.rate)
+            travels.append(np.fmax(look.rate, look.travel))
+    assert np.min(rates[20:]) < 0.4 * SPEED
+    assert np.min(travels[20:]) > 0.8 * SPEED
+
+
+def test_where_no_time_passes_between_answers_none_is_told(stage: Stage) -> None:
+    for look in range(3):
+        for _ in range(3):
+            stage.tick(BASE * MS, newton=45.0, metre=0.1 * look, force=45.0)
+        found = stage.observe((BASE + look) * MS, stage.heard, [claim()])
+        assert np.isnan(found.travel).all()

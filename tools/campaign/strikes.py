@@ -96,8 +96,8 @@ def _out_of_reach(config: Config, fault: Any) -> set[int]:
         bus for bus in of_kind(config.fieldbus, EthercatBus) if bus.interface == fault.channel
     )
     period_us = config.control.rates.period_us
-    # Up to a period may pass from the last frame that gets through to its begin, and from its end to
-    # the first one.
+    # Up to a period may pass from the last frame that gets through to its begin, and from its end
+    # to the first one.
     longest = watchdog_ms(bus, config.tolerance, period_us) - 2.0 * period_us * 1e-3
     short = fault.duration is not None and fault.duration * 1e3 < longest
     if short or bus.redundant_interface is not None:

@@ -112,6 +112,7 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
         (f"{_KEY}.contact_at_once", settings.contact_at_once, envelope.contact_limit, 3.0),
         (f"{_KEY}.speed_stopping", settings.speed_stopping, envelope.speed_limit, 10.0),
         (f"{_KEY}.speed_on_path", settings.speed_on_path, envelope.speed_limit, 3.0),
+        (f"{_KEY}.speed_in_descent", settings.speed_in_descent, envelope.speed_limit, 4.0),
         (f"{_KEY}.spread", settings.spread, narrowest, LARGEST_SPREAD),
         ("control.sequence.tare_limit", tare, envelope.contact_limit, 0.5),
         ("control.stiffness.rise_rate", rise, stiffness.maximum - stiffness.minimum, 10.0),
