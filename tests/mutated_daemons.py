@@ -183,7 +183,7 @@ DAEMONS: dict[str, Mutated] = {
     ),
     "a fault is ignored, a cable is cut": Mutated(
         ignoring(Event.FAULT),
-        Requirement.ORDERS,
+        Requirement.OPPOSED,
         28.0,
         0.6,
         1.15,

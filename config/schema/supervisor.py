@@ -189,7 +189,7 @@ class Supervisor(Section):
     margin: Annotated[Number, Field(ge=1, le=1.5)]
     """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
     tension_stopping: Positive
-    """N, in every state"""
+    """N, in every state for ``stopping_ms``, in SAFE_STOP for ``opposed_ms``"""
     contact_stopping: Annotated[Positive, Field(le=100)]
     """N, in every state"""
     contact_at_once: Annotated[Positive, Field(le=200)] = 70.0
@@ -197,7 +197,7 @@ class Supervisor(Section):
     speed_on_path: Annotated[Positive, Field(le=2)] = 0.5
     """m/s, in a stop along the path for ``opposed_ms``; with ``rotation``"""
     speed_in_descent: Annotated[Positive, Field(le=3)] = 0.8
-    """m/s, in a stop that is neither along the path nor passive, for ``opposed_ms``"""
+    """m/s, in a stop that is neither along the path nor passive, for ``patience_ms``"""
     speed_stopping: Annotated[Positive, Field(le=5)]
     """m/s, in every state"""
     rotation: Annotated[Positive, Field(le=5)]

@@ -188,23 +188,29 @@ class Judge:
         for each in self._always(seen, speeds):
             yield each, long_ns
         yield from self._recorded(seen)
-        for each in _faster(speeds, self._of_a_stop(seen.claim)):
-            # One that is thrown is soon slower again, or in another stop.
-            yield each, self._opposed_ns
+        limits, patience_ns = self._of_a_stop(seen.claim)
+        for each in _faster(speeds, limits):
+            yield each, patience_ns
+        if seen.claim is not None and seen.claim.state == State.SAFE_STOP:
+            # No stop of a daemon in order gets there; a cell that is wrong does.
+            tense = (seen.tension > self._settings.tension_stopping) & ~seen.defective
+            for each in _at(Requirement.TENSION, seen, seen.tension, None, tense):
+                yield each, self._opposed_ns
         if seen.claim is not None and seen.claim.state in _STIFF:
             loose = seen.enabled & (seen.tension < self._slack)
             for each in _at(Requirement.TENSION, seen, seen.tension, None, loose):
                 yield each, self._slack_ns
 
-    def _of_a_stop(self, claim: Claim | None) -> tuple[float, float]:
-        """Bounds of speed and turning rate besides the wide ones. A passive stop lets the platform
-        sink as fast as friction and damping do."""
+    def _of_a_stop(self, claim: Claim | None) -> tuple[tuple[float, float], int]:
+        """Bounds of speed and turning rate besides the wide ones, and for how long they may be
+        exceeded. One along the path that is thrown is soon slower again, or in another stop; a
+        passive one lets the platform sink as fast as friction and damping do."""
         settings = self._settings
         if claim is None or claim.state != State.SAFE_STOP or claim.stop_mode == StopMode.PASSIVE:
-            return math.inf, math.inf
+            return (math.inf, math.inf), 0
         if claim.stop_mode == StopMode.ON_PATH:
-            return settings.speed_on_path, settings.rotation
-        return settings.speed_in_descent, math.inf
+            return (settings.speed_on_path, settings.rotation), self._opposed_ns
+        return (settings.speed_in_descent, math.inf), self._pulling_ns
 
     def _is_disarmed(self, claim: Claim) -> bool:
         """A stop is of what was controlled: power that begins with it has no measured bound."""

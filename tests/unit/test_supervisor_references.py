@@ -154,7 +154,9 @@ def test_a_drive_without_power_may_have_been_sent_any_torque(config: Config) -> 
     ("speed", "for_ms", "found_in"),
     [
         (1.4, 20.0, (StopMode.ON_PATH, StopMode.DESCENT, StopMode.NONE)),
-        (1.4, 19.9, ()),
+        (1.4, 19.9, (StopMode.DESCENT, StopMode.NONE)),
+        (1.4, 5.0, (StopMode.DESCENT, StopMode.NONE)),
+        (1.4, 4.9, ()),
         (3.5, 110.0, tuple(StopMode)),
         (3.5, 109.9, (StopMode.ON_PATH, StopMode.DESCENT, StopMode.NONE)),
         (0.79, 20.0, (StopMode.ON_PATH,)),
