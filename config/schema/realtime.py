@@ -57,9 +57,9 @@ class RealTime(Section):
     recorder_cpu: Processors | None = None
     cpu_dma_latency_us: WholeNumber | None = None
     """longest wake-up from idle that a processor may take while the daemon runs; null: not asked"""
-    awake: Literal["none", "own", "all", "measured"] = "own"
-    """of which processors that is asked: none; the daemon's, if it has one of its own; all; or the
-    fewest with which answers are in time, measured at the start of a run"""
+    awake: Literal["own", "all", "measured"] = "own"
+    """of which processors that is asked: the daemon's, if it has one of its own; all; or what is
+    found to be better at the start of a run"""
     prefault_mib: WholeNumber = 0
     """MiB of heap touched, and kept from going back to the kernel, before anything is armed"""
     early_wake_us: WholeNumber = 0

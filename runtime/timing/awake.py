@@ -1,4 +1,4 @@
-"""Which processors are kept from idling: none, the daemon's, or all. Measured: hosts differ.
+"""Whether only the daemon's processor is kept from idling, or all: measured, because hosts differ.
 
 A hypervisor with many guests gives a processor that idles to another guest, and gives it back late.
 One that allots a share of itself to each guest stops one whose processors never idle.
@@ -12,43 +12,36 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import fmean, median
-from typing import Literal, cast
+from typing import Literal
 
 from tonus.runtime.timing.clock import pause, wall_seconds
 
-Choice = Literal["none", "own", "all"]
+Choice = Literal["own", "all"]
 Undo = Callable[[], object]
 _TURNS = 3
 _ROUNDS = 100
 _PERIOD_S = 1e-3
 _LATE_US = 100.0
 _CLEARLY = 2.0
-"""More are kept awake if answers are late otherwise, and come so much sooner then."""
-_WHERE = {"none": "nowhere", "own": "on the daemon's processor only", "all": "on all processors"}
+"""All are kept awake if answers are late otherwise, and come so much sooner then."""
 
 
 @dataclass(frozen=True)
 class Comparison:
     """Mean time from the daemon's processor to another and back, us."""
 
-    none_us: float
-    """with every processor left to idle"""
     own_us: float
     all_us: float
 
     @property
     def better(self) -> Choice:
-        best, took = "none", self.none_us
-        for choice, microseconds in (("own", self.own_us), ("all", self.all_us)):
-            if took > max(_LATE_US, _CLEARLY * microseconds):
-                best, took = choice, microseconds
-        return cast("Choice", best)
+        return "all" if self.own_us > max(_LATE_US, _CLEARLY * self.all_us) else "own"
 
     def __str__(self) -> str:
+        where = "all processors" if self.better == "all" else "the daemon's processor only"
         return (
-            f"another processor answers within {self.none_us:.0f} us with idle states, "
-            f"{self.own_us:.0f} us without the daemon's, {self.all_us:.0f} us without any: "
-            f"disabled {_WHERE[self.better]}"
+            f"another processor answers within {self.own_us:.0f} us with idle states, "
+            f"{self.all_us:.0f} us without: disabled on {where}"
         )
 
 
@@ -58,7 +51,7 @@ def compare(daemon: int, other: int, hold: Callable[[Choice], Undo | None]) -> C
     usual = os.sched_getaffinity(0)
     near, far = socket.socketpair()
     echo = threading.Thread(target=_echo, args=(far, other), daemon=True)
-    took: dict[Choice, list[float]] = {"none": [], "own": [], "all": []}
+    took: dict[Choice, list[float]] = {"own": [], "all": []}
     try:
         os.sched_setaffinity(0, {daemon})
         echo.start()
@@ -75,7 +68,7 @@ def compare(daemon: int, other: int, hold: Callable[[Choice], Undo | None]) -> C
         near.close()
         echo.join()
         far.close()
-    return Comparison(median(took["none"]), median(took["own"]), median(took["all"]))
+    return Comparison(median(took["own"]), median(took["all"]))
 
 
 def _round(near: socket.socket) -> float:

@@ -63,7 +63,7 @@ class Hygiene:
         if settings.lock_memory:
             self._take(_lock())
         self._take(_slack())
-        if settings.cpu_dma_latency_us is not None and settings.awake != "none":
+        if settings.cpu_dma_latency_us is not None:
             processor = None if settings.awake == "all" else settings.daemon_cpu
             self._take(_stay_awake(settings.cpu_dma_latency_us, processor))
         if settings.daemon_cpu is not None:
@@ -115,8 +115,6 @@ def compared(settings: RealTime) -> Comparison | None:
         return None
 
     def hold(choice: Choice) -> Undo | None:
-        if choice == "none":
-            return None
         return _stay_awake(latency_us, daemon if choice == "own" else None)[1]
 
     return compare(daemon, max(usable - {daemon}), hold)
