@@ -189,7 +189,7 @@ class Supervisor(Section):
     margin: Annotated[Number, Field(ge=1, le=1.5)]
     """times the envelope's bounds of tension, contact and speed while the robot is controlled"""
     tension_stopping: Positive
-    """N, in every state for ``stopping_ms``, in SAFE_STOP for ``opposed_ms``"""
+    """N, in SAFE_STOP for ``opposed_ms``"""
     contact_stopping: Annotated[Positive, Field(le=100)]
     """N, in every state"""
     contact_at_once: Annotated[Positive, Field(le=200)] = 70.0

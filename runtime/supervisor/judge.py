@@ -329,9 +329,9 @@ class Judge:
         least = int(seen.same[frozen].min())
         # A stop that lets go changes each torque so slowly that all are the same for some ticks by
         # chance: only what moves meanwhile counts, not since one of them has been the same.
-        jolt = seen.jolt if controlled else seen.jolt * least / np.maximum(seen.same, 1)
+        share = 1.0 if controlled else least / seen.same[frozen]
         felt = controlled and (seen.swing > settings.frozen_tension)[frozen].any()
-        if felt or (jolt > settings.frozen_rate)[frozen].any():
+        if felt or (seen.jolt[frozen] * share > settings.frozen_rate).any():
             yield Violation(Requirement.FROZEN, NOWHERE, least)
 
     def _at_its_limit(self, seen: Observation, claim: Claim) -> NDArray[np.bool_]:
@@ -398,14 +398,12 @@ class Judge:
         far = abs(seen.torques - reference) > settings.excess_force
         far &= ~(drawn & (abs(error) > settings.opposed_error))
         excess = seen.enabled & far.any(axis=0)
-        if not on_path:
-            opposed |= excess
         for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
             yield each, self._patience_ns[Requirement.OPPOSED]
-        if on_path:
-            # A stop of a platform that is thrown begins with as much, for some ms.
-            for each in _at(Requirement.OPPOSED, seen, pull, None, excess):
-                yield each, self._opposed_ns
+        # A stop of a platform that is thrown begins with as much, for some ms.
+        longest_ns = self._opposed_ns if on_path else self._patience_ns[Requirement.OPPOSED]
+        for each in _at(Requirement.OPPOSED, seen, pull, None, excess):
+            yield each, longest_ns
         if on_path or stiff:
             opposed = opposing > settings.opposed_long_force
             opposed &= against & (abs(error) > settings.opposed_long_error)
@@ -462,8 +460,6 @@ class Judge:
         daemon stops, a cell whose amplifier reports an error says nothing."""
         settings, claim = self._settings, seen.claim
         stopping = claim is not None and claim.state == State.SAFE_STOP
-        limit, judged = settings.tension_stopping, ~(seen.defective & stopping)
-        yield from _at(Requirement.TENSION, seen, seen.tension, limit, judged)
         known = not (stopping and seen.contact_defective)
         if known and abs(seen.contact) > settings.contact_stopping:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)

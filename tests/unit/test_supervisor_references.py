@@ -110,7 +110,8 @@ def test_a_torque_far_beyond_its_reference_in_one_tick_of_two(
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize(
-    ("step", "wrong"), [(0.0, True), (0.1, True), (0.9, True), (1.1, False), (-1.1, True)]
+    ("step", "wrong"),
+    [(0.0, True), (0.1, True), (0.9, True), (1.0, False), (1.1, False), (-1.1, True)],
 )
 def test_a_tension_that_is_soon_at_its_reference(
     config: Config, sign: float, step: float, wrong: bool
@@ -128,6 +129,19 @@ def test_a_tension_that_is_soon_at_its_reference(
     verdict = judged(config, *looks)[-1]
     assert (verdict is not None) is wrong
     assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
+
+
+def test_a_torque_beyond_its_reference_that_follows_a_thrown_platform(config: Config) -> None:
+    """The tension rises to its reference by itself, and the drum has to pay out: its torque is as
+    far from the reference as none on the other side may be."""
+    looks = []
+    for look in range(6):
+        at_ms = 100.0 + 2.0 * look
+        tension = at(3, 80.0 + 0.6 * look, 45.0)
+        said = claim(at_ms=at_ms, tension=tension, reference=at(3, tension[3] + 10.0, 45.0))
+        torque = at(3, -320.0, 45.0)
+        looks.append(seen(at_ms, said, tension=tension, torque=torque))
+    assert judged(config, *looks) == [None] * 6
 
 
 def test_a_torque_that_is_driven_away_by_a_thrown_platform(config: Config) -> None:
@@ -177,6 +191,18 @@ def test_how_fast_a_stop_may_be(
     verdict = found(config, for_ms, said, rate=rates, torque=torque)
     assert (verdict is not None) is (mode in found_in)
     assert verdict is None or verdict.requirement is Requirement.SPEED
+
+
+@pytest.mark.parametrize("state", [State.OFF, State.STANDBY, State.FAULT])
+@pytest.mark.parametrize("mode", [StopMode.NONE, StopMode.DESCENT])
+def test_a_disarmed_robot_has_the_wide_bounds(config: Config, state: State, mode: StopMode) -> None:
+    """For as long as its drives may take to switch off."""
+    geometry = config.robot.geometry
+    along = np.array(geometry.frame) - np.array(geometry.platform)
+    rates = along @ np.array([0.0, 0.0, 1.4]) / np.linalg.norm(along, axis=1)
+    said = {"state": state, "stop_mode": mode}
+    assert found(config, 49.0, said, rate=rates) is None
+    assert found(config, 49.0, said, tension=at(3, 261.0, 45.0)) is None
 
 
 def test_how_fast_a_descent_may_turn(config: Config) -> None:

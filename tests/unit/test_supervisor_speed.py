@@ -76,6 +76,9 @@ def test_rates_over_more_looks_count_where_syncs_are_irregular(
     given["travel"] = at(3, fast[3], np.nan)
     verdict = lasting(config, 5.0, **given)
     assert (verdict is not None) is (faster == "rate"), "with the newest rates of the others"
+    given["rate"], given["travel"] = slow, np.where(np.arange(N) == 3, np.nan, fast)
+    verdict = lasting(config, 5.0, **given)
+    assert (verdict and verdict.requirement) == Requirement.SPEED, "of all drums but one"
     given["rate"], given["travel"] = np.full(N, np.nan), fast
     verdict = lasting(config, 5.0, **given)
     assert verdict is not None
