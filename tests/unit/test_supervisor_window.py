@@ -300,3 +300,26 @@ def test_where_no_time_passes_between_answers_none_is_told(stage: Stage) -> None
             stage.tick(BASE * MS, newton=45.0, metre=0.1 * look, force=45.0)
         found = stage.observe((BASE + look) * MS, stage.heard, [claim()])
         assert np.isnan(found.travel).all()
+
+
+def test_one_answer_too_many_or_too_few_is_no_irregular_sync(stage: Stage) -> None:
+    """In the window: it may be of a frame that came twice, or is lost."""
+    for k in range(BASE, BASE + 120):
+        for _ in range({0: 2, 20: 0}.get(k % 40, 1)):
+            stage.tick(k * MS, newton=45.0, metre=SPEED * (k - BASE) * 1e-3, force=45.0)
+        if k % 2:
+            found = stage.observe(k * MS, stage.heard, [claim(at_ms=k)])
+            assert np.isnan(found.travel).all()
+
+
+def test_over_how_many_looks_an_irregular_rate_is_taken(config: Config) -> None:
+    """Four, or as many as there are: the drums stand, and turn in the last four."""
+    for looks in (2, 3, 4, 5, 6, 9):
+        fresh = Stage(config)
+        for look in range(looks):
+            now_ns = (BASE + 2 * look) * MS
+            moved = max(0, look - (looks - 5)) if looks > 5 else look
+            for _ in range(5):
+                fresh.tick(now_ns, newton=45.0, metre=SPEED * moved * 2e-3, force=45.0)
+            found = fresh.observe(now_ns, fresh.heard, [claim(at_ms=BASE + 2 * look)])
+        assert found.travel == pytest.approx(np.full(N, SPEED), rel=0.05)
