@@ -60,6 +60,9 @@ class RealTime(Section):
     awake: Literal["own", "all", "measured"] = "own"
     """of which processors that is asked: the daemon's, if it has one of its own; all; or what is
     found to be better at the start of a run"""
+    kernel_workers: Literal["others"] | None = None
+    """others: while the daemon runs, the kernel's unbound workers, which write files back among
+    other things, are kept off its processor, if it has one of its own; null: not asked"""
     prefault_mib: WholeNumber = 0
     """MiB of heap touched, and kept from going back to the kernel, before anything is armed"""
     early_wake_us: WholeNumber = 0

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from tonus.config.schema.realtime import Processor, Processors, RealTime
 from tonus.runtime.errors import DaemonError
+from tonus.runtime.timing import kernel_workers
 from tonus.runtime.timing.awake import Choice, Comparison, Undo, compare
 
 _MCL_CURRENT_AND_FUTURE = 1 | 2
@@ -68,6 +69,8 @@ class Hygiene:
             self._take(_stay_awake(settings.cpu_dma_latency_us, processor))
         if settings.daemon_cpu is not None:
             self._take(_pin({_number(settings.daemon_cpu)}))
+            if settings.kernel_workers == "others":
+                self._take(_keep_workers_off(_number(settings.daemon_cpu)))
         if settings.daemon_priority:
             self._take(_fifo(settings.daemon_priority))
         self._take(_freeze())
@@ -223,6 +226,15 @@ def _pin(wanted: set[int]) -> tuple[Grant, Undo | None]:
         known = f"this host has 0 to {(os.cpu_count() or 1) - 1}"
         return Grant(item, False, f"{error.strerror}; {known}"), None
     return Grant(item, True, "pinned"), partial(os.sched_setaffinity, 0, before)
+
+
+def _keep_workers_off(processor: int) -> tuple[Grant, Undo | None]:
+    item = "kernel workers"
+    try:
+        undo = kernel_workers.keep_off(processor)
+    except OSError as error:
+        return Grant(item, False, f"{kernel_workers.MASK}: {error.strerror}; run as root"), None
+    return Grant(item, True, "kept off the daemon's processor"), undo
 
 
 def _lock() -> tuple[Grant, Undo | None]:

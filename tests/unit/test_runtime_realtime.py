@@ -11,7 +11,7 @@ import pytest
 
 from tonus.config import load
 from tonus.config.schema.realtime import RealTime
-from tonus.runtime.timing import realtime
+from tonus.runtime.timing import kernel_workers, realtime
 from tonus.runtime.timing.awake import Choice, Comparison, compare
 from tonus.runtime.timing.realtime import Hygiene, RefusedError, compared, demand, prepare, settled
 from tonus.tools.run.composer import Order, run
@@ -113,6 +113,51 @@ def test_what_a_killed_daemon_left_awake_may_sleep_after_the_next_one() -> None:
     file.write_text("n/a")
     Hygiene(settings(daemon_cpu=last, cpu_dma_latency_us=0)).release()
     assert file.read_text().strip() == "0"
+
+
+def test_kernel_workers_are_kept_off_the_daemons_processor_while_it_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mask = tmp_path / "cpumask"
+    monkeypatch.setattr(kernel_workers, "MASK", mask)
+    last = max(os.sched_getaffinity(0))
+    for before, without in (
+        (1 << last | 1 << 40, "00000100,00000000"),
+        ((1 << last) + (1 << last + 1), f"{1 << last + 1:08x}"),
+    ):
+        mask.write_text(f"{before:x}\n")
+        hygiene = Hygiene(settings(daemon_cpu=last, kernel_workers="others"))
+        held = mask.read_text()
+        hygiene.release()
+        assert held == without
+        assert int(mask.read_text(), 16) == before
+    for asked in (
+        {"daemon_cpu": None, "kernel_workers": "others"},
+        {"daemon_cpu": last, "kernel_workers": None},
+        {"daemon_cpu": last, "kernel_workers": "others", "policy": "off"},
+    ):
+        mask.write_text(f"{before:x}")
+        hygiene = Hygiene(settings(**asked))
+        assert mask.read_text() == f"{before:x}"
+        assert not [grant for grant in hygiene.grants if grant.item == "kernel workers"]
+        hygiene.release()
+
+
+def test_kernel_workers_that_are_kept_off_already_stay_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mask = tmp_path / "cpumask"
+    monkeypatch.setattr(kernel_workers, "MASK", mask)
+    last = max(os.sched_getaffinity(0))
+    mask.write_text(f"{1 << last + 1:x}\n")
+    hygiene = Hygiene(settings(daemon_cpu=last, kernel_workers="others"))
+    hygiene.release()
+    assert mask.read_text() == f"{1 << last + 1:x}\n"
+    assert not hygiene.refused
+    mask.unlink()
+    hygiene = Hygiene(settings(daemon_cpu=last, kernel_workers="others"))
+    hygiene.release()
+    assert any("kernel workers: REFUSED" in str(grant) for grant in hygiene.refused)
 
 
 def test_processes_beside_the_daemon_keep_off_its_processor() -> None:

@@ -13,6 +13,10 @@ _REMEDIES = (
     ("SCHED_FIFO", f'echo "@realtime - rtprio 90" | sudo tee -a {_LIMITS}'),
     ("mlockall", f'echo "@realtime - memlock unlimited" | sudo tee -a {_LIMITS}'),
     ("CPU DMA latency", f"sudo chgrp realtime {_DMA}; sudo chmod g+w {_DMA}"),
+    (
+        "kernel workers",
+        "boot with isolcpus and the daemon's processor, and set realtime.kernel_workers: null",
+    ),
     ("processor", "set realtime.daemon_cpu to a processor of this host, or to null"),
 )
 
