@@ -65,6 +65,9 @@ class RealTime(Section):
     other things, are kept off its processor, if it has one of its own; null: not asked"""
     prefault_mib: WholeNumber = 0
     """MiB of heap touched, and kept from going back to the kernel, before anything is armed"""
+    stall_watch_us: Count | None = None
+    """how often a process on another processor wakes up beside the daemon, so that the time for
+    which the whole host stood still counts for no tick of its own; null: none does"""
     early_wake_us: WholeNumber = 0
     """how long before a tick the event loop is woken; the rest is slept outside of it"""
     spin_us: WholeNumber = 0

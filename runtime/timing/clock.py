@@ -22,11 +22,37 @@ Clock = Callable[[], int]
 """Returns nanoseconds."""
 
 
+class _Waits(selectors.EpollSelector):
+    """Counts what the thread's clock shows of its waits. Under some kernels that clock runs from
+    the event on that ends a wait, while another task still has the processor."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.processor_ns = 0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        if timeout is not None and timeout <= 0.0:
+            return super().select(timeout)
+        began = time.thread_time_ns()
+        found = super().select(timeout)
+        self.processor_ns += time.thread_time_ns() - began
+        return found
+
+
 class RealTimeLoop(asyncio.SelectorEventLoop):
     """An ordinary loop on CLOCK_MONOTONIC."""
 
+    def __init__(self) -> None:
+        self._waits = _Waits()
+        super().__init__(self._waits)
+
     def now_ns(self) -> int:
         return time.monotonic_ns()
+
+    @property
+    def waited_ns(self) -> int:
+        """Processor time (ns) of its thread so far that passed while it waited for an event."""
+        return self._waits.processor_ns
 
 
 class _NeverWaits(selectors.SelectSelector):
@@ -155,12 +181,19 @@ class Unused:
     ru_nivcsw: int = 0
 
 
+def no_stalls(_: int) -> int:
+    """ns for which a host stood still that nobody watches."""
+    return 0
+
+
 class Stopwatch:
     """Measures how long our own code takes, and what happens to it meanwhile. In virtual time it
     always reads zero: what belongs to the host must not reach a virtual log."""
 
-    def __init__(self, *, running: bool) -> None:
+    def __init__(self, *, running: bool, stalled_ns: Callable[[int], int] = no_stalls) -> None:
         self.running = running
+        self.stalled_ns = stalled_ns
+        """ns for which the host as a whole stood still until then, in ns"""
         self.wall_ns: Clock = time.monotonic_ns if running else _zero
         self.processor_ns: Clock = time.thread_time_ns if running else _zero
         unused = Unused()

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from tonus.runtime.errors import SchedulingError
-from tonus.runtime.timing.clock import Stopwatch, Usage, VirtualTimeLoop, loop_clock
+from tonus.runtime.timing.clock import RealTimeLoop, Stopwatch, Usage, VirtualTimeLoop, loop_clock
 
 _CLOCK_MONOTONIC = 1
 _TIMER_ABSTIME = 1
@@ -102,18 +102,20 @@ class TimerPacing:
         self._early_ns, self._spin_ns = early_ns, spin_ns
         self._now_ns = loop_clock()
         self._processor_ns = Stopwatch(running=True).processor_ns
-        asyncio.get_running_loop().add_reader(self._descriptor, self._expired)
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, RealTimeLoop), "a timer keeps no virtual time"
+        self._loop = loop
+        loop.add_reader(self._descriptor, self._expired)
 
-    async def until(self, due_ns: int) -> int | None:
-        self._waiting = asyncio.get_running_loop().create_future()
+    async def until(self, due_ns: int) -> int:
+        self._waiting = self._loop.create_future()
+        waited_ns = self._loop.waited_ns
         _TIMERSPEC.pack_into(self._spec, 0, 0, 0, *divmod(due_ns - self._early_ns, _SECOND_NS))
         if self._libc.timerfd_settime(self._descriptor, _TIMER_ABSTIME, self._spec, None):
             raise SchedulingError(f"timerfd_settime: {os.strerror(ctypes.get_errno())}")
         await self._waiting
-        if not self._early_ns:
-            return None
-        idle_ns = self._processor_ns()
-        if self._now_ns() < due_ns:
+        idle_ns = self._processor_ns() - (self._loop.waited_ns - waited_ns)
+        if self._early_ns and self._now_ns() < due_ns:
             _TIMESPEC.pack_into(self._until, 0, *divmod(due_ns - self._spin_ns, _SECOND_NS))
             # A signal may end it early: what is left is then spent awake.
             self._libc.clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, self._until, None)
@@ -126,7 +128,7 @@ class TimerPacing:
         return 0
 
     def close(self) -> None:
-        asyncio.get_running_loop().remove_reader(self._descriptor)
+        self._loop.remove_reader(self._descriptor)
         os.close(self._descriptor)
 
     def _expired(self) -> None:
@@ -153,6 +155,7 @@ class Scheduler:
         self._tick = -1
         self._own_late_ns = 0  # how late the present tick would have started on a perfect host
         self._began_ns = start_ns
+        self._began_stalled_ns = stopwatch.stalled_ns(self._now_ns())
         self._began_processor_ns = stopwatch.processor_ns()
         self._began_usage = stopwatch.usage()
 
@@ -164,6 +167,7 @@ class Scheduler:
         stopwatch = self._stopwatch
         finished_ns = self._now_ns()
         finished_processor_ns = stopwatch.processor_ns()
+        finished_stalled_ns = stopwatch.stalled_ns(finished_ns)
         blocked = stopwatch.running and self._disturbed(stopwatch.usage())
         wanted = self._tick + 1
         due = self.due_ns(wanted)
@@ -182,11 +186,14 @@ class Scheduler:
             tick_ns = finished_ns - self._began_ns
         else:
             tick_ns = finished_processor_ns - self._began_processor_ns
+        tick_ns = max(tick_ns - (finished_stalled_ns - self._began_stalled_ns), 0)
+        stalled_ns = stopwatch.stalled_ns(now)
+        between_ns = (processor_ns if idle_ns is None else idle_ns) - finished_processor_ns
+        between_ns = max(between_ns - (stalled_ns - finished_stalled_ns), 0)
         # What the loop did between the ticks may all have been after the due time: that counts
         # against us, and no more than we are late. The processor's clock runs on while a hypervisor
         # keeps a thread that waits awake from running.
-        late_ns = max(self._own_late_ns + tick_ns - self.period_ns, 0)
-        late_ns += (processor_ns if idle_ns is None else idle_ns) - finished_processor_ns
+        late_ns = max(self._own_late_ns + tick_ns - self.period_ns, 0) + between_ns
         self._own_late_ns = min(late_ns, max(now - due, 0))
         self.skipped = max(int((now - due) // self.period_ns), 0)
         if self.skipped:
@@ -199,6 +206,7 @@ class Scheduler:
         self._tick = wanted
         self.wakeup_ns = now - due
         self._began_ns, self._began_processor_ns = now, processor_ns
+        self._began_stalled_ns = stalled_ns
         self._began_usage = stopwatch.usage()
         return wanted
 

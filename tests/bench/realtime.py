@@ -28,11 +28,12 @@ from rich.table import Table
 from tests.bench.measure import Figure
 from tests.bench.played import CONFIG, Played, p99_9, play, together
 from tonus.config import load
-from tonus.runtime.timing.clock import Stopwatch
+from tonus.runtime.timing.clock import Stopwatch, no_stalls
 from tonus.runtime.timing.histogram import Histogram
-from tonus.runtime.timing.realtime import Hygiene, stolen_jiffies
+from tonus.runtime.timing.realtime import Hygiene, settled, stolen_jiffies
 from tonus.tools.doctor.wakeup import bare, cyclictest
 from tonus.tools.report import style
+from tonus.tools.run.stall_watch_process import stall_watch
 
 Array = NDArray[np.float64]
 _STRETCH_S = 30.0
@@ -57,7 +58,8 @@ class Alternation:
     fixed: Array
     """us, times that the fixed computation took"""
     overruns: int
-    """whole periods that it ran for, by its processor time: of a daemon they are its own misses"""
+    """whole periods that it ran for, by its processor time less the host's stalls: of a daemon they
+    are its own misses"""
     steal_percent: float
 
 
@@ -118,24 +120,32 @@ def alternate(rounds: int, seconds: float, say: Callable[[str], None]) -> Altern
 
 def fixed_computation(seconds: float, steps: int = _STEPS) -> tuple[Array, Array]:
     """us that ever the same computing took, as long as a tick's, after each of a bare thread's
-    wake-ups: by the wall's clock and by the thread's own."""
-    hygiene, watch = Hygiene(load(CONFIG)[0].realtime), Stopwatch(running=True)
+    wake-ups: by the wall's clock, and by the thread's own less the stalls of the host that a watch
+    saw meanwhile, as the daemon counts."""
+    settings = settled(load(CONFIG)[0].realtime)
+    watched = stall_watch(settings, print)
+    hygiene, watch = Hygiene(settings), Stopwatch(running=True)
     wall_ns, processor_ns = watch.wall_ns, watch.processor_ns
+    stalled_ns = no_stalls if watched is None else watched.stalls.until
     spans: list[float] = []
     own: list[float] = []
 
     def compute() -> None:
-        began, spent, total = wall_ns(), processor_ns(), 0
+        began, total = wall_ns(), 0
+        stalled, spent = stalled_ns(began), processor_ns()
         for number in range(steps):
             total += number
-        own.append((processor_ns() - spent) * 1e-3)
-        spans.append((wall_ns() - began) * 1e-3)
+        spent, ended = processor_ns() - spent, wall_ns()
+        own.append(max(spent - (stalled_ns(ended) - stalled), 0) * 1e-3)
+        spans.append((ended - began) * 1e-3)
 
     try:
         bare(seconds, compute)
         return np.array(spans), np.array(own)
     finally:
         hygiene.release()
+        if watched is not None:
+            watched.process.stop()
 
 
 def _bare(seconds: float) -> Histogram:

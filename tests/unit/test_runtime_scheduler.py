@@ -4,6 +4,7 @@ every miss laid at the right door."""
 from __future__ import annotations
 
 import asyncio
+import selectors
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from typing import Any
@@ -239,6 +240,96 @@ def test_a_stall_while_we_wait_awake_is_the_hosts() -> None:
 
     assert found(Spinning(0.0)) == (0, 4)
     assert found(Spinning(0.0022)) == (2, 2)
+
+
+def test_a_stall_of_the_whole_host_is_the_hosts() -> None:
+    """The clock of a thread that computes runs on through it. Of 4.4 ms 3.2 were one: without it
+    the tick would have been late, and none missed. A stall that was over before it began, or that
+    comes while nobody computes, takes nothing off."""
+
+    def found(stall_ns: int, tick: int) -> tuple[int, int]:
+        async def work(thread: Thread, number: int) -> None:
+            if number == tick:
+                stalled["ns"] += stall_ns
+            await thread.compute(0.0044 if number == 1 else 0.0001)
+
+        stalled = {"ns": 0}
+        thread = Thread()
+        thread.stopwatch.stalled_ns = lambda _: stalled["ns"]
+
+        async def main() -> Scheduler:
+            scheduler = Scheduler(PERIOD, START, VirtualPacing(), thread.stopwatch)
+            for _ in range(3):
+                await work(thread, await scheduler.next())
+            await scheduler.next()
+            return scheduler
+
+        return misses(run(main(), virtual=True))
+
+    assert found(0, 1) == (3, 0)
+    assert found(3_200_000, 1) == (0, 3)
+    assert found(1_200_000, 1) == (2, 1)
+    assert found(9_000_000, 1) == (0, 3)
+    assert found(3_200_000, 0) == (3, 0)
+
+
+def test_a_stall_between_ticks_is_the_hosts() -> None:
+    stalled = 0
+    thread = Thread()
+    thread.stopwatch.stalled_ns = lambda _: stalled
+
+    class Stopped(LateBy):
+        """Something else of the loop computes for 4.4 ms, of which 3.3 were a stall."""
+
+        async def until(self, due_ns: int) -> int | None:
+            nonlocal stalled
+            late = due_ns == self._due
+            await super().until(due_ns)
+            thread.processor_ns += self._late * late
+            stalled += 3_300_000 * late
+            return None
+
+    async def main() -> Scheduler:
+        pacing = Stopped(START + 2 * PERIOD, 4_400_000)
+        scheduler = Scheduler(PERIOD, START, pacing, thread.stopwatch)
+        for _ in range(5):
+            await scheduler.next()
+        return scheduler
+
+    assert misses(run(main(), virtual=True)) == (1, 3)
+
+
+def test_what_the_clock_shows_of_a_wait_is_the_hosts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some kernels let a thread's clock run from the event on that wakes it, while another task
+    keeps the processor."""
+    usual = selectors.EpollSelector.select
+    waits = 0
+
+    def late(self: selectors.EpollSelector, timeout: float | None = None) -> Any:
+        nonlocal waits
+        found = usual(self, timeout)
+        waits += timeout is None or timeout > 0.0
+        if waits == 5:
+            end = thread_time_ns() + 5 * PERIOD
+            while thread_time_ns() < end:
+                pass
+            waits += 1
+        return found
+
+    async def main() -> Scheduler:
+        start_ns = now_ns() + PERIOD
+        pacing = TimerPacing(early_ns=100_000)
+        scheduler = Scheduler(PERIOD, start_ns, pacing, Stopwatch(running=True))
+        for _ in range(10):
+            await scheduler.next()
+        scheduler.close()
+        return scheduler
+
+    thread_time_ns = Stopwatch(running=True).processor_ns
+    monkeypatch.setattr(selectors.EpollSelector, "select", late)
+    scheduler = run(main(), virtual=False)
+    assert scheduler.misses.host >= 4
+    assert scheduler.misses.own == 0
 
 
 def test_a_late_wakeup_is_the_hosts_and_makes_no_burst() -> None:

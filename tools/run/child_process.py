@@ -36,11 +36,18 @@ class ChildProcess:
         self.process.wait(timeout_s)
 
 
-def start_child(command: Sequence[str], what: str, timeout_s: float, remedy: str) -> ChildProcess:
-    """Start one and wait until it says that it is ready. Raises `ToolError` with its own words when
-    it cannot start, or when it does not answer in time; then it has been killed."""
+def start_child(
+    command: Sequence[str], what: str, timeout_s: float, remedy: str, inherits: Sequence[int] = ()
+) -> ChildProcess:
+    """Start one, which ``inherits`` these descriptors, and wait until it says that it is ready.
+    Raises `ToolError` with its own words when it cannot start, or when it does not answer in time;
+    then it has been killed."""
     process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        process_group=0,
+        pass_fds=inherits,
     )
     answer = b""
     try:

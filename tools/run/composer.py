@@ -58,6 +58,7 @@ from tonus.tools.run.recorder_process import RecorderProcess, start
 from tonus.tools.run.ring_directory import ring_directory
 from tonus.tools.run.rings import Rings
 from tonus.tools.run.run_folder import LOG, RunFolder
+from tonus.tools.run.stall_watch_process import stall_watch
 from tonus.tools.run.supervision import supervised
 from tonus.tools.run.supervisor_process import bridged_where_alone, supervisor_of
 
@@ -217,11 +218,15 @@ class _Stage:
         supervisor = supervisor_of(config, self._ring_folder, order.say)
         if supervisor is not None:
             self._cleanup.callback(supervisor.stop)
+        watched = stall_watch(realtime, order.say)
+        if watched is not None:
+            self._cleanup.callback(watched.process.stop)
         early, spin = realtime.early_wake_us * 1000, realtime.spin_us * 1000
 
         async def main() -> Outcome:
             fieldbus = fieldbuses.build(order.config, self._image, tap=self._tap)
-            stopwatch = clock.Stopwatch(running=True)
+            stalled_ns = clock.no_stalls if watched is None else watched.stalls.until
+            stopwatch = clock.Stopwatch(running=True, stalled_ns=stalled_ns)
             daemon = self._daemon(fieldbus, None, stopwatch, self._rings.cycles)
             self._latencies = daemon.latencies
             if lab is not None:
