@@ -43,11 +43,15 @@ def control() -> list[Figure]:
     kinematics.evaluate(position, quaternion)
     figures += _distribution(config.control.distribution, kinematics.matrix)
     figures += _estimator(config)
-    note = "of 1000 us; median of processor time, in the loop with the plant; bounds in every tick"
-    figures.append(Figure("ControlCycle.step in HOLD, 240 N", loaded_step(), "us", note=note))
     note = "of 1000 us; median of processor time, in the loop with the plant"
-    figures.append(Figure("ControlCycle.step in ACTIVE", active_step(), "us", note=note))
-    return figures
+    loaded, active = loaded_step(), active_step()
+    added = max(loaded - active, 0.0)
+    return [
+        *figures,
+        Figure("ControlCycle.step in ACTIVE", active, "us", note=note),
+        Figure("ControlCycle.step in HOLD, 240 N", loaded, "us", note="bounds in every tick"),
+        Figure("what active bounds add to it", added, "us", "limit", 30.0),
+    ]
 
 
 def active_step(seconds: float = 3.0) -> float:

@@ -10,7 +10,8 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Figure:
-    """A row of bench.json; ``ratio`` is peer over ours, so that more is better for us."""
+    """A row of bench.json; the peer may be an aim. ``ratio`` is peer over ours, of what should be
+    ``large`` ours over peer, so that more is better for us."""
 
     name: str
     value: float
@@ -18,10 +19,15 @@ class Figure:
     peer: str = ""
     peer_value: float | None = None
     note: str = ""
+    large: bool = False
 
     @property
     def ratio(self) -> float | None:
-        return None if self.peer_value is None else self.peer_value / self.value
+        """None without a peer, or where the smaller of the two is nothing."""
+        if self.peer_value is None:
+            return None
+        more, less = (self.value, self.peer_value)[:: 1 if self.large else -1]
+        return more / less if less else None
 
     def row(self) -> dict[str, Any]:
         return {**asdict(self), "ratio": self.ratio}
@@ -31,6 +37,11 @@ def microseconds(action: Callable[[], object], repeats: int = 2000, rounds: int 
     """Best mean of several rounds, in us a call: what is left of noise is somebody else's."""
     action()
     return min(timeit.repeat(action, number=repeats, repeat=rounds)) / repeats * 1e6
+
+
+def fixed_loop_ms() -> float:
+    """A sum in plain Python, by which hosts compare."""
+    return microseconds(lambda: sum(number * number for number in range(100_000)), 1) / 1e3
 
 
 def against(

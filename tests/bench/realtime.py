@@ -83,12 +83,22 @@ def realtime() -> list[Figure]:
             "wake-up of a tick, p99.9",
             p99_9(daemon.wakeup), "us", found.peer_name, peer.at(0.999) * 1e-3, note,
         ),
-        Figure("cycle in real time, p99.9", p99_9(daemon.cycle), "us", note="500 at most"),
-        Figure("cycle in real time, median", float(np.median(daemon.cycle)), "us"),
-        Figure("missed ticks, our own", float(daemon.own), "", note="0 at most"),
+        Figure("computing in real time, median", _median(daemon.act), "us", "aim", 80.0),
+        Figure("cycle in real time, median", _median(daemon.cycle), "us", "aim", 200.0),
+        Figure("cycle in real time, p99.9", p99_9(daemon.cycle), "us", "limit", _CYCLE_US),
+        Figure(
+            "cycle in real time, p99.9 over its median",
+            _tail(daemon.cycle), "x", "a fixed computation", _tail(found.fixed), "aim: 2",
+        ),
+        Figure(
+            "missed ticks of our own, a million",
+            _per_million(daemon.own, len(daemon.wakeup)), "", "a fixed computation",
+            _per_million(found.overruns, len(found.fixed)),
+            f"{daemon.own} of {len(daemon.wakeup)} ticks, {found.overruns} of {len(found.fixed)}",
+        ),
         Figure(
             "late wake-ups a million",
-            max(_per_million(daemon.late, len(daemon.wakeup)), 1e-9), "", found.peer_name,
+            _per_million(daemon.late, len(daemon.wakeup)), "", found.peer_name,
             _per_million(peer.beyond(_PERIOD_NS), peer.count),
         ),
     ]  # fmt: skip
@@ -207,8 +217,12 @@ def rows(found: Alternation) -> list[Row]:
     ]
 
 
+def _median(values: Array) -> float:
+    return float(np.median(values))
+
+
 def _tail(values: Array) -> float:
-    return p99_9(values) / float(np.median(values))
+    return p99_9(values) / _median(values)
 
 
 def _per_million(count: int, of: int) -> float:

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.bench.measure import microseconds
+from tests.bench.measure import fixed_loop_ms
 from tests.bench.realtime import fixed_computation
 
 CONFIGS = ("can", "direct", "ethercat")
@@ -86,11 +86,6 @@ def main() -> None:
             print(row, flush=True)
     for row in realtime(base, here, given.rounds, given.realtime) if given.realtime else ():
         print(row, flush=True)
-
-
-def fixed_loop_ms() -> float:
-    """A sum in plain Python, by which hosts compare."""
-    return microseconds(lambda: sum(number * number for number in range(100_000)), 1) / 1e3
 
 
 def checkout(base: str, here: Path) -> Path:
