@@ -309,8 +309,8 @@ class Supervisor:
         if self._recorded:
             self._changed = self._changed or self._commands.changed
         self._recorded = newest is not None and newest.state != State.FAULT
-        age_ns = 0 if newest is None else seen.now_ns - newest.at_ns
-        self._paused = age_ns > self.settings.quiet_s * 1e9
+        quiet_ns = self.settings.quiet_s * 1e9
+        self._paused = newest is not None and seen.now_ns - newest.at_ns > quiet_ns
         return found
 
     def _begin_watches(self, now_ns: int, seen: Observation, quiet: bool) -> None:

@@ -482,11 +482,12 @@ def test_a_stall_in_which_the_relay_has_opened(held: Held, stalled_ms: int, goes
     assert [BEAT, HELD] in list(held.steps(3, disarmed))
 
 
-def test_a_drive_that_was_silent_in_a_stop_is_not_led_afterwards() -> None:
+@pytest.mark.parametrize("later_ns", [MS // 2, MS])
+def test_a_drive_that_was_silent_in_a_stop_is_not_led_afterwards(later_ns: int) -> None:
     """On a relay a measurement is as old as its record, so never of the look itself. Single
     heartbeats to it would be those of a robot that has power."""
     held = Held(load("config/ethercat.yaml", overrides=ROBOT | {"supervisor.policy": "require"})[0])
-    held.later_ns = MS // 2
+    held.later_ns = later_ns
     held.armed()
 
     def silent(record: Any) -> None:

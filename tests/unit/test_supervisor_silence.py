@@ -9,9 +9,10 @@ import can
 import numpy as np
 import pytest
 
-from tests.unit.supervisor_setup import STRICT, Watchdog, claim, seen
+from tests.unit.supervisor_setup import STRICT, N, Watchdog, claim, seen
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.judge import Judge
 
@@ -407,6 +408,18 @@ def test_another_daemon_brings_the_devices_up(
     watchdog.state = State.OFF if another else State.STANDBY
     beats += beginnings(watchdog, end + 2, 1000)
     assert beats[:1] == ([end + 2] if begins and another else [])
+
+
+def test_another_daemon_whose_first_records_come_in_one_look(watchdog: Watchdog) -> None:
+    changed(watchdog)
+    beats = beginnings(watchdog, 314, 616, tick=False)
+    record = np.zeros(1, cycle_dtype(N))
+    record["state"]["state"] = State.OFF
+    record["timing"]["tick"] = 615_000
+    watchdog.records.append((615 * MS, record[0]))
+    watchdog.state = State.STANDBY
+    beats += beginnings(watchdog, 616, 1000)
+    assert beats[:1] == [616]
 
 
 def test_a_download_while_it_is_silent_is_told_too(watchdog: Watchdog) -> None:
