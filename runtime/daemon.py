@@ -124,11 +124,15 @@ class Daemon:
         if self._keeper is not None:
             self._keeper.prepare()
 
+    def last(self, duration: float) -> None:
+        """Have the scenario last ``duration`` s."""
+        self._duration = duration
+
     def go_on(self, duration: float) -> None:
         """Between two ticks: what is recorded from here on is a run of its own, whose scenario
         lasts ``duration`` s. It begins with the last tick's record, if that is recorded, and a
         keyframe."""
-        self._duration = duration
+        self.last(duration)
         record = self.cycle.record
         if not self._leaves_unwritten(self._due_ns):
             self._ring.publish(record.data, self._due_ns)

@@ -73,7 +73,7 @@ def study(trials: int) -> ParameterStudy:
 
 
 def local(trials: int) -> Cost:
-    with patch.object(engine, "play", empty):
+    with patch.object(engine, "play_alone", empty):
         return _cost("local", study(trials), engine.LOCAL)
 
 

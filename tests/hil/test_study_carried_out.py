@@ -97,7 +97,7 @@ def test_the_same_command_plays_nothing_twice(
     def never(*_: object) -> Row:
         raise AssertionError("played again")
 
-    monkeypatch.setattr(engine, "play", never)
+    monkeypatch.setattr(engine, "play_alone", never)
     before = (whole / "trials.parquet").read_bytes()
     done = CliRunner().invoke(tonus, ["campaign", str(file), "--out", str(whole)])
     assert done.exit_code == 0, done.output
@@ -137,7 +137,7 @@ def test_what_goes_wrong_in_a_run_is_its_row(
     told = {"name": "torn", "description": "a cable tears", "duration": 2.0}
     lab = {"reference": {"kind": "hold"}, "lab": {"faults": [cut]}}
     torn.write_text(json.dumps(told | lab))
-    usual = engine.play
+    usual = engine.play_alone
 
     def crash(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
         if trial.index == 2:
@@ -146,7 +146,7 @@ def test_what_goes_wrong_in_a_run_is_its_row(
             trial = replace(trial, scenario=str(torn))
         return usual(study, trial, folder)
 
-    monkeypatch.setattr(engine, "play", crash)
+    monkeypatch.setattr(engine, "play_alone", crash)
     rows = carry_out(study, tmp_path, workers=2, part=Share()).rows
     assert rows[0]["verdict"] == "completed"
     assert rows[1]["verdict"] == "error"

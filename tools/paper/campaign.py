@@ -31,9 +31,10 @@ from tonus.tools.paper import metrics
 from tonus.tools.paper.case import Run
 from tonus.tools.paper.conduct import Together
 from tonus.tools.paper.plants import settings_key, settle
-from tonus.tools.paper.protocol import robot_seconds, until_active
+from tonus.tools.paper.protocol import robot_seconds
 from tonus.tools.paper.results import Results, Row
 from tonus.tools.paper.trial import Trial
+from tonus.tools.run import parting
 from tonus.tools.warm_up import warm
 
 Json = dict[str, Any]
@@ -105,7 +106,7 @@ def prepare(protocol: Protocol, config: Config, runs: list[Run]) -> list[Job]:
         if same not in settled:
             settled[same] = settle(protocol, config, run)
         own = settled[same]
-        script = until_active(run.case.scenario.lab, protocol, own)
+        script = parting.until_active(run.case.scenario.lab, protocol.contact.clear, own)
         jobs.append(Job(run, own, fingerprint(run, own), script))
     return jobs
 
@@ -135,6 +136,7 @@ def _code() -> str:
         for folder in room.__path__:
             files += sorted(Path(folder).rglob("*.py"))
     files += [Path(__file__).with_name(f"{name}.py") for name in _OWN]
+    files.append(Path(parting.__file__))
     for file in files:
         digest.update(file.name.encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()
@@ -242,14 +244,16 @@ def work(jobs: list[Job], folder: Path, tell: Callable[[Row, float], None]) -> N
         jobs[0].script,
         lambda run, code: tell(_failed(run, crashed(code)), 0.0),
     )
+    done: set[str] = set()
     try:
         for trial in together.play(metrics.NEEDED_CYCLE, metrics.NEEDED_TRUTH):
             row = _measured(trial, folder, prints[trial.run.key])
-            together.left.remove(trial.run)
+            done.add(trial.run.key)
             tell(row, trial.ticks * config.control.rates.period)
     except Exception as error:  # noqa: BLE001 - whatever it is, it is these trials'
         for run in together.left:
-            tell(_failed(run, f"{type(error).__name__}: {error}"), 0.0)
+            if run.key not in done:
+                tell(_failed(run, f"{type(error).__name__}: {error}"), 0.0)
 
 
 def _measured(trial: Trial, folder: Path, fingerprint: str) -> Row:

@@ -6,8 +6,6 @@ fork of the process, and is bit for bit what it would have been from OFF.
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
@@ -20,47 +18,37 @@ from tonus.config.schema.root import Config
 from tonus.drivers.devices.tracker import TrackerInput
 from tonus.drivers.process_image import ProcessImage
 from tonus.runtime.daemon import Daemon, Outcome
-from tonus.runtime.operation.operator import Script
 from tonus.runtime.ports import LEFT_OUT, Recorded
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.safety.sequence import Sequence as ControlSequence
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import Fault, Operator, State
 from tonus.runtime.timing import clock
-from tonus.sim.errors import LabError
 from tonus.sim.lab.engine import Lab
 from tonus.sim.lab.truth import truth_dtype
-from tonus.sim.plant.parameters import clearance
-from tonus.tools.forking import die_with_parent
 from tonus.tools.log.log import Event
 from tonus.tools.paper.case import Kind, Run
 from tonus.tools.paper.trial import Trial
 from tonus.tools.run import fieldbuses
 from tonus.tools.run.kept import Kept
+from tonus.tools.run.parting import Parting, Selecting
 from tonus.tools.run.supervision import without_relay
 from tonus.tools.run.turning import TurningPacing
 
 SLOW_TICKS = 10
 """A trial of stage 1 moves at 1 mm/s for minutes: one tick in so many is kept."""
-_ACTIVE, _HOLD = State.ACTIVE, State.HOLD
+_ACTIVE = State.ACTIVE
 
 
-class _UntilDone(Script):
+class _UntilDone(Selecting):
     """As a script, but the run ends where its ACTIVE does: nothing is judged on the way down. A run
     that a fault stops goes on to its end."""
-
-    def __init__(self, duration: float) -> None:
-        super().__init__(duration)
-        self.number = 0
-        """of the scenario that START comes with"""
 
     def next(self, sequence: ControlSequence) -> Operator:
         if sequence.state is _ACTIVE and sequence.elapsed >= self._duration:
             self._over = True
             return Operator.NONE
-        command = super().next(sequence)
-        self.select = self.number + 1 if command is Operator.START else 0
-        return command
+        return super().next(sequence)
 
 
 class Together:
@@ -77,8 +65,7 @@ class Together:
     ) -> None:
         """``config``: that of all, `plants.settle`. ``script``: what is there before ACTIVE.
         ``lost`` is called with a trial whose process died, and its exit code."""
-        self.left = list(runs)
-        self._config, self._lost = config, lost
+        self._runs, self._config = runs, config
         self._shared = script if len(runs) > 1 else runs[0].case.scenario.lab
         self._stride = SLOW_TICKS if runs[0].case.kind is Kind.SLOPE else 1
         stride_ns = self._stride * config.control.rates.period_ns
@@ -87,9 +74,20 @@ class Together:
         self._truths = Kept(truth_dtype(cables), stride_ns)
         self._events: list[Event] = []
         self._contact_peak = 0.0
-        self._script = _UntilDone(runs[0].case.scenario.duration)
+        self._scenarios = [run.case.scenario for run in runs]
+        self._script = _UntilDone(self._scenarios[0].duration)
+        self._parting = Parting(
+            self._scenarios,
+            self._shared,
+            self._script,
+            lambda number, code: lost(runs[number], code),
+        )
         self._lab: Lab | None = None
-        self._daemon: Daemon | None = None
+
+    @property
+    def left(self) -> list[Run]:
+        """Those that this process plays, or has played."""
+        return [self._runs[number] for number in self._parting.left]
 
     def play(
         self, cycle: Collection[str] | None = None, truth: Collection[str] | None = None
@@ -106,17 +104,18 @@ class Together:
         return [replace(first, run=run) for run in self.left]
 
     async def _main(self, recorded: Recorded) -> Outcome:
-        config, scenarios = (
-            without_relay(self._config),
-            [run.case.scenario for run in self.left],
-        )
+        config, scenarios = without_relay(self._config), self._scenarios
         image = ProcessImage(config.robot.cables)
         lab = self._lab = Lab(
-            config, self._shared, seed=self.left[0].seed, clock=clock.loop_clock(), truth=self._true
+            config,
+            self._shared,
+            seed=self._runs[0].seed,
+            clock=clock.loop_clock(),
+            truth=self._true,
         )
         lab.open()
         fieldbus = fieldbuses.build(config, image, lab)
-        daemon = self._daemon = Daemon(
+        daemon = Daemon(
             config,
             scenarios[0],
             fieldbus,
@@ -128,52 +127,14 @@ class Together:
             others=scenarios[1:],
             recorded=recorded,
         )
+        parting = self._parting
+        parting.of(daemon, lab, lambda: self._truths.rows["position"])
         try:
             return await daemon.run(
-                lambda: TurningPacing(self._before_tick), lambda _: None, lambda: None
+                lambda: TurningPacing(parting.before_tick), lambda _: None, lambda: None
             )
         finally:
             lab.close()
-
-    def _before_tick(self) -> None:
-        """Part before the tick that starts: it is HOLD's second."""
-        assert self._daemon is not None
-        sequence = self._daemon.cycle.sequence
-        if len(self.left) > 1 and sequence.state is _HOLD and sequence.elapsed > 0.0:
-            self._part()
-
-    def _part(self) -> None:
-        """A process for each trial, one after the other; the last one's is this one."""
-        runs = self.left
-        for number, run in enumerate(runs[:-1]):
-            sys.stdout.flush()
-            sys.stderr.flush()
-            process = clock.fork()
-            if process == 0:
-                die_with_parent()
-                self._take_up(number, run)
-                return
-            _, status = os.waitpid(process, 0)
-            code = os.waitstatus_to_exitcode(status)
-            if code:
-                self._lost(run, code)
-        self._take_up(len(runs) - 1, runs[-1])
-
-    def _take_up(self, number: int, run: Run) -> None:
-        assert self._lab is not None
-        assert self._daemon is not None
-        scenario = run.case.scenario
-        self.left = [run]
-        self._script.number = number
-        self._script.last(scenario.duration)
-        self._daemon.go_on(scenario.duration)
-        load, phantom = scenario.lab.load, scenario.lab.phantom
-        if load is not None and self._shared.load is None:
-            self._lab.extend_load(load)
-        if phantom is not None and self._shared.phantom is None:
-            if clearance(phantom, self._truths.rows["position"]).min() <= 0.0:
-                raise LabError("the bring-up, which other trials share, led through the phantom")
-            self._lab.extend_phantom(phantom)
 
     def _true(self, record: NDArray[Any], stamp_ns: int) -> None:
         assert self._lab is not None

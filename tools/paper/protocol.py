@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from tonus.config.schema.base import Direction
-from tonus.config.schema.lab import LabScript
 from tonus.config.schema.protocol import Jump, Protocol, Selection, SineSet
 from tonus.config.schema.root import Config
 from tonus.config.schema.scenario import Scenario
-from tonus.sim.plant.parameters import clearance
 from tonus.tools.errors import ToolError
 from tonus.tools.paper.case import Case, Kind, Run
+from tonus.tools.run.parting import lead_in
 
 CONSTANT_TENSION = "constant_tension"
 LITERAL = "eq9_literal"
@@ -27,33 +26,6 @@ _HOLD: Plain = {"kind": "hold"}
 _ALONG: Direction = (1.0, 0.0, 0.0)
 _UP: Direction = (0.0, 0.0, 1.0)
 _MM = 1e3
-
-
-def lead_in(config: Config) -> float:
-    """s from when the lab sees every drive enabled, which is when its script begins, to ACTIVE."""
-    sequence = config.control.sequence
-    return (
-        sequence.referencing_settle_s
-        + sequence.referencing_average_s
-        + sequence.pretension_s
-        + sequence.lift_s
-        + 1.0 / sequence.reference_slew
-    )
-
-
-def until_active(script: LabScript, protocol: Protocol, config: Config) -> LabScript:
-    """What of ``script`` is there before ACTIVE: no load that comes later, and no phantom that the
-    way from the cradle home passes by."""
-    way = np.array([config.robot.rest, config.robot.home])
-    later: Plain = {}
-    if script.load is not None:
-        first = script.load.profile[0]
-        if first.force == 0.0 and first.at >= lead_in(config):
-            later["load"] = None
-    phantom = script.phantom
-    if phantom is not None and clearance(phantom, way).min() >= protocol.contact.clear:
-        later["phantom"] = None
-    return script.model_copy(update=later)
 
 
 class Programme:

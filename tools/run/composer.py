@@ -33,7 +33,7 @@ from tonus.runtime.recording.taps import KEYFRAME_BYTES, Level
 from tonus.runtime.recording.viewer import Scene
 from tonus.runtime.safety.firewall import Firewall
 from tonus.runtime.safety.guarded_tap import GuardedTap
-from tonus.runtime.states import Fault, State
+from tonus.runtime.states import State
 from tonus.runtime.timing import clock
 from tonus.runtime.timing.latencies import Latencies
 from tonus.runtime.timing.realtime import Hygiene, compared, demand, settled, stolen_jiffies
@@ -55,6 +55,7 @@ from tonus.tools.run.idle_pacing import IdlePacing
 from tonus.tools.run.lab_process import RELEASE, start_lab
 from tonus.tools.run.order import Order, Result
 from tonus.tools.run.recorder_process import RecorderProcess, start
+from tonus.tools.run.release import releasing
 from tonus.tools.run.ring_directory import ring_directory
 from tonus.tools.run.rings import Rings
 from tonus.tools.run.run_folder import LOG, RunFolder
@@ -321,16 +322,7 @@ class _Stage:
         script, sequence = self._order.scenario.lab, daemon.cycle.sequence
         if script.load is None and script.displacement is None:
             return
-        released = False
-
-        def watch(_: int) -> None:
-            nonlocal released
-            if sequence.state is State.SAFE_STOP and not released:
-                released = True
-                if sequence.fault is Fault.NONE:
-                    release()
-
-        daemon.serve("load of the lab", watch)
+        daemon.serve("load of the lab", releasing(lambda: script, sequence, release))
 
     def _lab_process(self) -> ChildProcess | None:
         order = self._order

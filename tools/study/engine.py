@@ -19,14 +19,17 @@ from tonus.tools.campaign.journal import Journal
 from tonus.tools.campaign.station import cause, watch
 from tonus.tools.errors import ToolError
 from tonus.tools.forked_work import Tell, forked
-from tonus.tools.study.play import COMPLETED, Row, failed, play
+from tonus.tools.study.play import COMPLETED, Row, failed
 from tonus.tools.study.provenance import firsts, head, loaded
 from tonus.tools.study.remote import played
 from tonus.tools.study.store import ANEW, JOURNAL
+from tonus.tools.study.together import alike, play_alone, play_together
 from tonus.tools.study.trials import Trial, in_turn, share, trials
 from tonus.tools.warm_up import warm
 
 LOCAL = "local"
+RUNS = "runs"
+"""folder of what the study keeps of its runs"""
 DASK = "dask://"
 _CONNECT_S = 10
 _WINDOW, _AHEAD = 64, 8
@@ -89,21 +92,29 @@ def carry_out(
 def _local(study: ParameterStudy, todo: Sequence[Trial], workers: int, out: Path) -> Iterator[Row]:
     """Each trial in a process of its own, which its crash ends alone."""
 
-    def work(trial: Trial, tell: Tell) -> None:
+    def work(trials: list[Trial], tell: Tell) -> None:
+        def told(row: Row) -> None:
+            tell(json.dumps(row, separators=(",", ":")).encode())
+
+        if len(trials) > 1:
+            play_together(study, trials, out / RUNS, told)
+            return
         watch(study.longest)
-        row = play(study, trial, out / "runs" / f"{trial.index:06d}")
-        tell(json.dumps(row, separators=(",", ":")).encode())
+        told(play_alone(study, trials[0], out / RUNS / f"{trials[0].index:06d}"))
 
     if todo:
         _warm(study)
-    told: set[int] = set()
-    for said in forked(todo, workers, work):
-        trial = said.job
+    heard: set[int] = set()
+    for said in forked(alike(study, todo), workers, work):
         if said.line is not None:
-            told.add(trial.index)
-            yield json.loads(said.line)
-        elif trial.index not in told:
-            yield failed(study, trial, cause(said.exit_code, study.longest))
+            row = json.loads(said.line)
+            if row["index"] not in heard:
+                heard.add(row["index"])
+                yield row
+            continue
+        for trial in said.job:
+            if trial.index not in heard:
+                yield failed(study, trial, cause(said.exit_code, study.longest))
 
 
 def _warm(study: ParameterStudy) -> None:

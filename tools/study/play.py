@@ -11,7 +11,10 @@ import numpy as np
 
 from tonus.config.errors import ConfigError
 from tonus.config.schema.parameter_study import Measure, ParameterStudy
+from tonus.config.schema.root import Config
+from tonus.config.schema.scenario import Scenario
 from tonus.drivers.errors import DriverError
+from tonus.runtime.daemon import Outcome
 from tonus.runtime.errors import DaemonError
 from tonus.runtime.states import Fault, State
 from tonus.runtime.timing import clock
@@ -63,14 +66,19 @@ def play(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
     began = clock.wall_seconds()
     try:
         row = _played(study, trial, folder)
-    except (ConfigError, ToolError, LabError, DriverError, DaemonError, OSError) as error:
-        row = failed(study, trial, str(error) or type(error).__name__)
     except Exception as error:  # noqa: BLE001 - of a controller or a model: a row, not the end
-        row = failed(study, trial, describe(error))
+        row = failed(study, trial, caught(error))
     kept = study.keep == "all" or (study.keep == "failures" and row["verdict"] != COMPLETED)
     if not kept:
         shutil.rmtree(folder, ignore_errors=True)
     return row | {SECONDS: round(clock.wall_seconds() - began, 3)}
+
+
+def caught(error: Exception) -> str:
+    """What ended a run: in its own words where they are meant for a user, else with its place."""
+    if isinstance(error, (ConfigError, ToolError, LabError, DriverError, DaemonError, OSError)):
+        return str(error) or type(error).__name__
+    return describe(error)
 
 
 def failed(study: ParameterStudy, trial: Trial, reason: str) -> Row:
@@ -102,13 +110,25 @@ def _played(study: ParameterStudy, trial: Trial, folder: Path) -> Row:
     config, scenario = loaded(study, trial)
     order = Order(config, scenario, folder, trial.seed, True, lambda _: None, live=False)
     result = run(order)
-    outcome = result.outcome
     log = open_log(result.log)
     log.load([topic for topic in _READ if topic in log])
+    return row_of(study, trial, config, scenario, result.outcome, log, result.unrecorded)
+
+
+def row_of(
+    study: ParameterStudy,
+    trial: Trial,
+    config: Config,
+    scenario: Scenario,
+    outcome: Outcome,
+    log: Log,
+    unrecorded: str = "",
+) -> Row:
+    """What a run came to. ``unrecorded``: why the log ends before it."""
     verdict = COMPLETED if outcome.fault is Fault.NONE else outcome.fault.name.lower()
-    if outcome.obstacle or result.unrecorded:
+    if outcome.obstacle or unrecorded:
         verdict = "error"
-    reason = result.unrecorded or outcome.obstacle or outcome.reason
+    reason = unrecorded or outcome.obstacle or outcome.reason
     row = _row(study, trial, verdict, reason, outcome.ticks, _digest(log))
     row["configuration"] = configuration_digest(config, scenario)
     questions = Run(log, reason=reason)

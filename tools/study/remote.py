@@ -19,7 +19,8 @@ from tempfile import TemporaryDirectory
 
 from tonus.config.schema.parameter_study import ParameterStudy
 from tonus.tools.campaign.station import cause, watch
-from tonus.tools.study.play import Row, failed, play
+from tonus.tools.study.play import Row, failed
+from tonus.tools.study.together import play_alone
 from tonus.tools.study.trials import Trial
 
 _COMMAND = (sys.executable, "-m", "tonus.tools.study.remote")
@@ -58,7 +59,7 @@ def main() -> None:
         study = ParameterStudy.model_validate(job["study"])
         watch(study.longest)
         with TemporaryDirectory(prefix="tonus-study-") as folder:
-            row = play(study, Trial(**job["trial"]), Path(folder) / "run")
+            row = play_alone(study, Trial(**job["trial"]), Path(folder) / "run")
         watch(0)
         rows.write(json.dumps(row) + "\n")
         rows.flush()
