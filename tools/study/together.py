@@ -31,7 +31,9 @@ from tonus.tools.campaign.station import cause, watch
 from tonus.tools.expect.names import full
 from tonus.tools.forking import die_with_parent
 from tonus.tools.log.log import Event
+from tonus.tools.repeat import every
 from tonus.tools.run import fieldbuses
+from tonus.tools.run.composer import DRAIN_S
 from tonus.tools.run.kept import Kept
 from tonus.tools.run.kept_log import KeptLog
 from tonus.tools.run.parting import Parting, Selecting, until_active
@@ -148,9 +150,7 @@ class _Together:
         self._shared: LabScript = played.lab
         if len(scenarios) > 1:
             self._shared = until_active(played.lab, _CLEAR, config)
-        self._parting = Parting(
-            scenarios, self._shared, self._script, self._lost, lambda: watch(study.longest)
-        )
+        self._parting = Parting(scenarios, self._shared, self._script, self._lost, self._begin)
         cables = config.robot.cables
         self._cycles, self._truths = Kept(cycle_dtype(cables)), Kept(truth_dtype(cables))
         self._events: list[Event] = []
@@ -163,8 +163,9 @@ class _Together:
             outcome = clock.run(self._main(), virtual=True)
         except Exception as error:  # noqa: BLE001 - whatever it is, it is these runs'
             reason = caught(error)
-        took = {SECONDS: round(clock.wall_seconds() - self._began, 3)}
-        for number in self._parting.left:
+        left = self._parting.left
+        took = {SECONDS: round((clock.wall_seconds() - self._began) / len(left), 3)}
+        for number in left:
             each = self._settled[number]
             if reason:
                 row = failed(self._study, each.trial, reason)
@@ -189,6 +190,8 @@ class _Together:
         )
         lab.open()
         parting = self._parting
+        # As in a run with a log: on a bus the bring-up ends where the loop's timers have it.
+        idle = every(DRAIN_S, lambda: None)
         try:
             fieldbus = fieldbuses.build(config, image, lab)
             with supervised(config, self._cycles) as ring:
@@ -213,6 +216,7 @@ class _Together:
                 )
                 return await daemon.run(pacing, lambda _: None, lambda: None)
         finally:
+            idle()
             lab.close()
 
     def _played(self) -> LabScript:
@@ -225,6 +229,11 @@ class _Together:
         measured = {f"{full(m.topic)}.{m.field}" for m in self._study.measures.values()}
         left_out = {f"/tonus/{name}" for name in LEFT_OUT}
         return left_out.isdisjoint(measured) and not wanted(self._config)
+
+    def _begin(self) -> None:
+        """By itself from here on: its time is its own."""
+        watch(self._study.longest)
+        self._began = clock.wall_seconds()
 
     def _lost(self, number: int, code: int) -> None:
         trial = self._settled[number].trial
