@@ -80,7 +80,9 @@ def test_the_watch_of_a_run_sees_a_stall_and_ends_with_the_daemon() -> None:
     after = stalls.until(now_ns())
     assert during - before >= 25 * MS
     assert after >= during
+    assert watched.at_work
     watched.process.stop()
+    assert not watched.at_work
     assert process.returncode == 0
     assert told == []
 

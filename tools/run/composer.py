@@ -252,6 +252,8 @@ class _Stage:
                 self._hygiene.release()
             if supervisor is not None:
                 supervisor.stop()
+            if watched is not None and not watched.at_work:
+                order.say("the watch for stalls of the host had ended: they count as own misses")
             left = recorder.stop()
             if left is not None:
                 order.say(f"the recorder was killed; what it left is in {left}")

@@ -36,6 +36,10 @@ class Watched:
     process: ChildProcess
     stalls: Stalls
 
+    @property
+    def at_work(self) -> bool:
+        return self.process.process.poll() is None
+
 
 def stall_watch(settings: RealTime, report: Progress) -> Watched | None:
     """Start one beside a daemon with a processor of its own, whose settings are `settled`. None
