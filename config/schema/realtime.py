@@ -18,6 +18,7 @@ def _off(value: Any) -> Any:
 
 
 Priority = Annotated[int, BeforeValidator(no_boolean), Field(ge=0, le=99)]
+WatchPeriod = Annotated[int, BeforeValidator(no_boolean), Field(ge=100, le=100_000)]
 WholeNumber = Annotated[int, BeforeValidator(no_boolean), Field(ge=0)]
 Processor = WholeNumber | Literal["quietest"]
 """By its number, or the one that has served the fewest interrupts of devices so far."""
@@ -65,7 +66,7 @@ class RealTime(Section):
     other things, are kept off its processor, if it has one of its own; null: not asked"""
     prefault_mib: WholeNumber = 0
     """MiB of heap touched, and kept from going back to the kernel, before anything is armed"""
-    stall_watch_us: Count | None = None
+    stall_watch_us: WatchPeriod | None = None
     """how often a process on another processor wakes up beside the daemon, so that the time for
     which the whole host stood still counts for no tick of its own; null: none does"""
     early_wake_us: WholeNumber = 0
