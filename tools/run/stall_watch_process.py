@@ -2,7 +2,7 @@
 
     python -m tonus.tools.run.stall_watch_process FD PERIOD_NS PRIORITY PROCESSORS
 
-FD is memory shared with the daemon, PROCESSORS a JSON list or null. It ends when its standard input
+FD is memory shared with the daemon, PROCESSORS a JSON list. It ends when its standard input
 closes: with the daemon.
 """
 
