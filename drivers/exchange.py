@@ -34,7 +34,7 @@ AXIS = np.dtype(
         ("torque", "i8"),  # per mille
         ("statusword", "i8"),
         ("error_code", "i8"),
-        ("untrusted", "i8"),  # silent, restarted or not operational
+        ("untrusted", "i8"),  # not operational, or restarted; on CAN silent too
         ("sampled_ns", "i8"),  # when the SYNC or SYNC0 took the sample; 0: not known
         ("doubt_ns", "i8"),  # by how much that may be wrong
     ]

@@ -239,7 +239,7 @@ class ControlCycle:
         if sequence.referenced:
             self._referencing.lengths(sensing.angle, sensing.tension, self._skipped)
         fresh = image.axis.age <= self._control.freshness.measurement_ticks
-        trusted = sequence.faults.drums_trusted & sequence.faults.drums_obedient & fresh
+        trusted = sequence.faults.drums_readable & sequence.faults.drums_obedient & fresh
         share = sequence.passive_share
         if share < 0.0 or sequence.axis_command is not AxisCommand.ENABLE:
             trusted[:], share = False, 0.0

@@ -22,7 +22,7 @@ class Watched:
 
     slave: Slave
     left: str = ""
-    """why it is not believed; "" while it is in OP"""
+    """why it takes no part; "" while it is in OP"""
     busy: bool = False
     """it is being configured anew: nobody else is to move it"""
     attempts: int = 0
@@ -93,20 +93,20 @@ class Watch:
         slave = watched.slave
         if status is None:
             text = f"{slave.title} takes no part in any exchange"
-            self._leave(watched, "it is silent")
+            watched.left = "it is silent"
             self._events.begin("slave_silent", slave.where, text)
             return
         self._events.end("slave_silent", slave.where)
         self._look_at_the_clock(slave, status)
+        self._trust(watched, good=status.operational)
         if status.operational:
             if watched.left:
                 watched.left = ""
-                self._trust(watched, good=True)
                 self._events.end("slave_left_op", slave.where)
                 self._events.counted("slave_recovered", slave.where, f"{slave.title} is in OP")
             return
         if status.error or not watched.left:
-            self._leave(watched, str(status))
+            watched.left = str(status)
             text = f"{slave.title} is in {status}"
             self._events.begin("slave_left_op", slave.where, text)
         if self._recovers and not watched.busy:
@@ -127,12 +127,9 @@ class Watch:
         elif status.state in _NEXT:
             wire.control({slave.number: _NEXT[AlState(status.state)]})
 
-    def _leave(self, watched: Watched, why: str) -> None:
-        watched.left = why
-        self._trust(watched, good=False)
-
     def _trust(self, watched: Watched, *, good: bool) -> None:
-        """Cells need no mark: in SAFEOP they are still measured, below it they age."""
+        """Only of an axis that answers: silence ages it. Cells need no mark: in SAFEOP they are
+        still measured, below it they age."""
         if watched.slave.axis is not None:
             self._exchange.untrusted[watched.slave.axis] = not good
 

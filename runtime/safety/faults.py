@@ -107,6 +107,12 @@ class Faults:
         return self.without(_ENCODER_UNKNOWN)
 
     @property
+    def drums_readable(self) -> NDArray[np.bool_]:
+        """(n,) drums whose encoder counts whenever its drive answers: one that was lost may be back
+        within the same stop."""
+        return self.without(_ENCODER_UNKNOWN - {Fault.DRIVE_LOST})
+
+    @property
     def drums_obedient(self) -> NDArray[np.bool_]:
         """(n,) drums that do what their torque says: with a reversed motor damping would drive.
         One that stood is not reversed: once it turns, what had jammed it has let go."""

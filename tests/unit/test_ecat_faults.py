@@ -92,6 +92,26 @@ def test_lost_frames_age_the_measurements_and_the_freshness_bridges_them(
     run(main)
 
 
+@pytest.mark.parametrize(("ticks", "stays"), [(1, True), (FRESH, True), (FRESH + 2, False)])
+def test_the_freshness_bridges_a_silence_of_slaves_too(ticks: int, stays: bool) -> None:
+    """It ages their measurements, and is no state that a drive is in."""
+
+    async def main() -> None:
+        bench = await _enabled()
+        bench.inject("cable_break", behind=4, duration=ticks * 1e-3)
+        lost, ages = np.zeros(8, dtype=bool), []
+        for _ in range(ticks + 10):
+            await _watched(bench, 1)
+            lost |= bench.image.axes["state"] == AxisState.LOST
+            ages.append(bench.image.axes["age"].copy())
+        assert {event.where for event in bench.named("slave_silent")} >= {"tonus0/5", "tonus0/8"}
+        assert lost.tolist() == [False] * 4 + [not stays] * 4
+        assert np.max(ages) == ticks
+        assert (bench.image.axes["state"] == AxisState.OPERATION_ENABLED).all()
+
+    run(main)
+
+
 def test_a_wrong_working_counter_renews_nothing() -> None:
     async def main() -> None:
         bench = await _enabled()

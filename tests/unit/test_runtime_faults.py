@@ -112,6 +112,19 @@ def test_a_drum_that_turns_again_damps(faults: Faults) -> None:
     assert faults.failed.tolist() == [cable in (3, 4) for cable in range(N)]
 
 
+@pytest.mark.parametrize("fault", [fault for fault in Fault if fault is not Fault.NONE])
+def test_only_what_is_wrong_with_its_encoder_hides_a_drum_that_answers(
+    faults: Faults, fault: Fault
+) -> None:
+    """A drive that was lost and answers again is heard; its cable stays given up."""
+    faults.add(fault, 3)
+    hidden = fault in OF_THE_ENCODER - {Fault.DRIVE_LOST}
+    assert faults.drums_readable.tolist() == [not (hidden and cable == 3) for cable in range(N)]
+    if fault is Fault.DRIVE_LOST:
+        assert faults.failed[3]
+        assert not faults.drums_trusted[3]
+
+
 def test_a_cell_that_is_not_believed_holds_nothing(faults: Faults) -> None:
     faults.add(Fault.DRIVE_FAULT, 3)
     faults.add(Fault.CELL_FROZEN, 3)
