@@ -373,7 +373,9 @@ class Judge:
         torque it is the platform that moves, and its drum has to follow it. Where a drum turns the
         way that its tension has to go, so much of the torque as would not stop it in ``opposed_ms``
         brakes it, as a platform that is thrown wants; and a tension that is at its reference in
-        that time, as fast as it moves, needs no torque that takes it there."""
+        that time, as fast as it moves, needs no torque that takes it there. What lasts is judged by
+        the torque that acts; what is larger by whichever was sent since the look before, since a
+        look sees the newest in every second tick."""
         claim, settings = seen.claim, self._settings
         before = seen.tension if self._tension is None else self._tension
         since_ns = seen.now_ns - self._felt_ns
@@ -384,29 +386,27 @@ class Judge:
         if not (on_path or claim.state in CONTROLLED):
             return
         reference = claim.reference[seen.axes]
-        pull, error = seen.torque - seen.tension, reference - seen.tension
-        against = seen.enabled & ((pull > 0.0) != (error > 0.0))
+        error = reference - seen.tension
         braking = np.fmax(0.0, np.sign(error) * seen.momentum) / (self._opposed_ns * 1e-9)
-        opposing = abs(pull) - braking
-        opposed = opposing > settings.opposed_force
-        led = np.where(pull > 0.0, seen.tension < before, seen.tension > before)
-        opposed &= against & (abs(error) > settings.opposed_error) & ~led
+        pulls = seen.torques - seen.tension
+        drawn = ((pulls > 0.0) != (error > 0.0)) & (abs(error) > settings.opposed_error)
+        led = np.where(pulls > 0.0, seen.tension < before, seen.tension > before)
+        wrong = drawn & ~led & (abs(pulls) - braking > settings.opposed_force)
         least = self._least_tension if stiff else 0.0
-        opposed |= seen.enabled & ~((reference >= least) & (reference <= self._most_tension))
-        # Whichever was sent since the look before: a look sees the newest in every second tick.
-        drawn = (seen.torques > seen.tension) != (error > 0.0)
+        opposed = wrong.any(axis=0) | ~((reference >= least) & (reference <= self._most_tension))
         far = abs(seen.torques - reference) > settings.excess_force
-        far &= ~(drawn & (abs(error) > settings.opposed_error))
-        excess = seen.enabled & far.any(axis=0)
-        for each in _at(Requirement.OPPOSED, seen, pull, None, opposed):
+        excess = seen.enabled & (far & ~drawn).any(axis=0)
+        pull = seen.torque - seen.tension
+        for each in _at(Requirement.OPPOSED, seen, pull, None, seen.enabled & opposed):
             yield each, self._patience_ns[Requirement.OPPOSED]
         # A stop of a platform that is thrown begins with as much, for some ms.
         longest_ns = self._opposed_ns if on_path else self._patience_ns[Requirement.OPPOSED]
         for each in _at(Requirement.OPPOSED, seen, pull, None, excess):
             yield each, longest_ns
         if on_path or stiff:
-            opposed = opposing > settings.opposed_long_force
-            opposed &= against & (abs(error) > settings.opposed_long_error)
+            opposed = seen.enabled & ((pull > 0.0) != (error > 0.0))
+            opposed &= abs(pull) - braking > settings.opposed_long_force
+            opposed &= abs(error) > settings.opposed_long_error
             with np.errstate(invalid="ignore"):
                 closer = np.sign(error) * (seen.tension - before)
             opposed &= closer * self._opposed_ns < abs(error) * since_ns
@@ -431,7 +431,7 @@ class Judge:
             asked = ~claim.failed & (claim.reference > 0.0)
         elif claim.state not in CONTROLLED[1:]:
             return
-        off = asked[seen.axes] & (seen.in_quick_stop | ~seen.enabled)
+        off = asked[seen.axes] & (seen.useless | ~seen.enabled)
         reference = claim.reference[seen.axes]
         for each in _at(Requirement.DISARMED, seen, reference, None, off & seen.beating):
             yield each, self._unpowered_ns

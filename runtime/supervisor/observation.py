@@ -44,8 +44,8 @@ class Observation:
     """numbers"""
     enabled: NDArray[np.bool_]
     """powered by any statusword since the last look, or by the newest; or told to be"""
-    in_quick_stop: NDArray[np.bool_]
-    """by the newest statusword: power that control does not have"""
+    useless: NDArray[np.bool_]
+    """by its answers, whatever it is told: without power since the last look, or in quick stop"""
     told: NDArray[np.bool_]
     """told to be lately, and no answer since says otherwise"""
     measured_age: Floats
@@ -65,7 +65,7 @@ class Observation:
     torque: Floats
     """N at the cable"""
     torques: Floats
-    """the least and the largest of them since the last look (2, n)"""
+    """the least and the largest of those since the last look (2, n), the one that acts included"""
     rate: Floats
     """m/s, reeling in"""
     travel: Floats
@@ -190,12 +190,11 @@ class Observer:
         enabled = np.array([each.powered for each in received], bool)
         before, self._on = self._on, np.array([each.on for each in received], np.int64)
         enabled |= self._on > before
+        useless = ~enabled | [each.in_quick_stop for each in received]
         told, waiting = self._powers(now_ns, sent, received, mille)
         enabled |= told | waiting
-        lately = [
-            each.numbers or [each_mille]
-            for each, each_mille in zip(sent, mille.tolist(), strict=True)
-        ]
+        # One that was sent before the newest SYNC acts until the next one, whatever waits for that.
+        lately = [[*h.numbers, acts] for h, acts in zip(sent, mille.tolist(), strict=True)]
         torques = np.array([(min(each), max(each)) for each in lately]).T * self._newton
         tension = np.array([_force(cell, heard, tared) for cell in cells])
         self._sample(now_ns, received, sent, cells, heard, tension)
@@ -205,14 +204,14 @@ class Observer:
             now_ns,
             self._numbers,
             enabled,
-            np.array([each.in_quick_stop for each in received], bool),
+            useless,
             told,
             measured_age,
             np.where(self._together, measured_age, np.inf).min(axis=1),
             _ages(now_ns, sent),
             same,
             mille,
-            (mille != 0) | [any(each) for each in lately],
+            np.array([any(each) for each in lately], bool),
             abs(mille) >= self._limit,
             mille * self._newton,
             np.sort(torques, axis=0),

@@ -51,7 +51,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         now_ns=round(at_ms * MS),
         axes=np.arange(N),
         enabled=np.ones(N, bool),
-        in_quick_stop=np.zeros(N, bool),
+        useless=np.zeros(N, bool),
         told=np.zeros(N, bool),
         measured_age=np.zeros(N),
         channel_age=np.zeros(N),
@@ -212,6 +212,15 @@ class Watchdog:
     def _new(self) -> New:
         new, self.records = self.records, []
         return [stamp for stamp, _ in new], np.array([record for _, record in new], cycle_dtype(N))
+
+    def boot(self, but: tuple[str, int] | None = None) -> None:
+        """Every device boots, ``but`` one; the next step sees it."""
+        place = {channel: number for number, (_, channel, _) in enumerate(self.wiring.channels)}
+        devices = (*self.wiring.axes, *self.wiring.cells)
+        for channel, heartbeat in sorted({(each.channel, each.heartbeat) for each in devices}):
+            if (channel, heartbeat) != but:
+                told = can.Message(arbitration_id=heartbeat, is_extended_id=False, data=b"\0")
+                self.buses[place[channel]].waiting.append(told)
 
     def step(
         self,

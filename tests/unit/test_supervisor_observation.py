@@ -282,6 +282,52 @@ def test_the_least_and_the_largest_torque_between_two_looks(config: Config) -> N
         assert found.torque == pytest.approx(sent[-1] * newton)
 
 
+def test_a_torque_that_acts_while_others_wait_for_the_next_sync(config: Config) -> None:
+    """It is the largest, in each look until that."""
+    stage = Stage(config)
+    axis = stage.wiring.axes[3]
+    assert axis.newton is not None
+    acting, waiting = 200, -30
+    wanted = sorted((acting * axis.newton, waiting * axis.newton))
+    sent = stage.heard[axis.channel, axis.sent]
+    sent.take([(acting & 0xFFFF) << axis.torque.shift], MS)
+    stage.observe(MS, stage.heard, [claim()])
+    for look in (2, 3):
+        sent.numbers.append(waiting)
+        found = stage.observe(look * MS, stage.heard, [claim()])
+        assert found.torques[:, 3].tolist() == pytest.approx(wanted)
+        assert found.torque[3] == pytest.approx(acting * axis.newton)
+
+
+@pytest.mark.parametrize(
+    ("statusword", "told", "enabled", "useless"),
+    [
+        (0x0237, 0x0F, True, False),
+        (0x0240, 0x0F, True, True),
+        (0x0233, 0x0F, True, True),
+        (0x0207, 0x0F, True, True),
+        (0x0240, 0x00, False, True),
+    ],
+)
+def test_what_a_drive_answers_beside_what_it_is_told(
+    config: Config, statusword: int, told: int, enabled: bool, useless: bool
+) -> None:
+    """Told to have power it counts as having it, for whoever asks for its torques, and as having
+    none for whoever needs it to control the robot."""
+    stage = Stage(config)
+    for look in range(1, 6):
+        for axis in stage.wiring.axes:
+            assert axis.controlword is not None
+            stage.heard[axis.channel, axis.sent].take(
+                [told << axis.controlword.shift], look * 2 * MS
+            )
+            word = [statusword << axis.statusword.shift]
+            stage.heard[axis.channel, axis.received].take(word, look * 2 * MS)
+        found = stage.observe(look * 2 * MS, stage.heard, [claim()])
+        assert found.enabled.tolist() == [enabled] * N
+        assert found.useless.tolist() == [useless] * N
+
+
 @pytest.mark.parametrize(
     ("mille", "limited"), [(1999, False), (2000, True), (-1999, False), (-2000, True), (0, False)]
 )

@@ -108,6 +108,22 @@ def test_a_torque_far_beyond_its_reference_in_one_tick_of_two(
     assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
 
 
+@pytest.mark.parametrize("error", [-2.1, 2.1])
+@pytest.mark.parametrize(("pull", "wrong"), [(60.1, True), (60.0, False)])
+def test_a_torque_against_its_reference_in_one_tick_of_two(
+    config: Config, error: float, pull: float, wrong: bool
+) -> None:
+    """Whichever of them a look sees; the other one, and the newest, take the tension nowhere."""
+    torques = np.full((2, N), 45.0)
+    torques[int(error < 0.0), 3] = 45.0 - np.copysign(pull, error)
+    said = {"reference": at(3, 45.0 + error, 45.0), "state": State.ACTIVE}
+    verdict = found(config, 5.0, said, torques=torques)
+    assert (verdict is not None) is wrong
+    assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
+    assert found(config, 4.9, said, torques=torques) is None
+    assert found(config, 5.0, said, torques=torques, enabled=~THIRD) is None
+
+
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize(
     ("step", "wrong"),
@@ -224,8 +240,8 @@ def test_a_drive_that_holds_its_motor_by_itself(
     """In quick stop it has power, and takes no torque."""
     given_up &= state is State.SAFE_STOP
     said = {"state": state, "stop_mode": mode, "failed": THIRD & given_up}
-    verdict = found(config, 20.0, said, in_quick_stop=THIRD)
+    verdict = found(config, 20.0, said, useless=THIRD)
     judges = (state, mode) in (*STIFF, (State.PRETENSION, StopMode.NONE), ON_PATH)
     assert (verdict is not None) is (judges and not given_up)
     assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.DISARMED, 3)
-    assert found(config, 19.9, said, in_quick_stop=THIRD) is None
+    assert found(config, 19.9, said, useless=THIRD) is None
