@@ -98,7 +98,7 @@ class Replayed:
         """when a drive was not enabled last"""
         self.astray = np.zeros(len(wiring.axes))
         """N at each cable by which the drive's own torque was outside of what it was sent, at most
-        in the records taken last; 0 while it is not enabled"""
+        in the records taken last in which it was sampled anew; 0 while it is not enabled"""
         self.heard: Listened = {
             (_CHANNEL, identifier): heard
             for identifier, heard in (
@@ -111,13 +111,14 @@ class Replayed:
 
     def take(self, claims: list[Claim]) -> None:
         """Claims with their answers, in their order."""
-        if claims:
-            self.astray = np.zeros(len(self._axes))
+        found = np.full(len(self._axes), -1.0)
         for claim in claims:
             if claim.answers is not None:
-                self._take(claim, claim.answers)
+                self._take(claim, claim.answers, found)
+        # One that answers seldom has the torque that it answered last.
+        self.astray = np.where(found < 0.0, self.astray, found)
 
-    def _take(self, claim: Claim, answers: Answers) -> None:
+    def _take(self, claim: Claim, answers: Answers, found: Floats) -> None:
         heard, at_ns = self.heard, claim.at_ns
         sent = np.clip(_finite(claim.torque), -self._most, self._most)
         wanted = np.rint(sent * self._mille).astype(np.int64)
@@ -147,15 +148,22 @@ class Replayed:
             if new:
                 heard[_CHANNEL, cell.received].take([word], at_ns)
                 heard[_CHANNEL, cell.emergency].take([status], at_ns)
-        self._compare(claim, sent, answers, sampled)
+        self._compare(claim, sent, answers, sampled, found)
 
     def _compare(
-        self, claim: Claim, sent: Floats, answers: Answers, sampled: NDArray[np.bool_]
+        self,
+        claim: Claim,
+        sent: Floats,
+        answers: Answers,
+        sampled: NDArray[np.bool_],
+        found: Floats,
     ) -> None:
         """The drive's own torque with the least and the largest that it was ``sent`` (n,) N m
-        lately, where it was sampled anew: a drive that is silent has its last one in the record."""
+        lately, where it was sampled anew: a drive that is silent has its last one in the record.
+        ``found`` (n,): what is `astray`, at most, and negative where nothing was compared."""
         enabled = answers.statusword & STATE == OPERATION_ENABLED
         self._off_ns[~enabled] = claim.at_ns
+        np.maximum(found, 0.0, out=found, where=~enabled)
         commanded = self._commanded
         if len(commanded) == commanded.maxlen:
             lately = np.array(commanded)
@@ -167,10 +175,11 @@ class Replayed:
             torque = _finite(answers.torque)
             beyond = np.maximum(torque - high, low - torque)
             compared = enabled & sampled & (claim.at_ns - self._off_ns > self._opening_ns)
-            np.maximum(self.astray, beyond / self._radius, out=self.astray, where=compared)
+            by = np.maximum(beyond / self._radius, 0.0)
+            np.maximum(found, by, out=found, where=compared)
         # What is no number is beyond every bound.
         known = np.isfinite(answers.torque) & np.isfinite(claim.angle)
-        self.astray[~np.isfinite(claim.torque) | (sampled & ~known)] = np.inf
+        found[~np.isfinite(claim.torque) | (sampled & ~known)] = np.inf
         commanded.append(sent)
 
 

@@ -110,6 +110,32 @@ def test_the_farthest_of_the_new_records_counts_and_older_ones_no_more(player: P
     assert player.replayed.astray.max() == 0.0
 
 
+def silent(value: float, answered: float, *axes: int) -> Change:
+    """The record of a tick in which these axes were not sampled, and has their last answers."""
+
+    def change(record: Any) -> None:
+        commanded(value, answered)(record)
+        record["drives"]["age"][list(axes)] = 3
+
+    return change
+
+
+def test_a_drive_that_answers_seldom_has_the_torque_that_it_answered_last(player: Player) -> None:
+    """Until it answers anew, or that it has no power."""
+    right, wrong = commanded(1.0, 1.0), commanded(1.0, 0.5)
+    player.take(wrong)
+    player.take(silent(1.0, 0.5, 2, 5))
+    assert player.replayed.astray == pytest.approx(np.full(player.cables, 25.0))
+    player.take(silent(1.0, 1.0, 2, 5))
+    expected = np.where(np.isin(np.arange(player.cables), (2, 5)), 25.0, 0.0)
+    assert player.replayed.astray == pytest.approx(expected)
+    player.take(right)
+    assert player.replayed.astray.max() == 0.0
+    player.take(wrong)
+    player.take(commanded(1.0, 0.5, DISABLED))
+    assert player.replayed.astray.max() == 0.0
+
+
 @pytest.mark.parametrize(("answered", "newton"), [(1.3, 5.0), (-0.1, 5.0), (0.0, 0.0)])
 def test_a_command_that_is_no_number_explains_no_torque_but_none(
     player: Player, answered: float, newton: float
