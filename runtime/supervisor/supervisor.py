@@ -97,9 +97,13 @@ class Supervisor:
         """there was a record before this look, not of FAULT; and none for ``quiet_s``"""
         self._changed: Violation | None = None
         """since then, until the next record"""
-        self._foul = False
+        self._foul: Violation | None = None
         """others commanded devices, or wrote to them, and FAULT, in which a daemon brings them up
         again, was not recorded since"""
+        self._told_ns = 0
+        """when that was told last"""
+        self._unbooted: set[tuple[str, int]] = set()
+        """heartbeats of devices that have not booted since"""
         self._agreed_ns = 0
         """when record and statuswords agreed last whether the robot is controlled"""
         self._listeners: list[Listener] = []
@@ -149,19 +153,26 @@ class Supervisor:
             for where, name, request in devices
         ]
         self._commands = Commands(told, self._own)
-        nodes = {(c.channel, c.heartbeat, c.emergency) for c in wiring.cells if c.heartbeat}
-        self._amplifiers = [
-            (frames[channel, heartbeat], frames[channel, emergency])
-            for channel, heartbeat, emergency in sorted(nodes)
-        ]
-        """heartbeats and emergency frames of each"""
+        self._errors = {
+            (cell.channel, cell.heartbeat): frames[cell.channel, cell.emergency]
+            for cell in wiring.cells
+            if cell.heartbeat
+        }
+        """emergency frames of each amplifier, by its heartbeat"""
+        beaten = {*self._errors, *((axis.channel, axis.heartbeat) for axis in wiring.axes)}
+        if relay is not None:
+            beaten = {(relay.channel, _HEARTBEAT + relay.node_id)}
+        self._devices = {key: frames[key] for key in sorted(beaten)}
+        """heartbeats of each"""
+        self._boots: set[tuple[str, int]] = set()
+        """those with which a device has booted since the look before"""
 
     def step(self, now_ns: int) -> None:
         """Never raises for a bus: what cannot be received ages, what cannot be sent is missed."""
         for listener in self._listeners:
             with contextlib.suppress(can.CanError, OSError):
                 listener.read(now_ns)
-        self._forget_errors()
+        self._note_boots()
         commanded = self._commands()
         seen = self._look(now_ns)
         # A drive that is silent is what it was, unless daemon and all others are disarmed and it
@@ -208,7 +219,7 @@ class Supervisor:
         if quiet:
             self._judge.forget()
         changed = self._changed_beside(seen)
-        begins = quiet and not (self._foul or all(self._beating))
+        begins = quiet and not (self._foul or self._unbooted or all(self._beating))
         if begins and self._hears(seen) and self._sees(seen):
             self._beating = [True] * len(self._listeners)
             self._beat_ns = [now_ns] * len(self._listeners)
@@ -226,6 +237,7 @@ class Supervisor:
                 self._beating[self._channel_of[seen.axes == found.where].item()] = False
             elif found is not None:
                 self._fall_silent(found)
+        self._tell_again(now_ns)
         self._beat(now_ns)
         self._hold_relay()
         self._looked_ns = now_ns
@@ -261,19 +273,20 @@ class Supervisor:
             if not axis.heartbeat:
                 continue
             beats = self._heard[axis.channel, axis.heartbeat]
-            self._booted[row] |= _BOOT_UP in beats.numbers
-            beats.numbers.clear()
+            self._booted[row] |= (axis.channel, axis.heartbeat) in self._boots
             later_ms = seen.measured_age[row] - (seen.now_ns - beats.at_ns) * 1e-6
             found[row] = later_ms >= self.settings.stale_ms
         self._booted &= seen.measured_age > 0.0
         return found & ~self._booted
 
-    def _forget_errors(self) -> None:
+    def _note_boots(self) -> None:
         """An amplifier that boots takes nothing back, and has the errors that it reports anew."""
-        for beats, errors in self._amplifiers:
-            if _BOOT_UP in beats.numbers:
-                errors.word = 0
+        self._boots = {key for key, beats in self._devices.items() if _BOOT_UP in beats.numbers}
+        for beats in self._devices.values():
             beats.numbers.clear()
+        for key in self._boots & self._errors.keys():
+            self._errors[key].word = 0
+        self._unbooted -= self._boots
 
     def _hold_relay(self) -> None:
         """Its output is on as long as the heartbeat goes, and is off at once with its end."""
@@ -284,14 +297,22 @@ class Supervisor:
 
     def _fall_silent(self, found: Violation) -> None:
         """On every channel. What others have done is told where no heartbeat goes too: the daemon
-        has to bring the devices up again."""
+        has to bring the devices up again, each of them from its boot-up on."""
         self.violation, self._quiet_ns = found, None
         first = found.requirement is Requirement.COMMANDED and not self._foul
-        self._foul |= first
+        if first:
+            self._foul, self._told_ns, self._unbooted = found, self._looked_ns, {*self._devices}
         for place, beating in enumerate(self._beating):
             if beating or first:
                 self._send(place, _EMERGENCY + self.settings.node_id, _error(found))
         self._beating = [False] * len(self._listeners)
+
+    def _tell_again(self, now_ns: int) -> None:
+        """What others have done, each ``quiet_s``: a frame may be lost."""
+        if self._foul and now_ns - self._told_ns >= self.settings.quiet_s * 1e9:
+            self._told_ns = now_ns
+            for place in range(len(self._listeners)):
+                self._send(place, _EMERGENCY + self.settings.node_id, _error(self._foul))
 
     def _changed_beside(self, seen: Observation) -> Violation | None:
         """A download, or a command of the network, between records that are not of FAULT, in which
@@ -302,7 +323,8 @@ class Supervisor:
         recovered = any(claim.state == State.FAULT for claim in claims)
         if claims:
             recovered |= self._paused and claims[0].state == State.OFF
-        self._foul &= not recovered
+        if recovered:
+            self._foul = None
         found = self._changed if claims and not (recovered or self._foul) else None
         if claims:
             self._changed = None
@@ -339,10 +361,12 @@ class Supervisor:
                     self._unwatched_ns[place] = now_ns
 
     def _late(self, now_ns: int) -> Violation | None:
-        """Looks that come late keep the drives alive, and find everything late."""
+        """Looks that come late keep the drives alive, and find everything late. Where they are
+        later than whoever watches waits, it is lost already."""
         settings = self.settings
         since_ms = (now_ns - self._looked_ns) * 1e-6
-        if since_ms <= 2 * settings.period_ms + settings.patience_ms:
+        most_ms = 2 * settings.period_ms + settings.patience_ms
+        if since_ms <= min(most_ms, self._timeout_ns * 1e-6):
             return None
         return Violation(Requirement.LATE, NOWHERE, since_ms)
 
@@ -391,16 +415,17 @@ class Supervisor:
             listener.bus.shutdown()
 
     def _beat(self, now_ns: int) -> None:
-        """Where none goes out for so long that drives have lost it, none follows. Once a look has
-        lost its processor none is sent: what it saw is too old."""
+        """Where none goes out for so long that drives have lost it, none follows before everything
+        has been quiet again. Once a look has lost its processor none is sent: what it saw is too
+        old."""
         for place in np.flatnonzero(self._beating).tolist():
-            if self._clock is not None and self._clock() - now_ns > self.settings.period_ms * 1e6:
-                return
+            spent_ns = 0 if self._clock is None else self._clock() - now_ns
             beats = self._beats[place]
-            if beats.follows() and self._tell(place, beats, _OPERATIONAL):
+            in_time = spent_ns <= self.settings.period_ms * 1e6
+            if in_time and beats.follows() and self._tell(place, beats, _OPERATIONAL):
                 self._beat_ns[place] = now_ns
-            waited_ns = now_ns - self._beat_ns[place]
-            self._beating[place] = waited_ns <= self._timeout_ns
+            if now_ns - self._beat_ns[place] > self._timeout_ns:
+                self._beating[place], self._quiet_ns = False, None
 
     def _tell(self, place: int, own: Own, data: bytes) -> bool:
         """Send what only the supervisor sends."""
@@ -437,7 +462,7 @@ def _answers(wiring: Wiring, channel: str, heard: Listened) -> tuple[list[Heard]
 def _watched_of(node: int) -> list[Watched]:
     """Every identifier that tells of a relay's node."""
     output = Watched(_RPDO + node, 1, (), command=True)
-    return [Watched(_HEARTBEAT + node, 1, ()), output, *told_by([node])]
+    return [Watched(_HEARTBEAT + node, 1, (_STATE,)), output, *told_by([node])]
 
 
 def _watched(wiring: Wiring, channel: str) -> list[Watched]:

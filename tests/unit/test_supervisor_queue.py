@@ -47,9 +47,9 @@ def broken(watchdog: Watchdog) -> Requirement | None:
     return None if found is None else found.requirement
 
 
-def let_out(watchdog: Watchdog) -> None:
-    """What waits in the queue of every channel."""
-    for each in watchdog.buses:
+def let_out(watchdog: Watchdog, *, first: bool = True) -> None:
+    """What waits in the queue of every channel, or of all but the ``first``."""
+    for each in watchdog.buses if first else watchdog.buses[1:]:
         assert isinstance(each, EchoBus)
         each.let_out()
 
@@ -92,8 +92,8 @@ def test_drives_that_are_given_power_beside_their_process_data(required: Config)
         if made.step(now, enabled=False, deaf=deaf if now <= 200 else ()) == BEAT:
             found.append(now)
     assert found == [144, 188]
-    others = [message.arbitration_id for bus in made.buses[1:] for message in bus.sent]
-    assert others == [0x0FE] * 3, "each channel hears why"
+    others = [[message.arbitration_id for message in bus.sent] for bus in made.buses[1:]]
+    assert others == [[0x0FE] * 2] * 3, "each channel hears why, and once more after quiet_s"
     assert broken(made) is Requirement.COMMANDED
     made.supervisor.close()
 
@@ -179,6 +179,7 @@ def test_heartbeats_of_another_in_its_name(telling: tuple[Watchdog, EchoBus]) ->
     assert (identifier, struct.unpack("<HBBf", data)) == (0x0FE, (0xFF1B, 0x81, 0xFF, 0.0))
     assert broken(watchdog) is Requirement.COMMANDED
     assert all(sent == [] for sent in watchdog.steps(348, 366, enabled=True))
+    watchdog.boot()
     for now in range(366, 682, 2):
         watchdog.state = State.FAULT if now < 370 else State.SAFE_STOP
         sent = watchdog.step(now, enabled=now >= 670)
@@ -286,10 +287,27 @@ def test_heartbeats_that_wait_until_drives_have_lost_them(
     assert len(other.queue) == 1
     if not again:
         bus.queue.clear()
-        assert all(sent == [] for sent in watchdog.steps(340, 640, enabled=False))
+        for now in range(340, 640, 2):
+            assert watchdog.step(now, enabled=False) == []
+            let_out(watchdog)
         assert watchdog.step(640, enabled=False) == BEAT, "whatever became of the last ones"
         bus.let_out()
         assert watchdog.step(642, enabled=False) == BEAT
+
+
+def test_a_queue_that_is_full_at_rest_gets_no_more_before_it_has_been_quiet(
+    telling: tuple[Watchdog, EchoBus],
+) -> None:
+    """One heartbeat goes out in each 30 ms, which is more seldom than drives wait for."""
+    watchdog, bus = telling
+    longest = 0
+    for now in range(312, 2312, 2):
+        watchdog.step(now, enabled=False)
+        let_out(watchdog, first=False)
+        if now % 30 == 0 and bus.queue:
+            bus.waiting.append(bus.queue.pop(0))
+        longest = max(longest, len(bus.queue))
+    assert longest <= 2
 
 
 def test_heartbeats_that_never_went_out(telling: tuple[Watchdog, EchoBus]) -> None:
@@ -301,7 +319,9 @@ def test_heartbeats_that_never_went_out(telling: tuple[Watchdog, EchoBus]) -> No
         watchdog.step(now, enabled=True)
         other.let_out()
     bus.queue.clear()
-    assert all(sent == [] for sent in watchdog.steps(340, 640, enabled=False))
+    for now in range(340, 640, 2):
+        assert watchdog.step(now, enabled=False) == []
+        let_out(watchdog)
     assert watchdog.step(640, enabled=False) == BEAT
 
 
@@ -424,6 +444,7 @@ def test_a_controlword_beside_the_process_data_is_over_in_the_next_look(required
     assert made.step(310, enabled=False) != BEAT
     assert broken(made) is Requirement.COMMANDED
     made.state = State.FAULT
+    made.boot()
     sent = [
         now
         for now, each in zip(range(312, 700, 2), made.steps(312, 700, enabled=False), strict=True)

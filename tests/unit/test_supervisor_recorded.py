@@ -3,6 +3,7 @@ the relay of the STO inputs. STO-1 to STO-3."""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from typing import Any
 
@@ -109,6 +110,17 @@ def test_it_holds_the_relay_again_only_when_nothing_was_enabled_for_a_while(held
     assert all(sent == [] for sent in held.steps(400)), "while a drive is enabled"
     assert all(sent == [] for sent in held.steps(150, disarmed))
     assert held.step(disarmed) == [BEAT, HELD]
+
+
+@pytest.mark.parametrize(("gap_ms", "goes_on"), [(7, True), (8, False)])
+def test_a_look_later_than_the_relays_node_waits(held: Held, gap_ms: int, goes_on: bool) -> None:
+    """It has opened by then, whatever the supervisor's own margin is."""
+    held.armed().later_ns = (gap_ms - 2) * MS
+    sent = held.step()
+    assert (BEAT in sent) is goes_on
+    if not goes_on:
+        assert sent[0][0] == 0x0FE
+        assert struct.unpack("<HBBf", sent[0][1])[0] == 0xFF00 + Requirement.LATE
 
 
 def test_a_bus_of_the_relay_that_is_gone_raises_nothing(held: Held) -> None:

@@ -387,13 +387,45 @@ def changed(watchdog: Watchdog) -> None:
 
 
 def test_it_does_not_begin_while_a_device_is_not_as_it_was_brought_up(watchdog: Watchdog) -> None:
-    """The daemon brings all up again in FAULT."""
+    """The daemon brings all up again in FAULT, each from its boot-up on."""
     changed(watchdog)
     assert beginnings(watchdog, 314, 1000) == []
     watchdog.state = State.FAULT
     watchdog.step(1000, enabled=False)
     watchdog.state = State.STANDBY
-    assert beginnings(watchdog, 1002, 1100)[:1] == [1002]
+    assert beginnings(watchdog, 1002, 1100) == []
+    watchdog.boot()
+    assert beginnings(watchdog, 1100, 1200)[:1] == [1100]
+
+
+@pytest.mark.parametrize("amplifier", [False, True])
+def test_nor_while_one_of_them_has_not_booted(watchdog: Watchdog, amplifier: bool) -> None:
+    """Those of before what others did do not count; of the last one, by itself, it does."""
+    devices = watchdog.wiring.cells if amplifier else watchdog.wiring.axes
+    last = (devices[-1].channel, devices[-1].heartbeat)
+    watchdog.boot()
+    changed(watchdog)
+    watchdog.state = State.FAULT
+    watchdog.boot(but=last)
+    assert beginnings(watchdog, 314, 1000) == []
+    beat = can.Message(arbitration_id=last[1], is_extended_id=False, data=b"\0")
+    place = [channel for _, channel, _ in watchdog.wiring.channels].index(last[0])
+    watchdog.buses[place].waiting.append(beat)
+    assert beginnings(watchdog, 1000, 1100)[:1] == [1000]
+
+
+def test_what_others_did_is_told_until_the_daemon_knows(watchdog: Watchdog) -> None:
+    """Every quiet_s, as it was told first."""
+    changed(watchdog)
+    told = [bus.sent[-1] for bus in watchdog.buses]
+    assert {message.arbitration_id for message in told} == {0x0FE}
+    steps = list(watchdog.steps(314, 1000, enabled=False))
+    again = [(314 + 2 * place, sent) for place, sent in enumerate(steps) if sent]
+    assert [now for now, _ in again] == [610, 910]
+    assert all(sent == [(0x0FE, bytes(told[0].data))] for _, sent in again)
+    assert all(len(bus.sent) == len(watchdog.buses[0].sent) for bus in watchdog.buses[1:])
+    watchdog.state = State.FAULT
+    assert not any(watchdog.steps(1000, 2000, enabled=False))
 
 
 @pytest.mark.parametrize(("pause_ms", "begins"), [(300, False), (302, True)])
@@ -406,6 +438,7 @@ def test_another_daemon_brings_the_devices_up(
     end = 312 + pause_ms
     beats = beginnings(watchdog, 314, end + 2, tick=False)
     watchdog.state = State.OFF if another else State.STANDBY
+    watchdog.boot()
     beats += beginnings(watchdog, end + 2, 1000)
     assert beats[:1] == ([end + 2] if begins and another else [])
 
@@ -418,6 +451,7 @@ def test_another_daemon_whose_first_records_come_in_one_look(watchdog: Watchdog)
     record["timing"]["tick"] = 615_000
     watchdog.records.append((615 * MS, record[0]))
     watchdog.state = State.STANDBY
+    watchdog.boot()
     beats += beginnings(watchdog, 616, 1000)
     assert beats[:1] == [616]
 

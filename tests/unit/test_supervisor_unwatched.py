@@ -200,6 +200,7 @@ def test_the_pause_after_which_a_record_is_of_another_daemon(pause_ns: int, begi
     assert len(made.step(22, enabled=False)) == 1
     made.step((22_000_000 + pause_ns) * 1e-6, enabled=False, tick=False)
     made.state = State.OFF
+    made.boot()
     assert (beats(made, 2024, 4200) != []) is begins
     made.supervisor.close()
 
