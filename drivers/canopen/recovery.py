@@ -41,8 +41,11 @@ class Recovery:
         """What cannot be brought back is an event and stays lost."""
         doubt, self._supervisor.doubt = self._supervisor.doubt, False
         nodes = (self._bring_back(each, doubt=doubt) for each in self._supervision.watched)
-        restored = await asyncio.gather(*nodes)
-        self._supervisor.doubt |= doubt and not all(restored)
+        restored = False
+        try:
+            restored = all(await asyncio.gather(*nodes))
+        finally:  # an emergency stop cancels it
+            self._supervisor.doubt |= doubt and not restored
 
     async def _bring_back(self, watched: Watched, *, doubt: bool) -> bool:
         """Returns whether it is as the bring-up makes it."""
