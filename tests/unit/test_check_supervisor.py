@@ -241,6 +241,25 @@ def test_bounds_that_would_stop_a_daemon_that_is_right(key: str, least: float) -
         assert (key.replace("__", ".") not in found) is fine
 
 
+@pytest.mark.parametrize(
+    ("given", "least"),
+    [
+        # 10 waiting, 3 landing, 15 passive; 1.875 (0.464 m / 0.225 m/s + 0.3) s down, 3 times 0.3
+        ({}, 28.0 + 3.865 + 0.563 + 0.9),
+        ({"control.sequence.stop_s": 2.0}, 28.0 + 3.865 + 3.75 + 6.0),
+        ({"control.sequence.lower_s": 10.0}, 28.0 + 10.0 + 0.9),
+        ({"control.sequence.hold_s": 4.0}, 22.0 + 3.865 + 0.563 + 0.9),
+    ],
+)
+def test_how_long_a_right_stop_may_last(given: dict[str, Any], least: float) -> None:
+    """Supervisor's stop_s is no less."""
+    for value, fine in ((0.99 * least, False), (1.01 * least, True)):
+        stated = {**given, "supervisor.stop_s": value, "lab": None}
+        config, _ = load("config/can.yaml", overrides=stated)
+        found = {each.where for each in check_supervisor(config) if not each.ok}
+        assert ("supervisor.stop_s" not in found) is fine, value
+
+
 def test_bounds_that_a_robot_in_order_may_reach() -> None:
     config, _ = load("config/can.yaml", overrides={"lab": None})
     braked, _ = load("config/braked.yaml", overrides={"lab": None})

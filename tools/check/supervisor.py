@@ -164,13 +164,30 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
             )
 
 
+def _longest_stop(config: Config) -> float:
+    """s: from the far corner of the workspace along the path, with a load for as long as it waits,
+    a descent that is late, a passive stop that does not come to rest, and its letting go."""
+    sequence, stop, envelope = config.control.sequence, config.control.stop, config.control.envelope
+    ranges = config.robot.workspace
+    farthest = math.hypot(
+        *(
+            max(abs(end - at) for end in interval)
+            for interval, at in zip((ranges.x, ranges.y, ranges.z), config.robot.rest, strict=True)
+        )
+    )
+    cruise = envelope.speed_limit * envelope.speed_warning
+    # The peak of a minimum-jerk motion is 15/8 of its mean speed.
+    lowering = max(sequence.lower_s, 1.875 * (farthest / cruise + sequence.stop_s))
+    waiting = sequence.hold_s + stop.landing_s + stop.passive_s
+    return waiting + lowering + 3.0 * sequence.stop_s  # slowing down, and letting go twice
+
+
 def _narrow(config: Config, settings: Supervisor) -> Iterator[Finding]:
     """Bounds with which it would stop a robot whose daemon is right."""
     control = config.control
-    envelope, sequence, freshness = control.envelope, control.sequence, control.freshness
+    envelope, freshness = control.envelope, control.freshness
     tick_ms = control.rates.period * 1e3
     margin = settings.margin
-    stop_s = sequence.hold_s + sequence.lower_s + control.stop.passive_s + control.stop.landing_s
     stale_ms = (freshness.stale_stop_ticks + 1) * tick_ms + settings.period_ms
     missed_ms = (config.realtime.overrun_ticks + 1) * tick_ms
     brakes = [train.brake.closing_ms for train in config.robot.drive_trains if train.brake]
@@ -190,7 +207,7 @@ def _narrow(config: Config, settings: Supervisor) -> Iterator[Finding]:
         ("speed_stopping", margin * envelope.speed_limit, "the bound of a controlled robot"),
         ("speed_on_path", margin * envelope.speed_limit, "the bound of a controlled robot"),
         ("rotation_stopping", settings.rotation, "rotation"),
-        ("stop_s", stop_s, "what a stop that waits and then fails may take"),
+        ("stop_s", _longest_stop(config), "what a stop that waits and then fails may take"),
         ("patience_ms", missed_ms, "what the daemon may miss (realtime.overrun_ticks)"),
         ("stale_ms", stale_ms, "when the daemon stops for it (control.freshness.stale_stop_ticks)"),
     ):
