@@ -43,13 +43,15 @@ def test_runs_start_from_a_held_robot(tonus_held: HeldFactory) -> None:
         held = tonus_held(at="ACTIVE")
         if fault is not None:
             held.fault(fault, channel="tonus0", node=3)
-        held.advance(20)
+        held.advance(30)
         run = held.end()
         run.replays()
         records.append(held.record.tobytes())
         if fault is not None:
             assert held.state == "SAFE_STOP"
             run.expect("slave_silent", where="tonus0/4", within=0.01)  # and all behind it
+            run.expect("drive_lost", where="tonus0/4", within=0.03)
+            assert held.reason == "DRIVE_LOST", "silence is no state of a drive"
         else:
             assert held.state == "ACTIVE"
     first, undisturbed, again = records
