@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from tests.supervised import DRIVES, REPORT_MS, Run
 from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.exchange import Exchange
 from tonus.runtime.control.allocation import Allocation
@@ -15,7 +16,9 @@ from tonus.runtime.control.passivity import Limiter
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.daemon import Daemon
 from tonus.runtime.safety.faults import Faults
+from tonus.runtime.states import State
 from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.tools.campaign.observed import Observed
 from tonus.tools.run.supervision import Overheard
 
 AXIS = 2
@@ -171,6 +174,38 @@ def stiff(_: float, limiter: Limiter, *__: Any) -> float:
 
 def raises(*_: Any) -> None:
     raise RuntimeError("changed")
+
+
+UPPER = np.arange(8) < 4
+
+
+class Wrong(NamedTuple):
+    """Torques with references that are wrong too, and what holds until the last drive has lost the
+    heartbeat."""
+
+    state: State
+    torques: tuple[float, float]
+    """N at the cables, of the upper axes and the lower"""
+    references: tuple[float, float]
+    found: Requirement
+    longest_ms: float
+    speed: float
+    """m/s at most"""
+    tension: float
+    """N at most"""
+    failed: bool = False
+    """every cable is recorded as given up"""
+    passive: bool = False
+    """in a passive stop, whose references are the record's own"""
+
+
+def stopped_in_time(wrong: Wrong, run: Run, seen: Observed) -> None:
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert {number for number, _ in run.said} == {wrong.found}
+    until = (seen.truth_ns > run.changed_ns) & (seen.truth_ns <= max(run.stopped_ns.values()))
+    assert run.slowest_ms - REPORT_MS <= wrong.longest_ms
+    assert np.linalg.norm(seen.truth["velocity"][until], axis=1).max() <= wrong.speed
+    assert seen.truth["tension"][until].max() <= wrong.tension
 
 
 AT_ONCE: dict[str, tuple[Change, set[Requirement]]] = {

@@ -3,37 +3,19 @@ time. What counts is what was reached by when the last drive lost the heartbeat.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.supervised import BRIEF, DRIVES, REPORT_MS, Run, configured
-from tests.wrong_daemons import after, blind, both, torque_in_control
+from tests.supervised import BRIEF, Run, configured
+from tests.wrong_daemons import UPPER, Wrong, after, blind, both, stopped_in_time, torque_in_control
 from tonus.config.loader import load_scenario
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.states import State
 
 pytestmark = pytest.mark.wide
-
-UPPER = np.arange(8) < 4
-
-
-class Wrong(NamedTuple):
-    state: State
-    torques: tuple[float, float]
-    """N at the cables, of the upper axes and the lower"""
-    references: tuple[float, float]
-    found: Requirement
-    longest_ms: float
-    speed: float
-    """m/s at most"""
-    tension: float
-    """N at most"""
-    failed: bool = False
-    """every cable is recorded as given up"""
-
 
 CASES = {
     "references beyond their bound in a stop": Wrong(
@@ -89,9 +71,4 @@ def test_references_that_fit_wrong_torques(name: str, monkeypatch: pytest.Monkey
     with monkeypatch.context():
         seen = run.play(0.5)
     monkeypatch.undo()
-    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
-    assert {number for number, _ in run.said} == {wrong.found}
-    until = (seen.truth_ns > run.changed_ns) & (seen.truth_ns <= max(run.stopped_ns.values()))
-    assert run.slowest_ms - REPORT_MS <= wrong.longest_ms
-    assert np.linalg.norm(seen.truth["velocity"][until], axis=1).max() <= wrong.speed
-    assert seen.truth["tension"][until].max() <= wrong.tension
+    stopped_in_time(wrong, run, seen)
