@@ -134,6 +134,11 @@ def test_a_drive_that_answers_seldom_has_the_torque_that_it_answered_last(player
     player.take(wrong)
     player.take(commanded(1.0, 0.5, DISABLED))
     assert player.replayed.astray.max() == 0.0
+    player.take(commanded(1.4, 1.0))
+    player.take(wrong)
+    assert player.replayed.astray.min() > 0.0
+    player.take(commanded(1.0, 1.2))
+    assert player.replayed.astray.max() == 0.0, "between the least and the largest"
 
 
 @pytest.mark.parametrize(("answered", "newton"), [(1.3, 5.0), (-0.1, 5.0), (0.0, 0.0)])
