@@ -125,6 +125,20 @@ def test_a_torque_against_its_reference_in_one_tick_of_two(
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(("momentum", "wrong"), [(0.7, True), (0.9, False), (-0.9, True)])
+def test_a_torque_of_a_hundred_newton_that_brakes_its_drum(
+    config: Config, sign: float, momentum: float, wrong: bool
+) -> None:
+    """It turns the way that its tension has to go, and 45 N would stop it in 20 ms; 35 N leave more
+    than the 60 that are wrong."""
+    said = {"reference": at(3, 45.0 + 10.0 * sign, 45.0), "state": State.ACTIVE}
+    given = {"torque": at(3, 45.0 - 100.0 * sign, 45.0), "momentum": at(3, momentum * sign)}
+    verdict = found(config, 5.0, said, **given)
+    assert (verdict is not None) is wrong
+    assert verdict is None or (verdict.requirement, verdict.where) == (Requirement.OPPOSED, 3)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize(
     ("step", "wrong"),
     [(0.0, True), (0.1, True), (0.9, True), (1.0, False), (1.1, False), (-1.1, True)],
