@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import numpy as np
 import pytest
-from viewer_bench import Viewer, opened, recorded
+from viewer_bench import Viewer, free_port, opened, recorded
 
 from tonus.runtime.states import State
 from tonus.tools.errors import ToolError
 from tonus.tools.log import open as open_log
+from tonus.tools.view import viewer
+from tonus.tools.view.gate import Gate
 from tonus.tools.view.moment import Happening, Samples
 from tonus.tools.view.playback import Playback
 from tonus.tools.view.recorded import Recorded
@@ -168,3 +174,38 @@ def test_a_page_plays_pauses_seeks_and_chooses(tmp_path: Path, file: Path) -> No
             assert {event["name"] for event in page.events} >= {"state", "operator"}
     finally:
         viewer.close()
+
+
+def test_a_viewer_ends_wherever_in_its_loop_a_signal_interrupts_it(file: Path) -> None:
+    """A signal's handler runs in the main thread between any two lines, also where that thread
+    holds the lock of what it waits with. Here it comes in the n-th line of the loop, and of what
+    the loop calls in `threading`."""
+    for number in range(1, 61):
+        gate = Gate("127.0.0.1", free_port(), None)
+        shown = viewer.Viewer(gate, None, Playback([Recorded(file)]))
+        running = threading.Thread(target=_interrupted, args=(shown, number), daemon=True)
+        running.start()
+        running.join(20)
+        assert not running.is_alive(), f"it did not end after a signal in line {number}"
+        shown.release()
+
+
+def _interrupted(shown: viewer.Viewer, number: int) -> None:
+    left = number
+
+    def trace(frame: FrameType, event: str, _: Any) -> Any:
+        nonlocal left
+        caller = frame.f_back
+        own = frame.f_code is viewer.Viewer.run.__code__
+        called = frame.f_code.co_filename == threading.__file__ and caller and caller.f_trace
+        if not (own or called):
+            return None
+        left -= event == "line"
+        if left == 0:
+            sys.settrace(None)
+            shown.close()
+        return trace
+
+    sys.settrace(trace)
+    shown.run()
+    sys.settrace(None)

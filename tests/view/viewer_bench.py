@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
@@ -32,15 +34,21 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
         return int(probe.getsockname()[1])
 
 
-def _end(process: subprocess.Popen[bytes], patience_s: float) -> None:
-    """One that does not end when it is asked is a failure, and leaves nothing that computes."""
+def _end(process: subprocess.Popen[bytes], patience_s: float, text: Path) -> None:
+    """One that does not end when it is asked is a failure that tells where each of its threads
+    is, and leaves nothing that computes."""
     process.terminate()
     try:
         process.wait(patience_s)
     except subprocess.TimeoutExpired:
-        process.kill()
+        process.send_signal(signal.SIGABRT)
         process.wait()
-        raise
+        pytest.fail(f"it does not end: {text.read_text()}")
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    told = {"TONUS_RUNTIME_DIR": str(folder / "runtime"), "PYTHONFAULTHANDLER": "1"}
+    return {**os.environ, **told}
 
 
 class Viewer:
@@ -52,9 +60,12 @@ class Viewer:
         command = [*TONUS, "view", "--port", str(self.port), *arguments]
         if token is not None:
             command += ["--token", token]
-        environment = {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
         self.process = subprocess.Popen(
-            command, cwd=ROOT, env=environment, stdout=self.text.open("w"), stderr=subprocess.STDOUT
+            command,
+            cwd=ROOT,
+            env=_environment(folder),
+            stdout=self.text.open("w"),
+            stderr=subprocess.STDOUT,
         )
         for _ in range(int(PATIENCE_S / 0.05)):
             if "open http" in self.text.read_text() or self.process.poll() is not None:
@@ -97,7 +108,7 @@ class Viewer:
         return _bytes(Path(f"/proc/{self.process.pid}"), "VmHWM")
 
     def close(self) -> None:
-        _end(self.process, 20)
+        _end(self.process, 20, self.text)
 
 
 def _bytes(process: Path, name: str) -> float:
@@ -182,7 +193,6 @@ class Served:
 
     def __init__(self, folder: Path, config: str, *arguments: str) -> None:
         self.text = folder / "run.txt"
-        environment = {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
         # Its lab has no load, which would push a platform that lies in its cradle.
         command = [*TONUS, "run", config, "--serve", "--scenario", "hold"]
         command += ["--out", str(folder / "out"), *arguments]
@@ -190,7 +200,11 @@ class Served:
         changed = {**QUICK, "tracker.port": free_port(socket.SOCK_DGRAM)}
         command += [f"--set={key}={value}" for key, value in changed.items()]
         self.process = subprocess.Popen(
-            command, cwd=ROOT, env=environment, stdout=self.text.open("w"), stderr=subprocess.STDOUT
+            command,
+            cwd=ROOT,
+            env=_environment(folder),
+            stdout=self.text.open("w"),
+            stderr=subprocess.STDOUT,
         )
         for _ in range(int(2 * PATIENCE_S / 0.05)):
             if "STANDBY" in self.text.read_text() or self.process.poll() is not None:
@@ -199,7 +213,7 @@ class Served:
         assert self.process.poll() is None, self.text.read_text()
 
     def close(self) -> None:
-        _end(self.process, 60)
+        _end(self.process, 60, self.text)
 
 
 def recorded(
@@ -217,8 +231,11 @@ def recorded(
     arguments += ["--duration", str(seconds), "--out", str(out)]
     changed = {f"control.sequence.{key}": value for key, value in sequence.items()}
     arguments += [f"--set={key}={value}" for key, value in (QUICK | changed).items()]
-    environment = {**os.environ, "TONUS_RUNTIME_DIR": str(folder / "runtime")}
     subprocess.run(
-        [*TONUS, "run", *arguments], cwd=ROOT, env=environment, check=True, capture_output=True
+        [*TONUS, "run", *arguments],
+        cwd=ROOT,
+        env=_environment(folder),
+        check=True,
+        capture_output=True,
     )
     return out / "run.mcap"

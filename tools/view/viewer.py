@@ -76,7 +76,9 @@ class Viewer:
         self._built = 0
         """times: what one has shown is not the next one's"""
         self._hub = Hub(self._asked, self._left)
+        self._ending = False
         self._stopping = threading.Event()
+        """for the threads beside the main loop"""
         self._operation: Operation | None = None
         self._problem: ToolError | ConfigError | None = None
         self._build()
@@ -167,7 +169,7 @@ class Viewer:
         plotted = -np.inf
         shown = False
         alone = settings().rate_hz * _ALONE_S
-        while not self._stopping.is_set():
+        while not self._ending:
             now = clock.wall_seconds()
             self._advance(now - last)
             last = now
@@ -183,14 +185,16 @@ class Viewer:
             if self._live is not None and self._live.is_over and not self._next_run():
                 return
             due = max(due + period, clock.wall_seconds())
-            self._stopping.wait(due - clock.wall_seconds())
+            clock.pause(max(due - clock.wall_seconds(), 0.0))
 
     def close(self) -> None:
-        """From any thread, or a signal."""
-        self._stopping.set()
+        """From any thread, or a signal: without a lock, which the thread that a signal interrupts
+        may hold."""
+        self._ending = True
 
     def release(self) -> None:
         """Let go of everything, after `run`."""
+        self._stopping.set()
         if self._operation is not None:
             self._operation.close()
         if self._loading.ident is not None:
@@ -207,7 +211,8 @@ class Viewer:
         self._hub.tell(self._hub.clients, {"kind": "ended", "log": ended.description.log})
         if not self._follow:
             return False
-        while not self._stopping.wait(_LOOK_S):
+        while not self._ending:
+            clock.pause(_LOOK_S)
             try:
                 live = Live(newest_run())
             except ToolError:
