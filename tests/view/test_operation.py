@@ -94,6 +94,16 @@ def test_the_path_ahead_of_a_live_run_is_where_it_goes(
     assert np.abs(np.transpose(told) - rows["pose"]["desired_position"]).max() < 1e-4
 
 
+def test_the_hang_up_of_a_terminal_is_an_event_of_a_daemon_that_serves(
+    daemon: Served, viewer: Viewer
+) -> None:
+    with opened(viewer) as page:
+        page.state("STANDBY")
+        daemon.process.send_signal(signal.SIGHUP)
+        page.until(lambda now: any(each["name"] == "signal" for each in page.events))
+        assert page.state("STANDBY")
+
+
 @pytest.mark.parametrize("lost", ["closed", "silent", "killed"])
 def test_a_lost_page_holds_the_robot(
     daemon: Served, folder: Path, viewer: Viewer, lost: str

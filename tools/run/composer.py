@@ -151,7 +151,7 @@ class _Stage:
         if frames is not None:
             self._tap = GuardedTap(frames, self._firewall.part("frame tap"))
         self._began = 0.0
-        self._too_large = False
+        self._too_large = self._hung_up = False
         self._hygiene: Hygiene | None = None
         self._latencies: Latencies | None = None
         self._daemon_made: Daemon | None = None
@@ -397,6 +397,7 @@ class _Stage:
             control.open_to(ControlDoor(config, daemon, self._console, catalogue, str(self._log)))
             daemon.serve("emergency stop", control.listen, lasting=True)
             daemon.serve("control socket", control.poll)
+            daemon.serve("signal", self._tell_hang_up)
             # Lasting: without it the service manager would kill the daemon, the robot at height.
             daemon.serve(
                 "service notification", lambda due_ns: beat(due_ns, sequence.state), lasting=True
@@ -443,6 +444,13 @@ class _Stage:
     def _hang_up(self) -> None:
         if not self._order.serve:
             self._end(signal.SIGHUP)
-        elif self._daemon_made is not None:
+        else:
+            # Told after a tick: an event may be on its way into its ring just now.
+            self._hung_up = True
+
+    def _tell_hang_up(self, due_ns: int) -> None:
+        del due_ns
+        if self._hung_up and self._daemon_made is not None:
+            self._hung_up = False
             text = "SIGHUP: nothing to do; the configuration is read at the start only"
             self._daemon_made.note(Level.INFO, "signal", text)
