@@ -22,8 +22,6 @@ from tonus.tools.study.trials import trials
 
 pytestmark = pytest.mark.wide
 
-AT_REST = "tonus.runtime.control.controllers.pid:PidAtRest"
-
 
 @pytest.fixture(scope="module")
 def study() -> ParameterStudy:
@@ -82,10 +80,10 @@ def test_the_lower_tone_alone_takes_what_bio_observer_saves(
         if mean is not None:
             saved[group.labels["controller"]] = mean.value
     assert saved.keys() == {
-        f"{AT_REST} less pid",
+        "PidAtRest less pid",
         "bio_observer less pid",
-        f"bio_observer less {AT_REST}",
+        "bio_observer less PidAtRest",
     }
-    assert saved[f"{AT_REST} less pid"] < -2.0
+    assert saved["PidAtRest less pid"] < -2.0
     assert saved["bio_observer less pid"] < -2.0
-    assert abs(saved[f"bio_observer less {AT_REST}"]) < 0.5
+    assert abs(saved["bio_observer less PidAtRest"]) < 0.5

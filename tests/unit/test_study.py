@@ -17,7 +17,7 @@ from tonus.config.schema.parameter_study import ParameterStudy
 from tonus.tools.campaign.journal import Journal
 from tonus.tools.cli.main import tonus
 from tonus.tools.errors import ToolError
-from tonus.tools.study.groups import groups
+from tonus.tools.study.groups import differences, groups
 from tonus.tools.study.page import write_page
 from tonus.tools.study.play import COMPLETED, FIGURES, Row, failed, play
 from tonus.tools.study.provenance import head
@@ -208,6 +208,16 @@ def test_parameters_of_like_names_stay_apart() -> None:
     found = groups(of, [row(of, each) for each in trials(of)])
     assert len(found) == 4
     assert list(found[0].labels) == [told, "noise.tracker.latency_ms", "stiffness.base"]
+
+
+def test_a_controller_of_ones_own_is_told_by_its_class_unless_two_have_that_name() -> None:
+    own, other = "tonus.runtime.control.controllers.pid:PidAtRest", "laboratory.gains:PidAtRest"
+    for controllers, told in ((["pid", own], ["pid", "PidAtRest"]), ([own, other], [own, other])):
+        of = study(controllers=controllers)
+        rows = [row(of, each) for each in trials(of)]
+        assert sorted({each.labels["controller"] for each in groups(of, rows)}) == sorted(told)
+        (less,) = {each.labels["controller"] for each in differences(of, rows)}
+        assert less == f"{told[1]} less {told[0]}"
 
 
 def test_rows_of_a_configuration_that_was_edited_are_not_taken(tmp_path: Path) -> None:

@@ -81,8 +81,11 @@ def groups(study: ParameterStudy, rows: Sequence[Row]) -> list[Group]:
         "controller": len(study.controllers),
     }
     names = {key: name for key, name in short(study).items() if key != ROBOT}
+    controllers = _controllers(study)
     for row in rows:
         labels = {key: row[key] for key, count in outer.items() if count > 1}
+        if "controller" in labels:
+            labels["controller"] = controllers.get(row["controller"], row["controller"])
         labels |= {name: row["parameters"][key] for key, name in names.items()}
         found.setdefault(json.dumps(labels), Group(labels, [])).rows.append(row)
     return list(found.values())
@@ -96,12 +99,12 @@ def differences(study: ParameterStudy, rows: Sequence[Row]) -> list[Group]:
         if row["verdict"] == COMPLETED:
             place = [row[key] for key in ("config", "scenario", "parameters", "seed")]
             alike.setdefault(json.dumps(place), {})[row["controller"]] = row
-    made = []
+    made, names = [], _controllers(study)
     for of in alike.values():
         for one, other in combinations(study.controllers, 2):
             if one in of and other in of:
                 less = {key: _less(of[other], of[one], key) for key in figures(study)}
-                made.append(of[other] | less | {"controller": f"{other} less {one}"})
+                made.append(of[other] | less | {"controller": f"{names[other]} less {names[one]}"})
     return groups(study, made)
 
 
@@ -120,6 +123,13 @@ def short(study: ParameterStudy) -> dict[str, str]:
     """Each parameter's name in headings, by its key: the last two words, or as many more as no
     other parameter has."""
     return {key: _ending(key, study.parameters.keys() - {key}) for key in study.parameters}
+
+
+def _controllers(study: ParameterStudy) -> dict[str, str]:
+    """Each controller's name in headings: its class alone, unless another has that name."""
+    classes = {each: each.rpartition(":")[2] for each in study.controllers}
+    held = list(classes.values())
+    return {each: name if held.count(name) == 1 else each for each, name in classes.items()}
 
 
 def _ending(key: str, others: Iterable[str]) -> str:
