@@ -29,6 +29,7 @@ from tonus.runtime.control.tension import of_axis
 from tonus.tools.margins.estimate import EXTERNAL, PLACE, SPEED, STATES, AxisEstimator
 from tonus.tools.margins.hold import zero_order_hold
 from tonus.tools.margins.linearisation import LinearResponse, commands_tensions, linear_responses
+from tonus.tools.margins.response import frequency_response
 from tonus.tools.margins.tension_loop import (
     DELAY_TICKS,
     UNSTABLE,
@@ -199,9 +200,8 @@ class Loop:
         matrix, entry, out, direct = self._columns(cut)
         frequency = frequencies(self._period, points)
         z = np.exp(2j * np.pi * frequency * self._period)
-        shifted = z[:, None, None] * np.eye(self.size) - matrix
-        driven = np.linalg.solve(shifted, entry[:, None].astype(complex))[:, :, 0]
-        return margins_of(np.asarray(-(driven @ out + direct), complex), frequency)
+        (answer,) = frequency_response(matrix, entry, out[None, :], z)
+        return margins_of(-(answer + direct), frequency)
 
 
 def responses_of(config: Config, controller: str) -> tuple[LinearResponse, ...]:

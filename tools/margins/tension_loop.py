@@ -19,6 +19,7 @@ from tonus.config.schema.control import TensionLoop
 from tonus.config.schema.root import Config
 from tonus.runtime.control.tension import of_axis
 from tonus.tools.margins.hold import zero_order_hold
+from tonus.tools.margins.response import frequency_response
 
 Array = NDArray[np.float64]
 DELAY_TICKS = 2
@@ -260,9 +261,9 @@ def _open_loop(
 ) -> NDArray[np.complex128]:
     step, effects, seen = plant
     z = np.exp(2j * np.pi * frequency * period)
-    answer = seen @ np.linalg.solve(z[:, None, None] * np.eye(4) - step, effects[:, :1])
+    force, angle = frequency_response(step, effects[:, 0], seen[:2], z)
     integral = loop.integral * period * z / (z - 1.0)
     on_force = train.drum.radius * (loop.proportional + integral)
     on_angle = loop.rate_damping * (1.0 - 1.0 / z) / period
-    returned = on_force * answer[:, 0, 0] + on_angle * answer[:, 1, 0]
+    returned = on_force * force + on_angle * angle
     return np.asarray(returned * z ** (-delay_ticks))
