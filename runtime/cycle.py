@@ -40,7 +40,7 @@ from tonus.runtime.safety.isolation import Isolation
 from tonus.runtime.safety.sequence import Sequence
 from tonus.runtime.safety.witness import Witness
 from tonus.runtime.signals import Consistency, CycleRecord, Grade
-from tonus.runtime.states import ARMED, Operator, State
+from tonus.runtime.states import ARMED, Operator, State, StopMode
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -244,7 +244,9 @@ class ControlCycle:
         if share < 0.0 or sequence.axis_command is not AxisCommand.ENABLE:
             trusted[:], share = False, 0.0
         shares = np.where(sequence.faults.torn, 0.0, share)
-        if sequence.descending:
+        if sequence.stop_mode is StopMode.ON_PATH and share == 1.0:
+            self._descent.planned[:] = self._allocation.reference
+        if sequence.stop_mode is not StopMode.PASSIVE:
             shares *= self._descent.planned / stop.passive_tension
         self._allocation.reference[:] = shares * stop.passive_tension * trusted
         torque = self._descent.guard.passive(sensing.rate, trusted, shares)

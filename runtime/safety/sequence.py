@@ -252,7 +252,8 @@ class Sequence:
             return
         if self.stop_mode is not StopMode.PASSIVE:
             # Whatever seems to push it: by whose measurement, only cells could tell.
-            if self.height <= stop.landed and self.stop_time >= self.stop_ends:
+            lowered = self.stop_ends - (0.0 if self.descending else self._settings.stop_s)
+            if self.height <= stop.landed and self.stop_time >= lowered:
                 self._released_at = self.elapsed
             return
         self._slow = self._slow + self._period if fastest < stop.passive_speed else 0.0
@@ -260,6 +261,12 @@ class Sequence:
         late = self.elapsed - self._mode_at >= stop.passive_s
         if self.referenced and (rests or late):
             self._released_at = self.elapsed
+
+    @property
+    def _ends_a_fault(self) -> bool:
+        """On its path, but for a fault: in the cradle no cell is relied on any more."""
+        on_path = self.state is State.SAFE_STOP and self.stop_mode is StopMode.ON_PATH
+        return on_path and self.faults.first is not Fault.NONE
 
     def plan_stop(self, lower_s: float) -> None:
         """How long the way down to the cradle takes."""
@@ -376,7 +383,7 @@ class Sequence:
     @property
     def _given_up(self) -> bool:
         """A stop disables the drives at its end, or early when there was no reference."""
-        if self.stop_mode <= StopMode.ON_PATH:
+        if self.stop_mode <= StopMode.ON_PATH and not self.releasing:
             return self.stop_time >= self.stop_ends
         if not self.referenced:
             return self.passive_share <= 0.0
@@ -497,7 +504,7 @@ class Sequence:
             lifted = settings.lift_s + 1.0 / settings.reference_slew
             done = self.elapsed >= settings.pretension_s + lifted
             return Event.TENSIONED if done else None
-        if self.stop_mode > StopMode.ON_PATH:
+        if self.stop_mode > StopMode.ON_PATH or self._ends_a_fault:
             self._stand()
         if self.state is State.SAFE_STOP and self._given_up:
             silent = image.axes["age"] > self._control.freshness.stale_stop_ticks

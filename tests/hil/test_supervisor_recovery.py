@@ -169,7 +169,14 @@ def test_a_device_that_another_master_writes_to_in_standby(
 
 
 @pytest.mark.parametrize(
-    ("arm_s", "pause"), [(0.334, 0), (0.38, 0), (0.9, 0), (0.9, 12), (0.9, 400)]
+    ("arm_s", "pause"),
+    [
+        (0.334, 0),
+        pytest.param(0.38, 0, marks=pytest.mark.wide),
+        pytest.param(0.9, 0, marks=pytest.mark.wide),
+        (0.9, 12),
+        pytest.param(0.9, 400, marks=pytest.mark.wide),
+    ],
 )
 def test_drives_that_another_master_has_wait_for_no_heartbeat(
     monkeypatch: pytest.MonkeyPatch, arm_s: float, pause: int
@@ -202,7 +209,11 @@ def test_drives_that_another_master_has_wait_for_no_heartbeat(
     assert {number for number, _ in run.said} == {Requirement.COMMANDED}
 
 
-@pytest.mark.parametrize("nodes", [tuple(DRIVES), (3,)], ids=["all", "one"])
+@pytest.mark.parametrize(
+    "nodes",
+    [tuple(DRIVES), pytest.param((3,), marks=pytest.mark.wide)],
+    ids=["all", "one"],
+)
 def test_drives_in_action_that_another_master_has_wait_for_no_heartbeat(
     nodes: tuple[int, ...],
 ) -> None:

@@ -188,10 +188,37 @@ def test_a_stop_by_a_fault_ends_in_fault() -> None:
     way = Way().to(State.ACTIVE)
     way.envelope.fault = Fault.SPEED_LIMIT
     way.step()
-    way.steps(STOP_TICKS)
+    way.steps(STOP_TICKS + REST_TICKS)
     way.steps(1, after=State.FAULT)
     assert not way.sequence.enabled
     assert way.sequence.fault is Fault.SPEED_LIMIT
+
+
+def test_a_stop_by_a_fault_lets_go_by_its_drums_alone() -> None:
+    """By the cells an operator's, whose robot is in order; and a path that has not led down."""
+    for fault, height, drums in (
+        (Fault.SPEED_LIMIT, 0.0, True),
+        (Fault.SPEED_LIMIT, 0.031, False),
+        (Fault.NONE, 0.0, False),
+    ):
+        way = Way().to(State.ACTIVE)
+        way.envelope.fault = fault
+        way.step(Operator.STOP)
+        way.sequence.height = height
+        shares = []
+        while way.sequence.axis_command is AxisCommand.ENABLE:
+            way.step()
+            assert not (way.sequence.regulating and way.sequence.releasing)
+            shares.append(way.sequence.passive_share)
+        assert (max(shares) == 1.0) is drums
+        if drums:
+            lowered = shares.index(1.0)
+            assert lowered == STOP_TICKS - RELEASE_TICKS - 1
+            assert set(shares[:lowered]) == {-1.0}
+            assert shares[lowered:] == sorted(shares[lowered:], reverse=True)
+            assert shares.count(0.0) == REST_TICKS + 1
+        else:
+            assert shares == [-1.0] * len(shares)
 
 
 # --- under a load --------------------------------------------------------------------------------
@@ -230,7 +257,7 @@ def test_with_contact_nothing_is_waited_for_nor_by_a_descent_that_has_landed() -
     touching.envelope.fault = Fault.CONTACT_LIMIT
     touching.step()
     touching.sequence.load = 100.0
-    assert enabled(touching) == STOP_TICKS
+    assert enabled(touching) == STOP_TICKS + REST_TICKS
     down = descent()
     down.sequence.load, down.sequence.height = 100.0, 0.0
     assert enabled(down) == STOP_TICKS + RELEASE_TICKS + REST_TICKS
