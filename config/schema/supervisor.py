@@ -53,12 +53,15 @@ REQUIREMENT_TEXTS: dict[Requirement, str] = {
     Requirement.COMMAND_LOGGED: "the torque on the bus is the one that the daemon records",
     Requirement.MEASURED_LOGGED: "the recorded forces and lengths are those on the bus",
     Requirement.DISARMED: "the drives have power as the daemon's record says",
-    Requirement.STOP_ENDS: "a controlled stop comes to its end",
+    Requirement.STOP_ENDS: "a controlled stop comes to its end, and never back to a mode of before",
     Requirement.STALE: "no torque is sent to a drive whose measurements have stopped",
     Requirement.LATE: "it looks in time itself",
     Requirement.ORDERS: "a stop follows an order to stop, and a fault, that are recorded",
     Requirement.BRAKED: "in a passive stop no torque drives its drum",
-    Requirement.COMMANDED: "no device is commanded beside its process data, nor in its name",
+    Requirement.COMMANDED: (
+        "no device is commanded beside its process data, nor in its name, nor armed after it has "
+        "restarted without being brought up"
+    ),
 }
 
 
@@ -113,6 +116,7 @@ SMALLEST = {
     "speed_stopping": 1.5,
     "speed_on_path": 0.4,
     "speed_in_descent": 0.7,
+    "rotation_in_descent": 4.5,
 }
 """What a robot has to state at least, in the keys' units, frames and ticks. All R: between what a
 robot in order was seen to reach (config/supervisor.yaml) and what is shipped."""
@@ -202,6 +206,8 @@ class Supervisor(Section):
     """m/s, in every state"""
     rotation: Annotated[Positive, Field(le=5)]
     """rad/s, while the robot is controlled"""
+    rotation_in_descent: Annotated[Positive, Field(le=10)] = 5.0
+    """rad/s, in such a stop for twice ``opposed_ms``"""
     rotation_stopping: Annotated[Positive, Field(le=30)]
     """rad/s, in every state"""
     logged_tension: Annotated[Positive, Field(le=50)]

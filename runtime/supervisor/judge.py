@@ -24,9 +24,10 @@ _AT_ONCE = (
     *(Requirement.STIFFNESS, Requirement.STOP_ENDS),
 )
 """what lasts already when it is seen, and what may not be for any time"""
-_FORGETTING, _PULLED_FORGETTING = 4, 64
-"""times slower than it was counted is the time forgotten for which a condition held, and that for
-which a drive that has to be off had a torque: its drum keeps the speed of each burst"""
+_FORGETTING, _ANSWERED_FORGETTING, _BURST_FORGETTING = 4, 16, 64
+"""times slower than it was counted is the time forgotten for which a condition held; for which a
+drive's own figure was not what it was sent; and for which one that has to be off, or to brake,
+pulled: its drum keeps the speed of each burst"""
 Key = tuple[Requirement, int]
 """requirement and patience in ns: that it is broken at one axis now and then at another is no
 excuse"""
@@ -104,6 +105,11 @@ class Judge:
         patience[Requirement.COMMAND_LOGGED] = max(0.0, settings.patience_ms - settings.period_ms)
         patience[Requirement.DISARMED] = settings.disarmed_ms
         self._patience_ns = {key: round(value * 1e6) for key, value in patience.items()}
+        bursts = (Requirement.DISARMED, Requirement.BRAKED)
+        self._slowness = {(each, self._pulling_ns): _BURST_FORGETTING for each in bursts}
+        if not self._brakes:  # single frames that are lost do not make it another figure
+            logged = Requirement.COMMAND_LOGGED
+            self._slowness[logged, self._patience_ns[logged]] = _ANSWERED_FORGETTING
         self._looked_ns: int | None = None
         self._lately = _Orders()
         """since the record was disarmed last"""
@@ -133,6 +139,8 @@ class Judge:
 
     def _end_stop(self) -> None:
         self._stopping_ns: int | None = None
+        self._mode: int = StopMode.NONE
+        """of the stop, as it was recorded last"""
         self._before: Claim | None = None
         self._tension: Floats | None = None
         """N, of the look before"""
@@ -156,9 +164,8 @@ class Judge:
         elapsed_ns = 0 if self._looked_ns is None else now_ns - self._looked_ns
         self._looked_ns = now_ns
         least_ns = -min(elapsed_ns, self._period_ns)
-        slowly = {(Requirement.DISARMED, self._pulling_ns): _PULLED_FORGETTING}
         held = {
-            key: max(held_ns - elapsed_ns // slowly.get(key, _FORGETTING), least_ns)
+            key: max(held_ns - elapsed_ns // self._slowness.get(key, _FORGETTING), least_ns)
             for key, held_ns in self._held.items()
             if held_ns > least_ns
         }
@@ -188,9 +195,9 @@ class Judge:
         for each in self._always(seen, speeds):
             yield each, long_ns
         yield from self._recorded(seen)
-        limits, patience_ns = self._of_a_stop(seen.claim)
-        for each in _faster(speeds, limits):
-            yield each, patience_ns
+        for limits, patience_ns in self._of_a_stop(seen.claim):
+            for each in _faster(speeds, limits):
+                yield each, patience_ns
         if seen.claim is not None and seen.claim.state == State.SAFE_STOP:
             # No stop of a daemon in order gets there; a cell that is wrong does.
             tense = (seen.tension > self._settings.tension_stopping) & ~seen.defective
@@ -201,16 +208,18 @@ class Judge:
             for each in _at(Requirement.TENSION, seen, seen.tension, None, loose):
                 yield each, self._slack_ns
 
-    def _of_a_stop(self, claim: Claim | None) -> tuple[tuple[float, float], int]:
+    def _of_a_stop(self, claim: Claim | None) -> Iterator[tuple[tuple[float, float], int]]:
         """Bounds of speed and turning rate besides the wide ones, and for how long they may be
         exceeded. One along the path that is thrown is soon slower again, or in another stop; a
         passive one lets the platform sink as fast as friction and damping do."""
         settings = self._settings
         if claim is None or claim.state != State.SAFE_STOP or claim.stop_mode == StopMode.PASSIVE:
-            return (math.inf, math.inf), 0
+            return
         if claim.stop_mode == StopMode.ON_PATH:
-            return (settings.speed_on_path, settings.rotation), self._opposed_ns
-        return (settings.speed_in_descent, math.inf), self._pulling_ns
+            yield (settings.speed_on_path, settings.rotation), self._opposed_ns
+            return
+        yield (settings.speed_in_descent, math.inf), self._pulling_ns
+        yield (math.inf, settings.rotation_in_descent), 2 * self._opposed_ns
 
     def _is_disarmed(self, claim: Claim) -> bool:
         """A stop is of what was controlled: power that begins with it has no measured bound."""
@@ -252,12 +261,16 @@ class Judge:
             yield Violation(Requirement.ORDERS, NOWHERE, newest.state)
 
     def _stop_ends(self, seen: Observation) -> Iterator[Violation]:
-        """Only power that is off ends a stop, whatever the daemon records."""
+        """Only power that is off ends a stop, whatever the daemon records, and it never comes back
+        to a mode of before."""
         again = False
         for claim in seen.claims:
             again |= self._stopping_ns is not None and claim.state in CONTROLLED
-            if claim.state == State.SAFE_STOP and self._stopping_ns is None:
-                self._stopping_ns = seen.now_ns
+            if claim.state == State.SAFE_STOP:
+                again |= claim.stop_mode < self._mode
+                self._mode = claim.stop_mode
+                if self._stopping_ns is None:
+                    self._stopping_ns = seen.now_ns
         if self._stopping_ns is not None:
             lasted = (seen.now_ns - self._stopping_ns) * 1e-9
             if lasted > self._settings.stop_s or again:

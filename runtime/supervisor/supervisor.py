@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import Requirement
-from tonus.runtime.states import ARMED, State
+from tonus.runtime.states import ARMED, Operator, State
 from tonus.runtime.supervisor.commands import NMT, REQUEST, Commands, Own, Told, told_by
 from tonus.runtime.supervisor.heartbeat import Beats
 from tonus.runtime.supervisor.judge import NOWHERE, Judge, Violation
@@ -43,10 +43,10 @@ class Supervisor:
     """Call `step` every ``supervisor.period_ms``.
 
     It is silent at first, and after a violation; the heartbeat begins when no drive has been
-    enabled for ``quiet_s`` and everything arrives that it judges by. So its restart, or a mistake
-    of its own that has passed, gives an armed robot nothing back, and a drive that it stopped needs
-    the operator's reset. A silent drive counts as what it was, while the daemon's record is armed
-    or the drive sends heartbeats and has not booted since.
+    enabled for ``quiet_s`` and everything arrives that it judges by, after a violation not before
+    the operator's reset is recorded, or a daemon that has begun anew. So its restart, or a mistake
+    of its own that has passed, gives an armed robot nothing back. A silent drive counts as what it
+    was, while the daemon's record is armed or the drive sends heartbeats and has not booted since.
     A channel on which no device answers, or torques come late, gets no heartbeat any more.
 
     With a relay in the circuit of the STO inputs it judges what the daemon records of the drives,
@@ -97,6 +97,10 @@ class Supervisor:
         """there was a record before this look, not of FAULT; and none for ``quiet_s``"""
         self._changed: Violation | None = None
         """since then, until the next record"""
+        self._unreset = False
+        """it stopped the robot, and no reset was recorded since, nor the beginning of a daemon"""
+        self._restarted = self._forgetful = False
+        """a device has booted since the last record of FAULT; and STANDBY was recorded then"""
         self._foul: Violation | None = None
         """others commanded devices, or wrote to them, and FAULT, in which a daemon brings them up
         again, was not recorded since"""
@@ -219,7 +223,8 @@ class Supervisor:
         if quiet:
             self._judge.forget()
         changed = self._changed_beside(seen)
-        begins = quiet and not (self._foul or self._unbooted or all(self._beating))
+        stopped = self._foul or self._unbooted or self._unreset
+        begins = quiet and not (stopped or all(self._beating))
         if begins and self._hears(seen) and self._sees(seen):
             self._beating = [True] * len(self._listeners)
             self._beat_ns = [now_ns] * len(self._listeners)
@@ -250,6 +255,7 @@ class Supervisor:
         seen = self._observe(now_ns, self._heard, found)
         # What a drive was sent is the record itself: its own figure is what there is to compare.
         seen.unlogged = self._replayed.astray > self.settings.answered_torque
+        seen.pulled |= seen.unlogged
         return seen
 
     def _risen(self, now_ns: int, found: list[Claim]) -> list[Claim]:
@@ -298,7 +304,7 @@ class Supervisor:
     def _fall_silent(self, found: Violation) -> None:
         """On every channel. What others have done is told where no heartbeat goes too: the daemon
         has to bring the devices up again, each of them from its boot-up on."""
-        self.violation, self._quiet_ns = found, None
+        self.violation, self._quiet_ns, self._unreset = found, None, True
         first = found.requirement is Requirement.COMMANDED and not self._foul
         if first:
             self._foul, self._told_ns, self._unbooted = found, self._looked_ns, {*self._devices}
@@ -321,10 +327,13 @@ class Supervisor:
         the next one's record begins with OFF."""
         newest, claims = seen.claim, seen.claims
         recovered = any(claim.state == State.FAULT for claim in claims)
-        if claims:
-            recovered |= self._paused and claims[0].state == State.OFF
+        begun = bool(claims) and self._paused and claims[0].state == State.OFF
+        recovered |= begun
         if recovered:
             self._foul = None
+        if begun or any(claim.operator == Operator.RESET for claim in claims):
+            self._unreset = False
+        self._note_restarts(claims, recovered=recovered)
         found = self._changed if claims and not (recovered or self._foul) else None
         if claims:
             self._changed = None
@@ -334,6 +343,18 @@ class Supervisor:
         quiet_ns = self.settings.quiet_s * 1e9
         self._paused = newest is not None and seen.now_ns - newest.at_ns > quiet_ns
         return found
+
+    def _note_restarts(self, claims: list[Claim], *, recovered: bool) -> None:
+        """A device that restarts has lost what the bring-up made of it. The daemon answers with
+        FAULT, if only after a stop; one that is armed again without that counts as changed."""
+        if self._recorded and self._replayed is None:
+            self._restarted |= bool(self._boots)
+        if recovered:
+            self._restarted = self._forgetful = False
+        for claim in claims:
+            self._forgetful |= self._restarted and claim.state == State.STANDBY
+            if self._forgetful and claim.state in CONTROLLED:
+                self._changed = self._changed or Violation(Requirement.COMMANDED, NOWHERE, 0.0)
 
     def _begin_watches(self, now_ns: int, seen: Observation, quiet: bool) -> None:
         """Drives that keep power although they get no heartbeat, or were told to beside their
@@ -352,8 +373,9 @@ class Supervisor:
                 self._unwatched_ns[place] = now_ns
             else:
                 beats = self._beats[place]
-                # Farther apart than a relay needs: closer ones would be those that hold it.
-                due_ns = (8e6 if beats.waits else 2e6) * self.settings.timeout_ms
+                # Farther apart than drives or a relay need: closer ones would be what holds them.
+                longest_ns = max(self._timeout_ns, self.settings.timeout_ms * 1e6)
+                due_ns = (8.0 if beats.waits else 2.0) * longest_ns
                 if now_ns - since_ns < due_ns:
                     continue
                 beats.give_up()

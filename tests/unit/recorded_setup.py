@@ -13,7 +13,7 @@ import numpy as np
 from tonus.config import Config
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.signals import cycle_dtype
-from tonus.runtime.states import State
+from tonus.runtime.states import Operator, State
 from tonus.runtime.supervisor.record import New
 from tonus.runtime.supervisor.supervisor import Supervisor
 
@@ -135,5 +135,6 @@ class Held:
 
 def disarmed(record: Any) -> None:
     record["state"]["state"] = State.STANDBY
+    record["state"]["operator"] = Operator.RESET
     record["drives"]["statusword"] = DISABLED
     record["drives"]["torque_command"] = record["drives"]["torque"] = 0.0

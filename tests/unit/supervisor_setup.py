@@ -12,7 +12,7 @@ import numpy as np
 
 from tonus.config import Config
 from tonus.runtime.signals import cycle_dtype
-from tonus.runtime.states import ARMED, State
+from tonus.runtime.states import ARMED, Operator, State
 from tonus.runtime.supervisor.judge import Judge, Violation
 from tonus.runtime.supervisor.listener import Errors, Heard
 from tonus.runtime.supervisor.observation import Observation, Observer
@@ -201,7 +201,8 @@ class Watchdog:
         self._bus = bus
         self.records: list[tuple[int, Any]] = []
         self.state = State.SAFE_STOP
-        self._powered = False
+        self._powered, self.resets = False, True
+        """the record has the operator's reset as long as nothing is enabled"""
         self.supervisor = Supervisor(config, self._new, self._open, clock)
         self.wiring = Wiring(config)
 
@@ -273,6 +274,8 @@ class Watchdog:
             for state in (State.REFERENCING, self.state) if begins else (self.state,):
                 record = np.zeros(1, cycle_dtype(N))
                 record["state"]["state"] = state
+                if self.resets and not enabled:
+                    record["state"]["operator"] = Operator.RESET
                 record["timing"]["tick"] = round(now_ms * 1000) + (state == self.state)
                 at_ms = now_ms - (state != self.state)
                 self.records.append((round(at_ms * MS), record[0]))

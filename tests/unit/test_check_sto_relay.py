@@ -35,10 +35,19 @@ def test_the_shipped_segment_is_within_the_supervisors_reach() -> None:
 
 def test_how_long_the_drives_have_torque_is_said() -> None:
     robot = [each.text for each in findings(overrides={"lab": None}) if each.rule == "sto_relay"]
-    assert robot[-1] == (
+    assert robot[-2] == (
         "no drive has torque 44 ms after the supervisor's end at the latest, 44 ms after the "
         "daemon's last record; 7 ms later if it looks as late as SUP-24 lets it"
     )
+
+
+@pytest.mark.parametrize("lab", [{"lab": None}, {}], ids=["robot", "lab"])
+@pytest.mark.parametrize(("release_ms", "off_ms", "ok"), [(25, 25, True), (25, 25.1, False)])
+def test_a_relay_that_opens_too_late(
+    lab: dict[str, Any], release_ms: float, off_ms: float, ok: bool
+) -> None:
+    times = {"sto_relay__release_ms": release_ms, "sto_relay__torque_off_ms": off_ms}
+    assert refused(**lab, **times) == ([] if ok else ["sto_relay.release_ms"])
 
 
 def test_without_a_relay_the_segment_is_out_of_reach() -> None:

@@ -107,6 +107,36 @@ def test_a_violation_ends_it_and_quiet_begins_it_again(watchdog: Watchdog) -> No
     assert watchdog.supervisor.violation is None
 
 
+def stopped(watchdog: Watchdog) -> None:
+    """For a record that pauses while a drive is enabled; no reset is recorded."""
+    watchdog.resets = False
+    list(watchdog.steps(0, 310, enabled=False))
+    watchdog.step(310, enabled=True)
+    list(watchdog.steps(312, 400, enabled=True, tick=False))
+    assert watchdog.supervisor.violation is not None
+
+
+def test_after_a_violation_nothing_begins_before_the_operators_reset(watchdog: Watchdog) -> None:
+    """Otherwise whatever enables drives by itself would have the robot again after each stop."""
+    stopped(watchdog)
+    assert not any(watchdog.steps(400, 3000, enabled=False))
+    watchdog.resets = True
+    assert watchdog.step(3000, enabled=False) == BEAT
+
+
+@pytest.mark.parametrize(("pause_ms", "begins"), [(298, False), (302, True)])
+@pytest.mark.parametrize("state", [State.OFF, State.STANDBY])
+def test_another_daemon_needs_no_reset(
+    watchdog: Watchdog, state: State, pause_ms: int, begins: bool
+) -> None:
+    stopped(watchdog)
+    list(watchdog.steps(400, 800, enabled=False))
+    list(watchdog.steps(800, 800 + pause_ms, enabled=False, tick=False))
+    watchdog.state = state
+    sent = list(watchdog.steps(800 + pause_ms, 2000, enabled=False))
+    assert any(sent) is (begins and state is State.OFF)
+
+
 def everything(watchdog: Watchdog) -> set[tuple[str, int]]:
     axes, cells = watchdog.wiring.axes, watchdog.wiring.cells
     heard = {(axis.channel, axis.received) for axis in axes}

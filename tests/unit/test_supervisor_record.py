@@ -19,7 +19,7 @@ from tests.unit.supervisor_setup import (
 )
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
-from tonus.runtime.states import State
+from tonus.runtime.states import State, StopMode
 from tonus.runtime.supervisor.judge import NOWHERE, Judge
 from tonus.runtime.supervisor.observation import Observation
 
@@ -133,6 +133,28 @@ def test_a_stop_that_is_followed_by_control(config: Config) -> None:
     assert judge(looks[0]) is None
     judge.rest(1 * MS)
     assert judge(looks[1]) is None
+
+
+def test_a_stop_that_comes_back_to_a_mode_of_before(config: Config) -> None:
+    """Also between two looks. The next stop begins anew."""
+    path, descent, passive = (
+        lambda at_ms, mode=mode: claim(State.SAFE_STOP, at_ms, stop_mode=mode)
+        for mode in (StopMode.ON_PATH, StopMode.DESCENT, StopMode.PASSIVE)
+    )
+    for before, after in ((descent, path), (passive, descent), (passive, path)):
+        found = judged(config, seen(0.0, before(0.0)), seen(2.0, after(2.0)))
+        assert found[0] is None
+        assert found[1] is not None
+        assert found[1].requirement is Requirement.STOP_ENDS
+        onward = judged(config, seen(0.0, after(0.0)), seen(2.0, before(2.0)))
+        assert onward == [None, None]
+    between = seen(2.0, passive(2.0), claims=[passive(0.0), descent(1.0), passive(2.0)])
+    assert judged(config, between)[0] is not None
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    assert judge(seen(0.0, descent(0.0))) is None
+    judge.rest(1 * MS)
+    assert judge(seen(2.0, path(2.0))) is None
 
 
 @pytest.mark.parametrize("state", [8, 255, -1])

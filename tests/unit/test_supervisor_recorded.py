@@ -511,3 +511,41 @@ def test_a_drive_that_was_silent_in_a_stop_is_not_led_afterwards(later_ns: int) 
     sent = list(held.steps(200, disarmed))
     assert RELEASED in sent[2]
     assert all(frames == [] for frames in sent[3:])
+
+
+@pytest.mark.parametrize(("timeout_ms", "relay_ms"), [(5, 20), (22, 7), (22, 60)])
+def test_single_heartbeats_are_farther_apart_than_the_relays_node_waits(
+    timeout_ms: int, relay_ms: int
+) -> None:
+    """Its output was not taken back, since that frame was lost: it ends with the node's watch."""
+    times = {"supervisor.timeout_ms": timeout_ms, "sto_relay.timeout_ms": relay_ms}
+    settings = ROBOT | times | {"supervisor.policy": "require"}
+    held = Held(load("config/ethercat.yaml", overrides=settings)[0]).armed()
+
+    def opposed(record: Any) -> None:
+        record["drives"]["torque_command"] = record["drives"]["torque"] = -1.0
+
+    beats = [2 * look for look, sent in enumerate(held.steps(400, opposed)) if BEAT in sent]
+    singles = np.diff([each for each in beats if each > 100])
+    assert len(singles) > 3
+    assert singles.min() >= 2 * max(timeout_ms, relay_ms)
+
+
+def test_a_drives_own_torque_while_it_is_to_be_off(held: Held) -> None:
+    """None is recorded: bursts of one look in ten are those of a torque."""
+    held.armed()
+    list(held.steps(10, lambda record: record["state"].__setitem__("state", State.SAFE_STOP)))
+    looks = 0
+
+    def bursts(record: Any) -> None:
+        disarmed(record)
+        drives = record["drives"]
+        if looks % 10 == 0:
+            drives["statusword"], drives["torque"] = ENABLED, 30.0
+
+    while RELEASED not in held.step(bursts):
+        looks += 1
+        assert looks < 50
+    assert looks >= 20
+    assert held.supervisor.violation is not None
+    assert held.supervisor.violation.requirement is Requirement.DISARMED

@@ -236,14 +236,19 @@ def test_a_disarmed_robot_has_the_wide_bounds(config: Config, state: State, mode
 
 
 def test_how_fast_a_descent_may_turn(config: Config) -> None:
-    """As fast as a torn cable lets it."""
+    """As fast as a torn cable lets it, for 40 ms."""
     geometry = config.robot.geometry
     frame, platform = np.array(geometry.frame), np.array(geometry.platform)
     along = (frame - platform) / np.linalg.norm(frame - platform, axis=1, keepdims=True)
-    rates = 4.0 * np.cross(platform, along) @ np.array([0.0, 0.0, 1.0])
-    for mode, wrong in ((StopMode.ON_PATH, True), (StopMode.DESCENT, False)):
+    about = np.cross(platform, along) @ np.array([0.0, 0.0, 1.0])
+    for mode, rate, for_ms, wrong in (
+        (StopMode.ON_PATH, 4.0, 20.0, True),
+        (StopMode.DESCENT, 4.9, 100.0, False),
+        (StopMode.DESCENT, 5.1, 39.0, False),
+        (StopMode.DESCENT, 5.1, 40.0, True),
+    ):
         said = {"state": State.SAFE_STOP, "stop_mode": mode}
-        assert (found(config, 20.0, said, rate=rates) is not None) is wrong
+        assert (found(config, for_ms, said, rate=rate * about) is not None) is wrong
 
 
 @pytest.mark.parametrize(("state", "mode"), [*STIFF, *SOFT, ON_PATH, *OTHER_STOPS])

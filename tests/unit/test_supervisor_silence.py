@@ -371,6 +371,36 @@ def test_the_first_of_two_downloads_is_told(watchdog: Watchdog) -> None:
     assert struct.unpack("<HBBf", sent[0][1])[3] == 0x6085
 
 
+@pytest.mark.parametrize("state", [State.REFERENCING, State.HOLD])
+@pytest.mark.parametrize("recovered", [False, True])
+def test_a_device_that_has_restarted_is_armed_by_no_daemon_in_order(
+    watchdog: Watchdog, state: State, recovered: bool
+) -> None:
+    """It has lost what the bring-up made of it; only FAULT, in which it is brought up again, ends
+    that. In a stop, which may last, it does no harm."""
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(0, 310, enabled=False))
+    axis = watchdog.wiring.axes[5]
+    watchdog.step(310, enabled=False, beats=[(axis.number, 0)])
+    assert all(sent == BEAT for sent in watchdog.steps(312, 320, enabled=False))
+    if recovered:
+        watchdog.state = State.FAULT
+        assert all(sent == BEAT for sent in watchdog.steps(320, 330, enabled=False))
+        watchdog.state = State.STANDBY
+        assert all(sent == BEAT for sent in watchdog.steps(330, 340, enabled=False))
+    watchdog.state = state
+    sent = list(watchdog.steps(340, 350, enabled=False))
+    assert [each == BEAT for each in sent] == [recovered] * 5
+
+
+def test_a_device_that_restarts_while_the_robot_stops(watchdog: Watchdog) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    assert all(sent == BEAT for sent in watchdog.steps(310, 330, enabled=True))
+    number = watchdog.wiring.axes[5].number
+    assert watchdog.step(330, enabled=True, beats=[(number, 0)]) == BEAT
+    assert all(sent == BEAT for sent in watchdog.steps(332, 400, enabled=True))
+
+
 def beginnings(watchdog: Watchdog, start: int, stop: int, **given: bool) -> list[int]:
     """ms at which a heartbeat was sent."""
     steps = watchdog.steps(start, stop, enabled=False, **given)

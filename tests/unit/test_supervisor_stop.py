@@ -306,6 +306,23 @@ def test_a_torque_that_drives_its_drum_in_a_passive_stop(
     assert judged(config, *disabled) == [None, None]
 
 
+@pytest.mark.parametrize(("of", "bursts"), [(5, 3), (15, 4), (30, 5), (66, None)])
+def test_bursts_in_a_passive_stop(config: Config, of: int, bursts: int | None) -> None:
+    """In one look of so many: its drum keeps the speed of each."""
+    settings = config.supervisor
+    assert settings is not None
+    judge = Judge(config, settings)
+    for look in range(((bursts or 12) + 1) * of):
+        at_ms = 2.0 * look
+        said = claim(State.SAFE_STOP, at_ms, stop_mode=StopMode.PASSIVE)
+        torque = at(3, 12.0 if look % of else 690.0, 12.0)
+        found = judge(seen(at_ms, said, torque=torque, rate=at(3, 0.01)))
+        assert (found is not None) is (look // of == bursts)
+        if found is not None:
+            assert found.requirement is Requirement.BRAKED
+            break
+
+
 def test_a_torque_between_two_looks_counts_in_a_passive_stop(config: Config) -> None:
     """A look sees the newest torque; a daemon may send a wrong one in every second tick."""
     said = claim(State.SAFE_STOP, 100.0, stop_mode=StopMode.PASSIVE)

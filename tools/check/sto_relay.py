@@ -57,7 +57,7 @@ def check_relay(config: Config) -> Iterator[Finding]:
         f"set it to at least {least}",
     )
     yield _silence(config, relay)
-    yield _times(relay, supervisor)
+    yield from _times(relay, supervisor)
 
 
 def _silence(config: Config, relay: StoRelay) -> Finding:
@@ -75,12 +75,12 @@ def _silence(config: Config, relay: StoRelay) -> Finding:
     )
 
 
-def _times(relay: StoRelay, supervisor: Supervisor) -> Finding:
+def _times(relay: StoRelay, supervisor: Supervisor) -> Iterator[Finding]:
     after_ms = relay.release_ms + relay.torque_off_ms
     dead_ms = relay.timeout_ms + after_ms
     late_ms = supervisor.patience_ms + supervisor.period_ms
     still_ms = late_ms + after_ms
-    return Finding(
+    yield Finding(
         _RULE,
         True,
         _KEY,
@@ -88,4 +88,13 @@ def _times(relay: StoRelay, supervisor: Supervisor) -> Finding:
         f"{still_ms:g} ms after the daemon's last record; {late_ms:g} ms later if it looks as late "
         "as SUP-24 lets it",
         "",
+    )
+    yield Finding(
+        _RULE,
+        after_ms <= supervisor.disarmed_ms,
+        f"{_KEY}.release_ms",
+        f"a drive has torque for {after_ms:g} ms after the output is off, {relay.release_ms:g} ms "
+        f"until the contacts are open and {relay.torque_off_ms:g} ms (torque_off_ms) from there; "
+        f"supervisor.disarmed_ms lets it have {supervisor.disarmed_ms:g} ms",
+        "choose a faster relay, or faster STO inputs",
     )
