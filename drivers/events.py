@@ -206,7 +206,8 @@ EVENTS: dict[str, Meaning] = {
         "the supervisor found a requirement broken and stops the drives",
         "its heartbeat has ended; the drives brake and disable by themselves, or have no torque "
         "(sto_relay)",
-        "look the requirement up in supervisor.md; keep the log: daemon or supervisor is wrong",
+        "look the requirement up in supervisor.md; keep the log: daemon or supervisor is wrong. "
+        "Its heartbeat does not begin again before a reset",
     ),
     "supervisor_lost": Meaning(
         "no heartbeat of the supervisor on a channel",

@@ -62,6 +62,8 @@ class SupervisorMonitor:
             self._patience = self._settings.timeout_ms * 1000 // period_us
         self._heard: list[_Heard] = []
         self._out_of_reach: list[str] = []
+        self._stopped = False
+        """it has said that it stopped the robot, and not begun again"""
         self.ignored = False
         """its heartbeat has ended, and drives that were to stop by themselves have not"""
         self.doubt = False
@@ -183,12 +185,16 @@ class SupervisorMonitor:
             return f"cannot stop {drives}: no second heartbeat consumer"
         # A single heartbeat begins a watch, and holds nothing.
         silent = [heard.channel for heard in self._heard if not self._holds(heard, tick)]
-        return f"is not heard on {', '.join(silent)}" if silent else ""
+        if not silent:
+            return ""
+        remedy = "; it has stopped the robot, and waits for a reset" if self._stopped else ""
+        return f"is not heard on {', '.join(silent)}{remedy}"
 
     def _on_heartbeat(self, heard: _Heard, data: bytes) -> None:
         heard.anybody = True
         if data != _OPERATIONAL:
             return
+        self._stopped &= not heard.beating  # a single heartbeat begins nothing
         heard.holds |= heard.beating
         heard.fresh = heard.beating = True
         heard.lost = False
@@ -203,6 +209,7 @@ class SupervisorMonitor:
             return
         code, _, place, value = EMERGENCY.unpack(data)
         number = code - ERROR_CODE
+        self._stopped = True
         self.doubt |= number == Requirement.COMMANDED
         try:
             said = REQUIREMENT_TEXTS[Requirement(number)]

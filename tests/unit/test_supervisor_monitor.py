@@ -9,8 +9,14 @@ from typing import Any
 import pytest
 
 from tonus.config import load
-from tonus.drivers.canopen.identifiers import HEARTBEAT
-from tonus.drivers.canopen.supervisor_monitor import SupervisorMonitor
+from tonus.config.schema.supervisor import Requirement
+from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT
+from tonus.drivers.canopen.supervisor_monitor import (
+    EMERGENCY,
+    ERROR_CODE,
+    NOWHERE,
+    SupervisorMonitor,
+)
 from tonus.drivers.events import EventLog
 from tonus.drivers.process_image import AxisState, ProcessImage
 
@@ -157,6 +163,26 @@ def test_drives_that_are_enabled_after_a_loss_where_it_is_required() -> None:
     assert watching.look()
     watching.beat(0, 1)
     assert not watching.look()
+
+
+def test_what_one_waits_for_that_has_stopped_the_robot() -> None:
+    assert SUPERVISOR is not None
+    watching = Watching("require")
+    watching.axes["state"] = AxisState.SWITCH_ON_DISABLED
+    watching.beat(0, 1)
+    emergency = EMERGENCY.pack(ERROR_CODE + Requirement.TICK, 0x81, NOWHERE, 6.0)
+    watching.channels[0].handlers[EMCY + SUPERVISOR.node_id](emergency)
+    assert not watching.image.obstacles
+    watching.look(3 * TWICE)
+    silent = "is not heard on can0, can1"
+    (told,) = watching.image.obstacles.values()
+    assert told == f"{silent}; it has stopped the robot, and waits for a reset"
+    watching.single(0, 1)
+    watching.look(3 * TWICE)
+    assert next(iter(watching.image.obstacles.values())).endswith("waits for a reset")
+    watching.beat(0, 1)
+    watching.look(3 * TWICE)
+    assert list(watching.image.obstacles.values()) == [silent]
 
 
 def test_single_heartbeats_arm_no_robot() -> None:
