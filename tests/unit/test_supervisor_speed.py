@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,13 @@ from tests.unit.supervisor_setup import (
     Stage,
     at,
     claim,
+    judged,
     lasting,
     seen,
 )
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
-from tonus.runtime.states import State
+from tonus.runtime.states import State, StopMode
 from tonus.runtime.supervisor.judge import Judge
 
 
@@ -34,16 +36,20 @@ def test_rotation_of_the_platform(config: Config) -> None:
     geometry = config.robot.geometry
     frame, platform = np.array(geometry.frame), np.array(geometry.platform)
     along = (frame - platform) / np.linalg.norm(frame - platform, axis=1, keepdims=True)
-    for state, after, slow, fast in (
-        (State.ACTIVE, 5.0, 1.2, 2.2),
-        (State.SAFE_STOP, 110.0, 6.0, 15.0),
+    for said, after, slow, fast in (
+        (claim(State.ACTIVE), 5.0, 1.2, 2.2),
+        (claim(State.SAFE_STOP, stop_mode=StopMode.PASSIVE), 110.0, 6.0, 15.0),
     ):
-        for axis in np.eye(3):
-            arms = np.cross(platform, along) @ axis
-            assert lasting(config, after, state, rate=slow * arms) is None
-            found = lasting(config, after, state, rate=fast * arms)
-            assert found is not None
-            assert found.requirement is Requirement.SPEED
+        torque = np.full(N, 45.0 if said.state == State.ACTIVE else 0.0)
+        for axis, (rate, found) in product(np.eye(3), ((slow, False), (fast, True))):
+            arms = rate * np.cross(platform, along) @ axis
+            looks = [
+                seen(at_ms, replace(said, at_ns=round(at_ms * MS)), rate=arms, torque=torque)
+                for at_ms in (100.0, 100.0 + after)
+            ]
+            verdict = judged(config, *looks)[-1]
+            assert (verdict is not None) is found
+            assert verdict is None or verdict.requirement is Requirement.SPEED
 
 
 def test_the_speed_of_the_drums_bounds_that_of_the_platform(config: Config) -> None:
