@@ -531,6 +531,16 @@ def test_single_heartbeats_are_farther_apart_than_the_relays_node_waits(
     assert singles.min() >= 2 * max(timeout_ms, relay_ms)
 
 
+def test_the_relays_node_may_restart_at_rest(held: Held) -> None:
+    """The daemon starts it again, and its contacts are open without the output."""
+    list(held.steps(160, disarmed))
+    held.bus.waiting.append(
+        can.Message(arbitration_id=0x700 + NODE, is_extended_id=False, data=b"\0")
+    )
+    list(held.steps(20, disarmed))
+    assert all(sent == [BEAT, HELD] for sent in held.steps(20))
+
+
 def test_a_drives_own_torque_while_it_is_to_be_off(held: Held) -> None:
     """None is recorded: bursts of one look in ten are those of a torque."""
     held.armed()

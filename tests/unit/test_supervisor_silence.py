@@ -14,7 +14,7 @@ from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
-from tonus.runtime.supervisor.judge import Judge
+from tonus.runtime.supervisor.judge import NOWHERE, Judge, Violation
 
 BEAT = [(0x77E, b"\5")]
 BOOT_UP, OPERATIONAL = 0x00, 0x05
@@ -391,6 +391,19 @@ def test_a_device_that_has_restarted_is_armed_by_no_daemon_in_order(
     watchdog.state = state
     sent = list(watchdog.steps(340, 350, enabled=False))
     assert [each == BEAT for each in sent] == [recovered] * 5
+    found = watchdog.supervisor.violation
+    assert recovered or found == Violation(Requirement.COMMANDED, NOWHERE, 0.0)
+
+
+def test_devices_that_boot_before_there_is_a_record(watchdog: Watchdog) -> None:
+    """In the bring-up."""
+    list(watchdog.steps(0, 100, enabled=False, tick=False))
+    watchdog.boot()
+    list(watchdog.steps(100, 120, enabled=False, tick=False))
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(120, 500, enabled=False))
+    watchdog.state = State.REFERENCING
+    assert all(sent == BEAT for sent in watchdog.steps(500, 510, enabled=False))
 
 
 def test_a_device_that_restarts_while_the_robot_stops(watchdog: Watchdog) -> None:
