@@ -265,8 +265,7 @@ class Sequence:
     @property
     def _ends_a_fault(self) -> bool:
         """On its path, but for a fault: in the cradle no cell is relied on any more."""
-        on_path = self.state is State.SAFE_STOP and self.stop_mode is StopMode.ON_PATH
-        return on_path and self.faults.first is not Fault.NONE
+        return self.stop_mode is StopMode.ON_PATH and self.faults.first is not Fault.NONE
 
     def plan_stop(self, lower_s: float) -> None:
         """How long the way down to the cradle takes."""

@@ -242,6 +242,20 @@ def test_a_cell_that_reports_its_own_defect(config: Config) -> None:
     assert found.requirement is Requirement.CONTACT
 
 
+@pytest.mark.parametrize(("name", "found"), [("can", False), ("ethercat", True)])
+def test_a_torque_that_no_record_has_in_one_look_of_ten(name: str, found: bool) -> None:
+    """Frames that are lost make some on CAN, but do not make a drive's own figure another."""
+    config, _ = load(f"config/{name}.yaml", overrides=STRICT)
+    assert config.supervisor is not None
+    judge = Judge(config, config.supervisor)
+    verdicts = [
+        judge(seen(2.0 * look, claim(at_ms=2.0 * look), unlogged=np.full(N, look % 10 == 0)))
+        for look in range(100)
+    ]
+    numbers = {each.requirement for each in verdicts if each is not None}
+    assert numbers == ({Requirement.COMMAND_LOGGED} if found else set())
+
+
 @pytest.mark.parametrize(("of", "bursts"), [(5, 3), (15, 4), (30, 5), (66, None)])
 @pytest.mark.parametrize("state", [State.STANDBY, State.SAFE_STOP])
 def test_torque_that_comes_and_goes_where_the_record_is_disarmed(
