@@ -1,6 +1,6 @@
 """What the supervisor makes of daemons without a part of what keeps the robot safe, on a robot
 without holding brakes and on one that has them. With ``--write`` the table goes into
-docs/supervisor.md."""
+docs/supervisor_measured.md."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.bench.pages import Marks, today
 from tests.mutated_daemons import BARE, BRAKED, DAEMONS, Stopped, played
 from tonus.config.loader import HERE
 
-_PAGE = HERE.parent / "docs" / "supervisor.md"
+_PAGE = HERE.parent / "docs" / "supervisor_measured.md"
 HEAD = [
     "| what is wrong with the daemon | found as | after | drives stop after | peak m/s until then "
     "| peak N | bounds broken | peak m/s after it | bounds broken |",
@@ -45,7 +45,7 @@ def table(robot: str) -> Iterator[str]:
 
 
 @click.command()
-@click.option("--write", "written", is_flag=True, help="Put the tables into docs/supervisor.md.")
+@click.option("--write", "written", is_flag=True, help="Put the tables into docs/supervisor_measured.md.")
 def main(written: bool) -> None:
     """Play each daemon of tests/mutated_daemons.py on each robot."""
     tables: list[str] = []

@@ -1,5 +1,5 @@
 """Daemons without a part of what keeps the robot safe: the supervisor stops each of them alone, as
-the table in docs/supervisor.md has it. SUP-1, 3, 4, 5, 6, 7, 9, 10, 25, 26."""
+the table in docs/supervisor_measured.md has it. SUP-1, 3, 4, 5, 6, 7, 9, 10, 25, 26."""
 
 from __future__ import annotations
 
