@@ -20,7 +20,9 @@ from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.judge import Judge, Violation
 from tonus.runtime.supervisor.observation import Observation
-from tonus.runtime.supervisor.supervisor import Supervisor, _error, _watched
+from tonus.runtime.supervisor.supervisor import Supervisor
+from tonus.runtime.supervisor.voice import emergency
+from tonus.runtime.supervisor.watched import watched_on
 from tonus.runtime.supervisor.wiring import Wiring
 
 
@@ -394,9 +396,11 @@ def test_a_stall_of_its_own_long_after_anything_was_enabled(watchdog: Watchdog) 
     [(3.0, 3.0), (3.4e38, np.inf), (1e39, np.inf), (-1e39, -np.inf), (np.inf, np.inf)],
 )
 def test_a_value_that_is_too_large_for_its_frame(value: float, sent: float) -> None:
-    frame = _error(Violation(Requirement.TENSION, 3, value))
+    frame = emergency(Violation(Requirement.TENSION, 3, value))
     assert struct.unpack("<HBBf", frame) == (0xFF06, 0x81, 3, sent)
-    assert np.isinf(struct.unpack("<f", _error(Violation(Requirement.TENSION, 3, np.nan))[4:])[0])
+    assert np.isinf(
+        struct.unpack("<f", emergency(Violation(Requirement.TENSION, 3, np.nan))[4:])[0]
+    )
 
 
 def test_a_violation_at_an_axis_names_it(watchdog: Watchdog) -> None:
@@ -461,7 +465,7 @@ def test_on_each_channel_it_listens_to_the_devices_of_that_channel(config: Confi
         wanted = [base + node for node in drives for base in (0x180, 0x200, 0x600, 0x700)]
         wanted += [base + node for node in cells for base in (0x080, 0x180, 0x600, 0x700)]
         wanted += [0x000]
-        watched = _watched(Wiring(config), channel.name)
+        watched = watched_on(Wiring(config), channel.name)
         assert sorted(each.identifier for each in watched) == sorted(wanted)
         syncs = {each.identifier: each.sync for each in watched if each.sync}
         assert syncs == {0x200 + node: 0x080 for node in drives}

@@ -1,0 +1,90 @@
+"""What devices have become beside the bring-up, and what the heartbeat waits for after a stop."""
+
+from __future__ import annotations
+
+from tonus.config.schema.supervisor import Requirement
+from tonus.runtime.states import Operator, State
+from tonus.runtime.supervisor.devices import Boots
+from tonus.runtime.supervisor.judge import NOWHERE, Violation
+from tonus.runtime.supervisor.observation import Observation
+from tonus.runtime.supervisor.record import CONTROLLED, Claim
+
+
+class Changes:
+    """Call it once a look (SUP-27)."""
+
+    def __init__(self, boots: Boots, quiet_s: float, *, restarts: bool) -> None:
+        """``restarts``: whether a device that restarts counts."""
+        self._boots, self._restarts = boots, restarts
+        self._quiet_ns = quiet_s * 1e9
+        self._recorded = self._paused = False
+        """there was a record before this look, not of FAULT; and none for ``quiet_s``"""
+        self._changed: Violation | None = None
+        """since then, until the next record"""
+        self._unreset = False
+        """it stopped the robot, and no reset was recorded since, nor the beginning of a daemon"""
+        self._restarted = self._forgetful = False
+        """a device has booted since the last record of FAULT; and STANDBY was recorded then"""
+        self._foul: Violation | None = None
+        """others commanded devices, or wrote to them, and FAULT, in which a daemon brings them up
+        again, was not recorded since"""
+        self._told_ns = 0
+        """when that was told last"""
+        self._unbooted: set[tuple[str, int]] = set()
+        """heartbeats of devices that have not booted since"""
+
+    @property
+    def awaited(self) -> bool:
+        """A reset, or a bring-up, without which the heartbeat does not begin."""
+        return bool(self._foul or self._unbooted or self._unreset)
+
+    def __call__(self, seen: Observation, changed: Violation | None) -> Violation | None:
+        """A download, or a command of the network (``changed``), between records that are not of
+        FAULT, in which alone a daemon makes some: the device is no longer what the bring-up has
+        made of it. However long the record pauses, it counts once that goes on. A daemon that ends
+        makes some too, and the next one's record begins with OFF."""
+        newest, claims = seen.claim, seen.claims
+        self._unbooted -= self._boots.found
+        recovered = any(claim.state == State.FAULT for claim in claims)
+        begun = bool(claims) and self._paused and claims[0].state == State.OFF
+        recovered |= begun
+        if recovered:
+            self._foul = None
+        if begun or any(claim.operator == Operator.RESET for claim in claims):
+            self._unreset = False
+        self._note_restarts(claims, recovered=recovered)
+        found = self._changed if claims and not (recovered or self._foul) else None
+        if claims:
+            self._changed = None
+        if self._recorded:
+            self._changed = self._changed or changed
+        self._recorded = newest is not None and newest.state != State.FAULT
+        self._paused = newest is not None and seen.now_ns - newest.at_ns > self._quiet_ns
+        return found
+
+    def _note_restarts(self, claims: list[Claim], *, recovered: bool) -> None:
+        """A device that restarts has lost what the bring-up made of it. The daemon answers with
+        FAULT, if only after a stop; one that is armed again without that counts as changed."""
+        if self._recorded and self._restarts:
+            self._restarted |= bool(self._boots.found)
+        if recovered:
+            self._restarted = self._forgetful = False
+        for claim in claims:
+            self._forgetful |= self._restarted and claim.state == State.STANDBY
+            if self._forgetful and claim.state in CONTROLLED:
+                self._changed = self._changed or Violation(Requirement.COMMANDED, NOWHERE, 0.0)
+
+    def stop(self, found: Violation, looked_ns: int) -> bool:
+        """The robot was stopped. Whether others did it, and that is to be told everywhere."""
+        self._unreset = True
+        first = found.requirement is Requirement.COMMANDED and not self._foul
+        if first:
+            self._foul, self._told_ns, self._unbooted = found, looked_ns, self._boots.devices
+        return first
+
+    def again(self, now_ns: int) -> Violation | None:
+        """What others have done, each ``quiet_s``: a frame may be lost."""
+        if self._foul is None or now_ns - self._told_ns < self._quiet_ns:
+            return None
+        self._told_ns = now_ns
+        return self._foul
