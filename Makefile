@@ -86,7 +86,7 @@ campaign: setup
 	$(BIN)/tonus campaign faults --episodes $(EPISODES) --seed $(CAMPAIGN_SEED) --out out/campaign
 
 # Every cable torn at 27 poses, at rest and in motion; half an hour on one core. Table and figure go
-# into docs/stop.md.
+# into docs/stop_measured.md.
 torn: setup
 	$(BIN)/python -m tests.bench.torn --write
 
@@ -96,7 +96,7 @@ sto: setup
 	$(BIN)/python -m tests.bench.sto --write
 
 # Every fault of cables, drums, motors and sensors by itself: what it is taken for, and how soon. A few
-# minutes; the table goes into docs/stop.md.
+# minutes; the table goes into docs/stop_measured.md.
 isolation: setup
 	$(BIN)/python -m tests.bench.isolation --write
 

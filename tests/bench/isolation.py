@@ -1,5 +1,5 @@
 """Every fault of cables, drums, motors and sensors, at rest and in motion: what it is taken for,
-how soon, and what follows. With ``--write`` the table goes into docs/stop.md."""
+how soon, and what follows. With ``--write`` the table goes into docs/stop_measured.md."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def row(broken: Broken, case: Stopped) -> str:
 
 @click.command()
 @click.option("--out", type=Path, default=Path("out/isolation.jsonl"), show_default=True)
-@click.option("--write", "written", is_flag=True, help="Put the table into docs/stop.md.")
+@click.option("--write", "written", is_flag=True, help="Put the table into docs/stop_measured.md.")
 def main(out: Path, *, written: bool) -> None:
     """Break what can break, one at a time."""
     console = Console(highlight=False, soft_wrap=True, markup=False)
@@ -70,7 +70,7 @@ def main(out: Path, *, written: bool) -> None:
             console.print(rows[-1])
     if written:
         text = "\n".join([f"At the centre, {today()}.", "", *rows])
-        Marks(HERE.parent / "docs" / "stop.md", "isolation").fill(text)
+        Marks(HERE.parent / "docs" / "stop_measured.md", "isolation").fill(text)
 
 
 if __name__ == "__main__":

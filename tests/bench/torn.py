@@ -1,5 +1,5 @@
 """Every cable torn at each of 27 poses, at rest and in motion: how fast the platform gets, and what
-the robot takes it for. With ``--write`` the result goes into docs/stop.md and docs/torn.png."""
+the robot takes it for. With ``--write`` the result goes into docs/stop_measured.md and docs/torn.png."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def main(poses: int, source: Path | None, out: Path, least: Path, *, written: bo
     if written:
         picture(cases, known, _DOCS / "torn.png")
         text = [f"{len(cases)} cases, {today()}.", "", *rows, "", "![Peak speeds](torn.png)"]
-        Marks(_DOCS / "stop.md", "torn").fill("\n".join(text))
+        Marks(_DOCS / "stop_measured.md", "torn").fill("\n".join(text))
     sys.exit(0 if all(case.at_rest for case in cases) else 1)
 
 
