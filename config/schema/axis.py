@@ -83,9 +83,9 @@ class Brake(Section):
 
     torque: Positive
     """N m at the motor, which it holds at least"""
-    opening_ms: NonNegative
-    """from power on its coil until it is open"""
-    closing_ms: NonNegative
+    opening_ms: Annotated[NonNegative, Field(le=200)]
+    """from power on its coil until it is open; the supervisor does not compare torques meanwhile"""
+    closing_ms: Annotated[NonNegative, Field(le=200)]
     """from power off until it holds"""
 
 

@@ -38,5 +38,5 @@ class Bounds(Section):
     settle: NonNegative
     """s of grace for times that are known to the tick only, as those taken from a log"""
     found_within: dict[str, Positive]
-    """s by kind of a robot's fault: from the fault, as the isolation table of docs/stop_measured.md has it,
-    to the controller's finding it"""
+    """s by kind of a robot's fault: from the fault, as the isolation table of docs/stop_measured.md
+    has it, to the controller's finding it"""

@@ -175,6 +175,11 @@ class CanopenFieldbus:
     async def sdo_write(self, axis: int, index: int, subindex: int, data: bytes) -> None:
         await self._drives[axis].sdo.write(index, subindex, data)
 
+    def distrust(self) -> None:
+        """Others may have written to its nodes: `recover` brings each up anew, from a reset of all
+        objects on, and until then the robot is not armed."""
+        self._supervisor.doubt = True
+
     async def recover(self) -> None:
         await self._recovery()
 

@@ -19,6 +19,7 @@ from tonus.drivers.canopen import emcy
 from tonus.drivers.canopen.channel import Channel, Clock
 from tonus.drivers.canopen.channels import Channels
 from tonus.drivers.canopen.identifiers import EMCY, HEARTBEAT, RPDO1, SDO_RESPONSE, TPDO1
+from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.canopen.nmt import Command, NmtState
 from tonus.drivers.canopen.node import Node, NodeError, Role, Watch
 from tonus.drivers.canopen.reception import Reception
@@ -28,6 +29,7 @@ from tonus.drivers.cia301.setting import Setting
 from tonus.drivers.errors import BringUpError, DriverError
 from tonus.drivers.events import EventLog
 from tonus.drivers.fieldbus import BusEvent, Fieldbus, Progress
+from tonus.drivers.several import SeveralFieldbuses
 
 OpenBus = Callable[[StoRelay], can.BusABC]
 _RELEASED = 1
@@ -182,6 +184,8 @@ class RelayedFieldbus:
         self.image.unguarded = self.image.supervisor_ignored = False
 
     async def recover(self) -> None:
+        if self._supervisor.doubt:
+            _distrust(self.fieldbus)
         node = self._node
         stopped = node is not None and node.monitor.state is not NmtState.OPERATIONAL
         lost = self._restarted or self._silent or self._unproven or self._supervisor.doubt
@@ -339,3 +343,12 @@ def _loop_clock() -> Clock:
     loop = asyncio.get_running_loop()
     now_ns: Clock | None = getattr(loop, "now_ns", None)
     return now_ns or (lambda: round(loop.time() * 1e9))
+
+
+def _distrust(fieldbus: Fieldbus) -> None:
+    """Amplifiers on CAN beside drives on EtherCAT, to which others may have written."""
+    if isinstance(fieldbus, SeveralFieldbuses):
+        for _, part in fieldbus.parts:
+            _distrust(part)
+    elif isinstance(fieldbus, CanopenFieldbus):
+        fieldbus.distrust()

@@ -23,6 +23,8 @@ class Changes:
         """since then, until the next record"""
         self._unreset = False
         """it stopped the robot, and no reset was recorded since, nor the beginning of a daemon"""
+        self._resetting = True
+        """in the newest record; one that is recorded in every tick is nobody's"""
         self._restarted = self._forgetful = False
         """a device has booted since the last record of FAULT; and STANDBY was recorded then"""
         self._foul: Violation | None = None
@@ -50,8 +52,11 @@ class Changes:
         recovered |= begun
         if recovered:
             self._foul = None
-        if begun or any(claim.operator == Operator.RESET for claim in claims):
-            self._unreset = False
+        for claim in claims:
+            reset = claim.operator == Operator.RESET
+            self._unreset &= not (reset and not self._resetting)
+            self._resetting = reset
+        self._unreset &= not begun
         self._note_restarts(claims, recovered=recovered)
         found = self._changed if claims and not (recovered or self._foul) else None
         if claims:

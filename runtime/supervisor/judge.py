@@ -67,8 +67,7 @@ class Judge:
     once none has been for a while.
 
     A condition has a patience: how long it may hold. Where it ends its time is forgotten slowly,
-    so that one which comes and goes is found too; that of a torque while the record is disarmed is
-    not."""
+    so that one which comes and goes is found too."""
 
     def __init__(self, config: Config, settings: Supervisor) -> None:
         control = config.control
@@ -191,6 +190,11 @@ class Judge:
             pulling = seen.enabled & seen.pulled
             for each in _at(Requirement.DISARMED, seen, seen.torque, None, pulling):
                 yield each, self._pulling_ns
+            # Brakes keep what each of several bursts adds.
+            fresh = not self._was_controlled  # else its drives are being switched off
+            tense = seen.enabled & (seen.tension > self._most_tension) & fresh
+            for each in _at(Requirement.TENSION, seen, seen.tension, None, tense):
+                yield each, self._pulling_ns
         long_ns = round(self._settings.stopping_ms * 1e6)
         for each in self._always(seen, speeds):
             yield each, long_ns
@@ -198,11 +202,17 @@ class Judge:
         for limits, patience_ns in self._of_a_stop(seen.claim):
             for each in _faster(speeds, limits):
                 yield each, patience_ns
+        yield from self._of_taut_cables(seen)
         if seen.claim is not None and seen.claim.state == State.SAFE_STOP:
-            # No stop of a daemon in order gets there; a cell that is wrong does.
-            tense = (seen.tension > self._settings.tension_stopping) & ~seen.defective
-            for each in _at(Requirement.TENSION, seen, seen.tension, None, tense):
-                yield each, self._opposed_ns
+            # No stop of a daemon in order gets there; a cell that is wrong does, and not most.
+            defective = seen.defective & (2 * seen.defective.sum() < len(seen.defective))
+            for most, patience_ns in (
+                (self._settings.tension_stopping, self._opposed_ns),
+                (self._most_tension, 2 * long_ns),
+            ):
+                tense = (seen.tension > most) & ~defective
+                for each in _at(Requirement.TENSION, seen, seen.tension, None, tense):
+                    yield each, patience_ns
         if seen.claim is not None and seen.claim.state in _STIFF:
             loose = seen.enabled & (seen.tension < self._slack)
             for each in _at(Requirement.TENSION, seen, seen.tension, None, loose):
@@ -220,6 +230,20 @@ class Judge:
             return
         yield (settings.speed_in_descent, math.inf), self._pulling_ns
         yield (math.inf, settings.rotation_in_descent), 2 * self._opposed_ns
+
+    def _of_taut_cables(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
+        """SUP-8 in a stop that is not passive: drums of slack cables stand while the platform
+        moves. By the others alone a right stop is as fast for some ms, where a cable is cut."""
+        claim = seen.claim
+        if claim is None or claim.state != State.SAFE_STOP or claim.stop_mode == StopMode.PASSIVE:
+            return
+        taut = ~(seen.tension < self._slack)
+        if taut.all():
+            return
+        on_path = claim.stop_mode == StopMode.ON_PATH
+        limit = self._settings.speed_on_path if on_path else self._settings.speed_in_descent
+        for each in _faster(self._speeds(seen, seen.rate, taut), (limit, math.inf)):
+            yield each, 2 * self._opposed_ns
 
     def _is_disarmed(self, claim: Claim) -> bool:
         """A stop is of what was controlled: power that begins with it has no measured bound."""
@@ -470,22 +494,28 @@ class Judge:
 
     def _always(self, seen: Observation, speeds: tuple[float, ...]) -> Iterator[Violation]:
         """Bounds of every state, wide enough for what a torn cable does to a good stop. While the
-        daemon stops, a cell whose amplifier reports an error says nothing."""
+        daemon stops, a contact cell whose amplifier reports an error, and which shows more than a
+        person bears, is broken."""
         settings, claim = self._settings, seen.claim
         stopping = claim is not None and claim.state == State.SAFE_STOP
-        known = not (stopping and seen.contact_defective)
-        if known and abs(seen.contact) > settings.contact_stopping:
+        broken = seen.contact_defective and not abs(seen.contact) <= settings.contact_at_once
+        if abs(seen.contact) > settings.contact_stopping and not (stopping and broken):
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
         yield from _faster(speeds, (settings.speed_stopping, settings.rotation_stopping))
 
-    def _speeds(self, seen: Observation, rates: Floats) -> tuple[float, ...]:
+    def _speeds(
+        self, seen: Observation, rates: Floats, telling: NDArray[np.bool_] | None = None
+    ) -> tuple[float, ...]:
         """The least speed and turning rate that any of the poses tried needs to give the drums
-        these ``rates``, m/s and rad/s; not a number where a rate is not known. A drum without power
-        whose cable is slack turns by itself, and tells nothing."""
+        these ``rates``, m/s and rad/s; not a number where a rate is not known. ``telling``: which
+        drums count; else all but those without power whose cable is slack, which turn by
+        themselves."""
         if len(rates) != self._rows.shape[1]:
             return math.nan, math.nan  # some of the axes are on another bus
+        if telling is None:
+            telling = seen.enabled | ~(seen.tension < self._slack)
         told = np.empty(len(rates), bool)
-        told[seen.axes] = seen.enabled | ~(seen.tension < self._slack)
+        told[seen.axes] = telling
         rate = np.empty(len(rates))
         rate[seen.axes] = rates
         key = told.tobytes()

@@ -94,8 +94,12 @@ class Replayed:
         self._opening_ns = np.array([brake.opening_ms * 1e6 if brake else 0.0 for brake in brakes])
         self._opening_ns[self._opening_ns > 0.0] += _DELAY_TICKS * config.control.rates.period_ns
         """ns (n,) from enabling on, in which the drive holds a motor whose brake still opens"""
+        self._closing_ns = np.array([brake.closing_ms * 1e6 if brake else 0.0 for brake in brakes])
+        """ns (n,) without power in which a brake closes"""
+        self._enabled_ns = np.zeros(len(wiring.axes))
+        """when a drive was enabled last"""
         self._off_ns = np.zeros(len(wiring.axes))
-        """when a drive was not enabled last"""
+        """when one was last not enabled for so long that its brake was closed"""
         self.astray = np.zeros(len(wiring.axes))
         """N at each cable by which the drive's own torque was outside of what it was sent, at most
         in the records taken last in which it was sampled anew; 0 while it is not enabled"""
@@ -162,7 +166,9 @@ class Replayed:
         lately, where it was sampled anew: a drive that is silent has its last one in the record.
         ``found`` (n,): what is `astray`, at most, and negative where nothing was compared."""
         enabled = answers.statusword & STATE == OPERATION_ENABLED
-        self._off_ns[~enabled] = claim.at_ns
+        self._enabled_ns[enabled] = claim.at_ns
+        closed = ~enabled & (claim.at_ns - self._enabled_ns >= self._closing_ns)
+        self._off_ns[closed] = claim.at_ns
         np.maximum(found, 0.0, out=found, where=~enabled)
         commanded = self._commanded
         if len(commanded) == commanded.maxlen:

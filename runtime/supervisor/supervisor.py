@@ -20,7 +20,13 @@ from tonus.runtime.supervisor.observation import Listened, Observation, Observer
 from tonus.runtime.supervisor.record import CONTROLLED, Claim, Records, claims
 from tonus.runtime.supervisor.recorded import RecordedWiring, Replayed
 from tonus.runtime.supervisor.voice import Voice
-from tonus.runtime.supervisor.watched import HEARTBEAT, answers, watched_of_relay, watched_on
+from tonus.runtime.supervisor.watched import (
+    HEARTBEAT,
+    answers,
+    watched_of_amplifiers,
+    watched_of_relay,
+    watched_on,
+)
 from tonus.runtime.supervisor.wiring import Wiring
 
 OpenBus = Callable[[str, str, int], can.BusABC]
@@ -72,37 +78,46 @@ class Supervisor:
         """of the newest record: its tick, and when that was due"""
         self._agreed_ns = 0
         """when record and statuswords agreed last whether the robot is controlled"""
-        self._listeners: list[Listener] = []
         own = Watched(HEARTBEAT + settings.node_id, 0, (), command=True)
-        for interface, channel, bitrate in wiring.channels:
-            bus = open_bus(interface, channel, bitrate)
-            there = (
-                watched_on(wiring, channel) if relay is None else watched_of_relay(relay.node_id)
-            )
-            self._listeners.append(Listener(bus, [*there, own]))
-        names = [name for _, name, _ in wiring.channels]
+        if relay is None:
+            watched = {name: [*watched_on(wiring, name), own] for _, name, _ in wiring.channels}
+        else:
+            watched = {relay.channel: [*watched_of_relay(relay.node_id), own]}
+        # Beside drives on EtherCAT amplifiers may be on CAN, where others can write to them too.
+        beside = wiring if relay is None else Wiring(config)
+        channels = {name: (interface, bitrate) for interface, name, bitrate in wiring.channels}
+        for interface, name, bitrate in () if relay is None else beside.channels:
+            watched.setdefault(name, []).extend(watched_of_amplifiers(beside, name))
+            channels.setdefault(name, (interface, bitrate))
+        self._listeners = [
+            Listener(open_bus(interface, name, bitrate), watched[name])
+            for name, (interface, bitrate) in channels.items()
+        ]
         frames = {
             (name, identifier): heard
-            for name, listener in zip(names, self._listeners, strict=True)
+            for name, listener in zip(channels, self._listeners, strict=True)
             for identifier, heard in listener.heard.items()
         }
         self._heard: Listened = frames if self._replayed is None else self._replayed.heard
-        buses = [(name, each.bus) for name, each in zip(names, self._listeners, strict=True)]
+        names = [name for _, name, _ in wiring.channels]
+        buses = [(name, each.bus) for name, each in zip(names, self._listeners, strict=False)]
         self._voice = Voice(settings, relay, buses, frames, clock)
         self._channel_of = np.zeros(len(wiring.axes), np.int64)
+        cells = beside.cells
+        amplifiers = {(NOWHERE, cell.channel, cell.request) for cell in cells}
+        beats = {(cell.channel, cell.heartbeat) for cell in cells}
+        devices = sorted(amplifiers)
         if relay is None:
             self._channel_of[:] = [names.index(axis.channel) for axis in wiring.axes]
             self._answers = [answers(wiring, name, frames) for name in names]
             """of the drives of each channel, and of all of its devices"""
-            amplifiers = {(NOWHERE, cell.channel, cell.request) for cell in wiring.cells}
-            devices = [(axis.number, axis.channel, axis.request) for axis in wiring.axes]
-            devices = [*sorted(amplifiers), *devices]
-            beats = {(axis.channel, axis.heartbeat) for axis in wiring.axes}
+            devices += [(axis.number, axis.channel, axis.request) for axis in wiring.axes]
+            beats |= {(axis.channel, axis.heartbeat) for axis in wiring.axes}
         else:
             node = (relay.channel, HEARTBEAT + relay.node_id)
             self._answers = [([frames[node]],) * 2]
-            devices = [(NOWHERE, relay.channel, REQUEST + relay.node_id)]
-            beats = {node}
+            devices.append((NOWHERE, relay.channel, REQUEST + relay.node_id))
+            beats.add(node)
         told = [
             Told(where, request - REQUEST, frames[name, request], frames[name, NMT])
             for where, name, request in devices
@@ -110,10 +125,10 @@ class Supervisor:
         self._commands = Commands(told, self._voice.own)
         errors = {
             (cell.channel, cell.heartbeat): frames[cell.channel, cell.emergency]
-            for cell in wiring.cells
-            if cell.heartbeat
+            for cell in cells
+            if relay is None
         }
-        self._boots = Boots({key: frames[key] for key in sorted({*errors, *beats})}, errors)
+        self._boots = Boots({key: frames[key] for key in sorted(beats)}, errors)
         self._changes = Changes(self._boots, settings.quiet_s, restarts=relay is None)
         self._powered = Powered(wiring.axes, self._heard, self._boots, settings.stale_ms)
 

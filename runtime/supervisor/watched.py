@@ -42,6 +42,14 @@ def watched_of_relay(node: int) -> list[Watched]:
     return [Watched(HEARTBEAT + node, 1, (_STATE,)), output, *told_by([node])]
 
 
+def watched_of_amplifiers(wiring: Wiring, channel: str) -> list[Watched]:
+    """Every identifier by which the amplifiers of a channel are told anything, and by which they
+    say that they have booted, where the record has the rest."""
+    cells = [cell for cell in wiring.cells if cell.channel == channel]
+    beats = [Watched(key, 1, (_STATE,)) for key in sorted({cell.heartbeat for cell in cells})]
+    return [*beats, *told_by(sorted({cell.request - REQUEST for cell in cells}))]
+
+
 def answers(wiring: Wiring, channel: str, heard: Listened) -> tuple[list[Heard], list[Heard]]:
     """Of the drives of a channel, and of all of its devices."""
     drives = [heard[channel, axis.received] for axis in wiring.axes if axis.channel == channel]

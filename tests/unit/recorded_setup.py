@@ -81,8 +81,13 @@ class Held:
         self.later_ns = 0
         """of a look than the newest record"""
         self.waiting: list[tuple[int, Any]] = []
-        self.supervisor = Supervisor(config, self._new, lambda *_: self.bus)  # type: ignore[arg-type, return-value]
+        self.supervisor = Supervisor(config, self._new, lambda _, name, __: self.opened(name))  # type: ignore[arg-type, return-value]
         self._now = 0
+
+    def opened(self, channel: str) -> FakeBus:
+        """The bus of a channel; there is that of the relay alone."""
+        del channel
+        return self.bus
 
     def _new(self) -> New:
         new, self.waiting = self.waiting, []

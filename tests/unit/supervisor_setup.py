@@ -202,7 +202,8 @@ class Watchdog:
         self.records: list[tuple[int, Any]] = []
         self.state = State.SAFE_STOP
         self._powered, self.resets = False, True
-        """the record has the operator's reset as long as nothing is enabled"""
+        """the operator resets again and again as long as nothing is enabled"""
+        self._reset = self.stuck = False
         self.supervisor = Supervisor(config, self._new, self._open, clock)
         self.wiring = Wiring(config)
 
@@ -274,7 +275,8 @@ class Watchdog:
             for state in (State.REFERENCING, self.state) if begins else (self.state,):
                 record = np.zeros(1, cycle_dtype(N))
                 record["state"]["state"] = state
-                if self.resets and not enabled:
+                self._reset = self.resets and not (enabled or self._reset)
+                if self._reset or self.stuck:
                     record["state"]["operator"] = Operator.RESET
                 record["timing"]["tick"] = round(now_ms * 1000) + (state == self.state)
                 at_ms = now_ms - (state != self.state)

@@ -126,6 +126,19 @@ def test_after_a_violation_nothing_begins_before_the_operators_reset(watchdog: W
     assert watchdog.step(3000, enabled=False) == BEAT
 
 
+def test_a_reset_that_is_recorded_in_every_tick_is_nobodys(watchdog: Watchdog) -> None:
+    """As with a button that is stuck, or an order that is never cleared."""
+    stopped(watchdog)
+    watchdog.stuck = True
+    assert watchdog.step(400, enabled=False) != BEAT
+    before = list(watchdog.steps(402, 1200, enabled=False))
+    assert BEAT in before, "it was pressed once"
+    watchdog.step(1200, enabled=True)
+    list(watchdog.steps(1202, 1300, enabled=True, tick=False))
+    assert watchdog.supervisor.violation is not None
+    assert not any(watchdog.steps(1300, 3000, enabled=False))
+
+
 @pytest.mark.parametrize(("pause_ms", "begins"), [(298, False), (302, True)])
 @pytest.mark.parametrize("state", [State.OFF, State.STANDBY])
 def test_another_daemon_needs_no_reset(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +21,7 @@ from tests.unit.supervisor_setup import (
 )
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
-from tonus.runtime.states import State
+from tonus.runtime.states import State, StopMode
 from tonus.runtime.supervisor.judge import Judge, Violation
 
 
@@ -240,6 +241,80 @@ def test_a_cell_that_reports_its_own_defect(config: Config) -> None:
     other = {"contact": 500.0, "defective": np.ones(N, bool)}
     found = lasting(config, 200.0, State.SAFE_STOP, **other)
     assert found.requirement is Requirement.CONTACT
+
+
+@pytest.mark.parametrize(("defects", "found"), [(3, False), (4, True), (8, True)])
+def test_cells_that_report_a_defect_and_are_most(config: Config, defects: int, found: bool) -> None:
+    """A supply that dips makes all amplifiers report one, and go on measuring."""
+    given = {"tension": np.full(N, 300.0), "defective": np.arange(N) < defects}
+    given["tension"][defects:] = 45.0
+    verdict = lasting(config, 20.0, State.SAFE_STOP, **given)
+    assert (verdict is not None and verdict.requirement is Requirement.TENSION) is found
+
+
+@pytest.mark.parametrize(
+    ("contact", "found"), [(34.9, False), (35.1, True), (-70.0, True), (70.1, False)]
+)
+def test_a_contact_cell_that_reports_a_defect_and_shows_a_contact(
+    config: Config, contact: float, found: bool
+) -> None:
+    """What breaks shows the end of its range; what a person may bear is a contact."""
+    given = {"contact": contact, "contact_defective": True}
+    assert lasting(config, 109.0, State.SAFE_STOP, **given) is None
+    verdict = lasting(config, 110.0, State.SAFE_STOP, **given)
+    assert (verdict is not None and verdict.requirement is Requirement.CONTACT) is found
+
+
+def test_a_contact_cell_whose_reading_is_no_number(config: Config) -> None:
+    for contact in (math.nan, math.inf):
+        given = {"contact": contact, "contact_defective": True}
+        assert lasting(config, 200.0, State.SAFE_STOP, **given) is None
+
+
+@pytest.mark.parametrize(
+    ("tension", "for_ms", "found"),
+    [(219.0, 300.0, False), (221.0, 219.0, False), (221.0, 220.0, True), (261.0, 20.0, True)],
+)
+@pytest.mark.parametrize("mode", [StopMode.ON_PATH, StopMode.DESCENT, StopMode.PASSIVE])
+def test_how_long_a_stop_may_pull(
+    config: Config, mode: StopMode, tension: float, for_ms: float, found: bool
+) -> None:
+    said = claim(State.SAFE_STOP, stop_mode=mode, reference=at(3, 200.0, 45.0))
+    given = {"tension": at(3, tension, 45.0), "torque": at(3, 12.0, 12.0)}
+    looks = [
+        seen(at_ms, replace(said, at_ns=round(at_ms * MS)), **given)
+        for at_ms in (100.0, 100.0 + for_ms)
+    ]
+    verdict = judged(config, *looks)[-1]
+    tense = verdict is not None and verdict.requirement is Requirement.TENSION
+    assert tense is found
+
+
+@pytest.mark.parametrize(("tension", "found"), [(219.0, False), (221.0, True)])
+@pytest.mark.parametrize("state", [State.OFF, State.STANDBY, State.FAULT])
+def test_a_robot_at_rest_that_was_not_controlled_has_no_such_tension(
+    config: Config, state: State, tension: float, found: bool
+) -> None:
+    """Closed brakes keep what each burst of several adds. After control the drives may be on their
+    way to be switched off."""
+    assert config.supervisor is not None
+    for rested in (True, False):
+        judge = Judge(config, config.supervisor)
+        if rested:
+            judge.forget()
+        given = {"tension": at(3, tension, 45.0), "torque": np.zeros(N), "mille": np.zeros(N, int)}
+        looks = [seen(at_ms, claim(state, at_ms), **given) for at_ms in (100.0, 104.9, 105.0)]
+        verdicts = [judge(look) for look in looks]
+        assert verdicts[:2] == [None, None]
+        assert (verdicts[2] is not None) is (found and rested)
+    disabled = {
+        "tension": at(3, 300.0, 45.0),
+        "enabled": np.arange(N) == 4,
+        "mille": np.zeros(N, int),
+    }
+    judge.forget()
+    looks = [seen(at_ms, claim(state, at_ms), **disabled) for at_ms in (200.0, 205.0)]
+    assert [judge(look) for look in looks] == [None, None], "a brake alone holds it"
 
 
 @pytest.mark.parametrize(("name", "found"), [("can", False), ("ethercat", True)])

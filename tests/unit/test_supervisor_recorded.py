@@ -22,6 +22,7 @@ from tests.unit.recorded_setup import (
     RELEASED,
     ROBOT,
     Change,
+    FakeBus,
     Held,
     disarmed,
     record_of,
@@ -559,3 +560,59 @@ def test_a_drives_own_torque_while_it_is_to_be_off(held: Held) -> None:
     assert looks >= 20
     assert held.supervisor.violation is not None
     assert held.supervisor.violation.requirement is Requirement.DISARMED
+
+
+# --- amplifiers on CAN beside it ------------------------------------------------------------------
+
+
+class Beside(Held):
+    """A supervisor of drives on EtherCAT with load cells on CAN; a bus for each channel."""
+
+    def __init__(self, config: Config) -> None:
+        self.buses: dict[str, FakeBus] = {}
+        super().__init__(config)
+
+    def opened(self, channel: str) -> FakeBus:
+        bus = self.bus if channel == "sto" else FakeBus()
+        return self.buses.setdefault(channel, bus)
+
+
+@pytest.fixture
+def beside() -> Iterator[Beside]:
+    relay = load("config/ethercat.yaml")[0].sto_relay
+    assert relay is not None
+    own = {key: value for key, value in ROBOT.items() if not key.startswith("sto_relay")}
+    stated = relay.model_dump(mode="json") | {"timeout_ms": 7}
+    made = Beside(load("config/mixed.yaml", overrides=own | {"sto_relay": stated})[0])
+    yield made
+    made.supervisor.close()
+
+
+@pytest.mark.parametrize(
+    ("identifier", "data", "found"),
+    [
+        (0x600 + 25, "2323610100001643", True),  # the contact cell's scale
+        (0x600 + 21, "2323610100001643", False),  # on the other channel
+        (0x600 + 25, "4023610100000000", False),  # read
+        (0x000, "8119", True),  # NMT reset node
+        (0x000, "8100", True),
+        (0x000, "8115", False),
+    ],
+)
+@pytest.mark.parametrize("armed", [False, True])
+def test_what_others_tell_an_amplifier_on_can(
+    beside: Beside, armed: bool, identifier: int, data: str, found: bool
+) -> None:
+    """Nothing is sent on its channel, and nothing there is waited for."""
+    change: Change = (lambda _: None) if armed else disarmed
+    beside.armed() if armed else list(beside.steps(160, disarmed))
+    assert beside.step(change) == [BEAT, HELD]
+    beside.buses["can0"].waiting.append(
+        can.Message(arbitration_id=identifier, data=bytes.fromhex(data), is_extended_id=False)
+    )
+    sent = [each for _ in range(3) for each in beside.step(change)]
+    assert (RELEASED in sent) is found
+    assert beside.supervisor.beating is not found
+    assert beside.buses.keys() == {"sto", "can0", "can1"}
+    assert not beside.buses["can0"].sent
+    assert not beside.buses["can1"].sent

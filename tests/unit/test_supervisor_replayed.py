@@ -189,6 +189,21 @@ def test_while_its_brake_opens_a_drive_holds_the_motor_by_itself(config: Config)
         assert player.replayed.astray == pytest.approx(np.full(player.cables, 50.0))
 
 
+@pytest.mark.parametrize(("disabled", "excused"), [(1, False), (19, False), (20, True)])
+def test_a_brake_that_had_no_time_to_close_does_not_open(
+    config: Config, disabled: int, excused: bool
+) -> None:
+    """One record of *switched on* now and then would excuse the drive's own torque for ever."""
+    brake = Brake(torque=0.4, opening_ms=40.0, closing_ms=20.0)
+    robot = config.robot.model_copy(update={"brake": brake})
+    player = Player(config.model_copy(update={"robot": robot}))
+    player.take(*[commanded(0.0, 0.0, DISABLED)] * 20)
+    player.take(*[commanded(0.0, 0.0)] * 60)
+    player.take(*[commanded(0.0, 0.0, DISABLED)] * disabled)
+    player.take(commanded(0.0, 1.0))
+    assert bool(player.replayed.astray.max() == 0.0) is excused
+
+
 def test_what_is_in_no_frame_has_no_identifier(config: Config) -> None:
     assert config.relay is not None
     for axis in RecordedWiring(config, config.relay).axes:

@@ -201,3 +201,55 @@ def test_the_speed_of_a_platform_of_which_half_of_the_drums_answer_seldom(
     assert found is not None
     assert found.requirement is Requirement.SPEED
     assert tick - begins <= 10 + 2 * every
+
+
+@pytest.mark.parametrize(
+    ("mode", "speed", "for_ms", "found"),
+    [
+        (StopMode.DESCENT, 1.0, 39.9, False),
+        (StopMode.DESCENT, 1.0, 40.0, True),
+        (StopMode.DESCENT, 0.7, 60.0, False),
+        (StopMode.NONE, 1.0, 40.0, True),
+        (StopMode.ON_PATH, 0.6, 39.9, False),
+        (StopMode.ON_PATH, 0.6, 40.0, True),
+        (StopMode.ON_PATH, 0.45, 60.0, False),
+        (StopMode.PASSIVE, 1.0, 60.0, False),
+    ],
+)
+def test_drums_of_slack_cables_stand_while_the_platform_is_thrown(
+    config: Config, mode: StopMode, speed: float, for_ms: float, found: bool
+) -> None:
+    """Upwards by the upper cables: with the lower drums, which have power and stand, the least
+    speed that explains all eight is half of it."""
+    geometry = config.robot.geometry
+    along = np.array(geometry.frame) - np.array(geometry.platform)
+    rates = along @ np.array([0.0, 0.0, speed]) / np.linalg.norm(along, axis=1)
+    upper = along[:, 2] > 0.0
+    tension = np.where(upper, 45.0, 0.5)
+    said = claim(State.SAFE_STOP, stop_mode=mode, reference=tension, tension=tension)
+    given = {
+        "rate": np.where(upper, rates, 0.0),
+        "tension": tension,
+        "torque": np.where(upper, 12.0, 0.5),
+    }
+    for slack, expected in ((True, found), (False, False)):
+        if not slack:
+            given["tension"] = np.full(N, 45.0)
+        looks = [
+            seen(at_ms, replace(said, at_ns=round(at_ms * MS)), **given)
+            for at_ms in (100.0, 100.0 + for_ms)
+        ]
+        verdict = judged(config, *looks)[-1]
+        by_speed = verdict is not None and verdict.requirement is Requirement.SPEED
+        assert by_speed is expected
+
+
+def test_no_taut_cable_tells_nothing(config: Config) -> None:
+    said = claim(State.SAFE_STOP, stop_mode=StopMode.DESCENT)
+    given = {"rate": np.full(N, 0.7), "tension": np.zeros(N), "enabled": np.arange(N) == 0}
+    looks = [
+        seen(at_ms, replace(said, at_ns=round(at_ms * MS)), **given, torque=np.zeros(N))
+        for at_ms in (100.0, 160.0)
+    ]
+    verdict = judged(config, *looks)[-1]
+    assert verdict is None or verdict.requirement is not Requirement.SPEED
