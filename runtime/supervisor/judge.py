@@ -96,6 +96,8 @@ class Judge:
         # Longer than `_pulling_ns`, of the same requirement, whose time is forgotten more slowly.
         self._unpowered_ns = max(self._opposed_ns, self._pulling_ns + self._period_ns)
         self._timeout_ns = round(settings.timeout_ms * 1e6)
+        # Apart from how long a descent may turn, which it may do meanwhile.
+        self._thrown_ns = 2 * self._opposed_ns + self._period_ns
         self._brakes = config.relay is None
         patience = dict.fromkeys(Requirement, settings.patience_ms) | dict.fromkeys(_AT_ONCE, 0.0)
         # A frame that is lost at an end of the window shows in one look there.
@@ -243,7 +245,7 @@ class Judge:
         on_path = claim.stop_mode == StopMode.ON_PATH
         limit = self._settings.speed_on_path if on_path else self._settings.speed_in_descent
         for each in _faster(self._speeds(seen, seen.rate, taut), (limit, math.inf)):
-            yield each, 2 * self._opposed_ns
+            yield each, self._thrown_ns
 
     def _is_disarmed(self, claim: Claim) -> bool:
         """A stop is of what was controlled: power that begins with it has no measured bound."""

@@ -206,12 +206,12 @@ def test_the_speed_of_a_platform_of_which_half_of_the_drums_answer_seldom(
 @pytest.mark.parametrize(
     ("mode", "speed", "for_ms", "found"),
     [
-        (StopMode.DESCENT, 1.0, 39.9, False),
-        (StopMode.DESCENT, 1.0, 40.0, True),
+        (StopMode.DESCENT, 1.0, 41.9, False),
+        (StopMode.DESCENT, 1.0, 42.0, True),
         (StopMode.DESCENT, 0.7, 60.0, False),
-        (StopMode.NONE, 1.0, 40.0, True),
-        (StopMode.ON_PATH, 0.6, 39.9, False),
-        (StopMode.ON_PATH, 0.6, 40.0, True),
+        (StopMode.NONE, 1.0, 42.0, True),
+        (StopMode.ON_PATH, 0.6, 41.9, False),
+        (StopMode.ON_PATH, 0.6, 42.0, True),
         (StopMode.ON_PATH, 0.45, 60.0, False),
         (StopMode.PASSIVE, 1.0, 60.0, False),
     ],
