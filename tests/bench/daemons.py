@@ -45,7 +45,9 @@ def table(robot: str) -> Iterator[str]:
 
 
 @click.command()
-@click.option("--write", "written", is_flag=True, help="Put the tables into docs/supervisor_measured.md.")
+@click.option(
+    "--write", "written", is_flag=True, help="Put the tables into docs/supervisor_measured.md."
+)
 def main(written: bool) -> None:
     """Play each daemon of tests/mutated_daemons.py on each robot."""
     tables: list[str] = []

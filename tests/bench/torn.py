@@ -1,5 +1,5 @@
 """Every cable torn at each of 27 poses, at rest and in motion: how fast the platform gets, and what
-the robot takes it for. With ``--write`` the result goes into docs/stop_measured.md and docs/torn.png."""
+the robot takes it for. With ``--write`` it goes into docs/stop_measured.md and docs/torn.png."""
 
 from __future__ import annotations
 

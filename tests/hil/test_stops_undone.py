@@ -4,6 +4,7 @@ virtual time, on CAN and on EtherCAT."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Sequence as Listed
 from typing import Any
 
@@ -208,6 +209,51 @@ def test_a_descent_that_turns_the_platform_over(monkeypatch: pytest.MonkeyPatch)
     speed, tension = after_change(run, seen, last)
     assert speed <= 0.4
     assert tension <= 160.0
+
+
+def driven(newton_of: Callable[[Any], Any]) -> Change:
+    """Torques (N, from the drums' rates in m/s) that the daemon records as a descent."""
+
+    def made() -> Change:
+        radius = np.array([train.drum.radius for train in CAN.robot.drive_trains])
+        before: list[Any] = []
+        rate, ticks = np.zeros(len(radius)), [0]
+
+        def acted(_: None, cycle: ControlCycle, image: Any, *__: Any) -> None:
+            del cycle
+            angle = image.axes["angle"].copy()
+            if before:
+                rate[:] += 0.3 * ((angle - before.pop()) * radius / 1e-3 - rate)
+            before.append(angle)
+            ticks[0] += 1
+            image.commands["torque"] = (newton_of(rate) + 0.15 * (ticks[0] % 5)) * radius
+
+        def recorded(record: Any, *_: Any) -> Any:
+            record.state.state[...] = State.SAFE_STOP
+            record.state.stop_mode[...] = DESCENT
+            return record
+
+        return both(
+            blind, after(ControlCycle, "act", acted), after(ControlCycle, "write", recorded)
+        )
+
+    return anew(made)
+
+
+def test_a_descent_whose_damping_has_the_wrong_sign(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The upper cables throw the platform up, and the lower ones lie slack on drums that stand, so
+    that all drums together are as fast as at half of its speed. Until the evening of 2026-11-28 it
+    was not found: 2.9 m/s and 255 N, again and again."""
+    change = driven(lambda rate: np.clip(np.where(UPPER, 12.0, 0.0) + 300.0 * rate, 0.0, 80.0))
+    run = Run(CAN, load_scenario("sine_z"), lambda: change(monkeypatch))
+    with monkeypatch.context():
+        seen = run.play(1.6)
+    monkeypatch.undo()
+    assert {number for number, _ in run.said} == {Requirement.SPEED}
+    assert run.slowest_ms <= 1300.0
+    speed, tension = after_change(run, seen, max(run.stopped_ns.values()))
+    assert speed <= 2.0
+    assert tension <= 100.0
 
 
 # --- at rest -------------------------------------------------------------------------------------
