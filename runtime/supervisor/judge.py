@@ -73,6 +73,7 @@ class Judge:
         control = config.control
         self._settings = settings
         self._most_tension = control.tension.max * settings.margin
+        self._most_of_a_cable = 2.0 * control.tension.max
         self._most_contact = control.envelope.contact_limit * settings.margin
         self._most_speed = control.envelope.speed_limit * settings.margin
         self._most_stiffness = control.stiffness.maximum * settings.margin
@@ -206,13 +207,15 @@ class Judge:
                 yield each, patience_ns
         yield from self._of_taut_cables(seen)
         if seen.claim is not None and seen.claim.state == State.SAFE_STOP:
-            # No stop of a daemon in order gets there; a cell that is wrong does, and not most.
-            defective = seen.defective & (2 * seen.defective.sum() < len(seen.defective))
-            for most, patience_ns in (
+            # No stop of a daemon in order gets there; a cell that is broken does. Where most report
+            # an error they may measure all the same, but not what no cable has.
+            most = 2 * seen.defective.sum() >= len(seen.defective)
+            defective = seen.defective & (~most | (seen.tension > self._most_of_a_cable))
+            for bound, patience_ns in (
                 (self._settings.tension_stopping, self._opposed_ns),
                 (self._most_tension, 2 * long_ns),
             ):
-                tense = (seen.tension > most) & ~defective
+                tense = (seen.tension > bound) & ~defective
                 for each in _at(Requirement.TENSION, seen, seen.tension, None, tense):
                     yield each, patience_ns
         if seen.claim is not None and seen.claim.state in _STIFF:
@@ -511,13 +514,13 @@ class Judge:
         """The least speed and turning rate that any of the poses tried needs to give the drums
         these ``rates``, m/s and rad/s; not a number where a rate is not known. ``telling``: which
         drums count; else all but those without power whose cable is slack, which turn by
-        themselves."""
+        themselves. None counts whose encoder reports what no motor can make."""
         if len(rates) != self._rows.shape[1]:
             return math.nan, math.nan  # some of the axes are on another bus
         if telling is None:
             telling = seen.enabled | ~(seen.tension < self._slack)
         told = np.empty(len(rates), bool)
-        told[seen.axes] = telling
+        told[seen.axes] = telling & ~seen.incredible
         rate = np.empty(len(rates))
         rate[seen.axes] = rates
         key = told.tobytes()

@@ -88,6 +88,8 @@ class Observation:
     """N of the torque's mean over the window that neither tension nor motion explain"""
     mean_torque: Floats
     """N, of the same window"""
+    incredible: NDArray[np.bool_]
+    """its encoder reports a motion, in that window, that no motor can make"""
     swing: Floats
     """N between a cable's least and largest tension since its drive's torque changed last; 0 where
     it is not known"""
@@ -198,7 +200,7 @@ class Observer:
         torques = np.array([(min(each), max(each)) for each in lately]).T * self._newton
         tension = np.array([_force(cell, heard, tared) for cell in cells])
         self._sample(now_ns, received, sent, cells, heard, tension)
-        rate, unexplained, mean = self._moved(tared)
+        rate, unexplained, mean, incredible = self._moved(tared)
         measured_age = _ages(now_ns, received)
         return Observation(
             now_ns,
@@ -226,6 +228,7 @@ class Observer:
             _defective(self._contact, heard),
             unexplained,
             mean,
+            incredible,
             *self._since.spans(enabled, changed, tension, self._samples[-1].rate),
             claims,
             self._claim,
@@ -315,23 +318,23 @@ class Observer:
         while len(samples) > 3 and now_ns - samples[1].at_ns >= window_ns:
             samples.popleft()
 
-    def _moved(self, tared: Floats | None) -> tuple[Floats, Floats, Floats]:
+    def _moved(self, tared: Floats | None) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
         """Rates since the look before, of a drum whose answers are missing the last one for
         ``patience_ms`` and then 0; over the window, what of the mean torque neither the mean
-        tension nor the drum's change of motion explains, and that mean. The first is not known of
-        such a drum, nor of one whose encoder reports a motion that its motor's limit, its cable and
-        ``unexplained_force`` together cannot make."""
+        tension nor the drum's change of motion explains, and that mean; and whose encoder reports a
+        motion that the motor's limit, the cable and ``unexplained_force`` together cannot make.
+        What is not explained is not known of that, nor where answers are missing."""
         samples = self._samples
         nothing = np.full(len(self._axes), np.nan)
         if len(samples) < 3:
-            return nothing, nothing, nothing
+            return nothing, nothing, nothing, np.zeros(len(self._axes), bool)
         first, second, before, last = samples[0], samples[1], samples[-2], samples[-1]
         self._rates = np.where(np.isnan(last.rate), self._rates, last.rate)
         recent = last.at_ns - last.read_ns <= self._settings.patience_ms * 1e6
         held = np.where(recent, self._rates, 0.0)
         rate = np.where(np.isnan(last.rate) & np.isfinite(last.length), held, last.rate)
         if last.at_ns - first.at_ns < self._settings.window_ms * 1e6:
-            return rate, nothing, nothing
+            return rate, nothing, nothing, np.zeros(len(self._axes), bool)
         apart_s = (last.at_ns + before.at_ns - second.at_ns - first.at_ns) * 0.5e-9
         change = (last.rate - second.rate) / apart_s
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -341,8 +344,9 @@ class Observer:
         force = means[1] - tare
         motion = self._mass * change + self._damping * rate
         most = abs(self._limit * self._newton) + abs(force) + self._settings.unexplained_force
-        motion[abs(motion) > most] = np.nan
-        return rate, torque - force - motion, torque
+        incredible = abs(motion) > most
+        motion[incredible] = np.nan
+        return rate, torque - force - motion, torque, incredible
 
     def _travel(self) -> Floats:
         """Where answers over the window are more, or fewer, than its ticks, those between two looks

@@ -245,11 +245,16 @@ def test_a_cell_that_reports_its_own_defect(config: Config) -> None:
 
 @pytest.mark.parametrize(("defects", "found"), [(3, False), (4, True), (8, True)])
 def test_cells_that_report_a_defect_and_are_most(config: Config, defects: int, found: bool) -> None:
-    """A supply that dips makes all amplifiers report one, and go on measuring."""
+    """A supply that dips makes all amplifiers report one, and go on measuring. One that breaks with
+    all of its cells shows the end of their range."""
     given = {"tension": np.full(N, 300.0), "defective": np.arange(N) < defects}
     given["tension"][defects:] = 45.0
     verdict = lasting(config, 20.0, State.SAFE_STOP, **given)
     assert (verdict is not None and verdict.requirement is Requirement.TENSION) is found
+    given["tension"][:defects] = 400.1
+    assert lasting(config, 300.0, State.SAFE_STOP, **given) is None
+    given["tension"][0] = 399.9
+    assert (lasting(config, 20.0, State.SAFE_STOP, **given) is not None) is found
 
 
 @pytest.mark.parametrize(

@@ -77,6 +77,7 @@ def test_a_motion_that_no_motor_can_make_is_the_encoders(
         if k % 2 == 0:
             found = stage.observe(k * MS, stage.heard, [claim(at_ms=k)])
     assert found.rate == pytest.approx(acceleration * 0.037, rel=0.01)
+    assert (found.incredible == (not known)).all()
     if known:
         left = 50.0 - force - way * share * possible
         assert found.unexplained == pytest.approx(left, rel=0.01)

@@ -244,6 +244,24 @@ def test_drums_of_slack_cables_stand_while_the_platform_is_thrown(
         assert by_speed is expected
 
 
+@pytest.mark.parametrize("incredible", [False, True])
+@pytest.mark.parametrize("mode", [StopMode.DESCENT, StopMode.ON_PATH])
+def test_an_encoder_that_slips_tells_nothing(
+    config: Config, mode: StopMode, incredible: bool
+) -> None:
+    """By 3 m/s, which no motor gives a drum in a few ms."""
+    said = claim(State.SAFE_STOP, stop_mode=mode)
+    given = {"rate": at(6, 3.0, 0.0), "incredible": (np.arange(N) == 6) & incredible}
+    for tension in (np.full(N, 45.0), at(2, 0.0, 45.0)):
+        looks = [
+            seen(at_ms, replace(said, at_ns=round(at_ms * MS)), **given, tension=tension)
+            for at_ms in (100.0, 142.0)
+        ]
+        verdict = judged(config, *looks)[-1]
+        by_speed = verdict is not None and verdict.requirement is Requirement.SPEED
+        assert by_speed is not incredible
+
+
 def test_no_taut_cable_tells_nothing(config: Config) -> None:
     said = claim(State.SAFE_STOP, stop_mode=StopMode.DESCENT)
     given = {"rate": np.full(N, 0.7), "tension": np.zeros(N), "enabled": np.arange(N) == 0}
