@@ -218,7 +218,8 @@ EVENTS: dict[str, Meaning] = {
         "drives are enabled while supervisor.policy is use and its heartbeat has not begun on a "
         "channel",
         "the run continues without it there",
-        "look whether its process runs; give it supervisor.quiet_s with the drives off to begin",
+        "look whether its process runs (beside a lab in real time none does on fewer than "
+        "supervisor.processors); give it supervisor.quiet_s with the drives off to begin",
     ),
     "supervisor_back": Meaning(
         "the supervisor's heartbeat is received again",

@@ -102,7 +102,7 @@ NEXT: dict[State, str] = {
     State.PRETENSION: "wait until it is in HOLD, or stop it",
     State.HOLD: "start it, or stop it",
     State.ACTIVE: "hold it, or stop it",
-    State.SAFE_STOP: "wait until it is in STANDBY",
+    State.SAFE_STOP: "wait until it is in STANDBY or FAULT",
     State.FAULT: "correct the cause, then reset it",
 }
 """What an operator may do, in words that follow on a refusal."""

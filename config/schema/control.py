@@ -306,6 +306,9 @@ class Sequence(Section):
     """m: largest departure of a tracker pose from the mean of those it is averaged with"""
     referencing_distance: Positive
     """m: largest distance of the referenced pose from the cradle"""
+    referencing_turn_deg: Annotated[Positive, Field(le=180)] = 180.0
+    """largest turn of that pose: a platform that lies on the rims of its cups slides into them as
+    its cables pull"""
     referencing_poses: Count
     """fewest tracker poses that make a reference"""
     tare_limit: Positive

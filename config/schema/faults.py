@@ -25,6 +25,7 @@ from tonus.config.schema.robot_faults import (
     MotorWeak,
     PhantomHit,
     Push,
+    PutBack,
     SafeTorqueOff,
     ShiftedTracker,
     TrackerHidden,
@@ -289,6 +290,7 @@ Fault = Annotated[
     | ShiftedTracker
     | PhantomHit
     | Push
+    | PutBack
     | ClearFaults,
     Field(discriminator="kind"),
 ]

@@ -181,6 +181,12 @@ class Push(_OfRobot):
     """s from its begin until it falls"""
 
 
+class PutBack(_OfRobot):
+    """Someone puts the platform into its cradle, and turns the drums until every cable is slack."""
+
+    kind: Literal["put_back"] = "put_back"
+
+
 OfRobot = (
     CableCut
     | DrumSlip
@@ -198,4 +204,5 @@ OfRobot = (
     | ShiftedTracker
     | PhantomHit
     | Push
+    | PutBack
 )

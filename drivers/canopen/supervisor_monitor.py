@@ -142,7 +142,7 @@ class SupervisorMonitor:
                 text = f"no heartbeat for more than {self._patience} ticks"
                 self._events.begin("supervisor_lost", heard.channel, text)
             elif not (heard.beating or heard.lost) and self._image.enabling:
-                text = "the drives are enabled, and it has not begun"
+                text = "the drives are enabled, and the supervisor has not begun"
                 self._events.begin("unsupervised", heard.channel, text)
         self.ignored = any(self._is_ignored(heard, tick) for heard in self._heard)
         self.doubt |= self.ignored

@@ -63,6 +63,11 @@ def _lengths(cables: Array, slack: float, angle: Array, tension: Array, passed: 
         lengths[i] = wound[i] * (1.0 + elastic[i] / axial_stiffness[i])
 
 
+def turn_deg(quaternion: Array) -> float:
+    """By how much a platform is turned from level."""
+    return math.degrees(2.0 * math.atan2(float(np.linalg.norm(quaternion[1:])), abs(quaternion[0])))
+
+
 class Referencing:
     """Averages while the platform lies still, then fixes the unstretched lengths (n,) at drum angle
     zero, or says why it cannot."""
@@ -133,6 +138,9 @@ class Referencing:
         distance = float(np.linalg.norm(self.position - np.array(robot.rest)))
         if not distance <= sequence.referencing_distance:
             return f"the platform lies {distance * 1e3:.0f} mm from its cradle"
+        turn = turn_deg(self.quaternion)
+        if not turn <= sequence.referencing_turn_deg:
+            return f"the platform lies askew, turned by {turn:.1f} deg"
         angle, tension = self._angle / self._ticks, self._tension / self._ticks
         errors = np.abs(tension - wanted_tension)
         error = float(errors.max())

@@ -59,7 +59,7 @@ class Tuning:
         if self._law is None:
             return "the controller has no stiffness law", "start the daemon with one that has"
         if state not in STATES:
-            return f"not while in {state.name}", "wait for STANDBY, HOLD or ACTIVE"
+            return f"not while in {state.name}", "it may be changed in STANDBY, HOLD and ACTIVE"
         index, value = change.number - 1, change.value
         low, high = self._ends[index]
         if not low <= value <= high:  # also when it is not a number

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from tonus.config.schema.root import Config
 from tonus.drivers.process_image import AxisState, ProcessImage
+from tonus.runtime.control.referencing import turn_deg
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.operation.brakes import BrakeWatch
 from tonus.runtime.words import axis_name, cell_name
@@ -137,7 +138,13 @@ class SelfTest:
         else:
             far = math.dist(seen["position"].tolist(), robot.rest)
             if not far <= self._config.control.sequence.referencing_distance:
-                yield f"sees the platform {far * 1e3:.0f} mm from its cradle"
+                yield f"sees the platform {far * 1e3:.0f} mm from its cradle; put it there"
+            turn = turn_deg(seen["quaternion"])
+            if not turn <= self._config.control.sequence.referencing_turn_deg:
+                yield (
+                    f"sees the platform askew, turned by {turn:.1f} deg; put it into the cups of "
+                    "its cradle"
+                )
 
 
 def _judged(item: str, good: str, problems: Iterator[str]) -> Finding:

@@ -20,6 +20,7 @@ from tonus.config.schema.robot_faults import (
     OfRobot,
     PhantomHit,
     Push,
+    PutBack,
     SafeTorqueOff,
     ShiftedTracker,
 )
@@ -115,6 +116,8 @@ class RobotFaults:
             return defects.hit(fault.distance, fault.speed)
         elif isinstance(fault, Push):
             return defects.push(fault.force, fault.point, fault.rise)
+        elif isinstance(fault, PutBack):
+            self._plant.put_back()
         elif isinstance(fault, ShiftedTracker):
             return self._shift_tracker(fault)
         else:

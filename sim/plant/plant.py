@@ -92,8 +92,10 @@ class Plant:
         self._substep_ns = lab.plant.substep_us * 1000
         self.position[:] = robot.rest
         self.quaternion[0] = 1.0
-        slack = random.uniform(*lab.plant.slack_at_start, size=robot.cables)
-        self.parameters["start_length"] = self.cable_lengths() + slack
+        self._rest = robot.rest
+        self._slack = random.uniform(*lab.plant.slack_at_start, size=robot.cables)
+        """m (n,) of each cable at the start"""
+        self.parameters["start_length"] = self.cable_lengths() + self._slack
         self._run(0, 0.0, -inf)
 
     def advance(self, to_ns: int) -> None:
@@ -226,6 +228,19 @@ class Plant:
         self.current_reference[:] = p["sign"] * self.current
         self.state["cell_filtered"][0, :-1] = pull
         self.powered[:] = True
+        self._run(0, 0.0, -inf)
+
+    def put_back(self) -> None:
+        """Put the platform into its cradle, with the drums turned so that every cable is as slack
+        as at the start; a person's work, which is in no account of energy. Power stays."""
+        state, p = self.state, self.parameters[0]
+        self.position[:] = self._rest
+        self.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
+        for name in ("velocity", "angular_velocity", "drum_rate", "rotor_rate", "standing"):
+            state[name] = 0.0
+        free = self.cable_lengths() + self._slack - state["slipped"][0]
+        self.drum_angle[:] = (p["start_length"] - free) / p["radius"]
+        state["rotor_angle"][0] = self.drum_angle
         self._run(0, 0.0, -inf)
 
     def cut_cable(self, cable: int) -> None:

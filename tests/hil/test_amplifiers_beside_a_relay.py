@@ -23,6 +23,9 @@ _CHANNEL, _CONTACT = "can0", 25
 _SCALE = 0x6123
 
 
+pytestmark = pytest.mark.wide
+
+
 class _Written(RelayRun):
     """Another master writes the scale of the contact cell once, after an emergency stop."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import os
 import re
 import socket
@@ -441,6 +442,10 @@ def displaced(image: ProcessImage) -> None:
     image.tracker["position"] = (0.0, 0.0, 0.0)
 
 
+def askew(image: ProcessImage) -> None:
+    image.tracker["quaternion"] = (math.cos(0.02), 0.0, math.sin(0.02), 0.0)
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -449,7 +454,8 @@ def displaced(image: ProcessImage) -> None:
         (spoilt("cells", "age", 8, 9), "(contact cell) does not answer"),
         (spoilt("cells", "force", 2, 30.0), "(cell 2) reads"),
         (blind, "its last pose is 0.5 s old"),
-        (displaced, "100 mm from its cradle"),
+        (displaced, "100 mm from its cradle; put it there"),
+        (askew, "sees the platform askew, turned by 2.3 deg; put it into the cups of its cradle"),
     ],
 )
 def test_arming_names_what_the_self_test_found(robot: Operated, spoil: Any, words: str) -> None:

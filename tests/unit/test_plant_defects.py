@@ -286,3 +286,25 @@ def test_equal_calls_break_equally_and_other_instants_nearly() -> None:
     finely = broken(250_000)
     assert first.position == pytest.approx(finely.position, abs=2e-6)
     assert first.motor_angle == pytest.approx(finely.motor_angle, abs=1e-3)
+
+
+@pytest.mark.parametrize("powered", [False, True])
+def test_a_platform_that_is_put_back_lies_as_at_the_start(powered: bool) -> None:
+    """In its cups, with every cable as slack as before; a person neither gives nor takes power."""
+    p, fresh = plant(), plant()
+    slack = fresh.parameters["start_length"][0] - fresh.cable_lengths()
+    placed(p)
+    run(p, 0.05)
+    p.cut_cable(2)
+    p.powered[:] = powered
+    run(p, 0.3)
+    p.put_back()
+    assert p.position == pytest.approx(ROBOT.rest)
+    assert p.quaternion == pytest.approx((1.0, 0.0, 0.0, 0.0))
+    assert (p.powered == powered).all()
+    free = p.parameters["start_length"][0] - RADIUS * p.drum_angle - p.state["slipped"][0]
+    assert free - p.cable_lengths() == pytest.approx(slack, abs=1e-9)
+    if not powered:
+        run(p, 0.3)
+        assert np.linalg.norm(p.position - np.array(ROBOT.rest)) < 1e-3
+        assert p.tension.max() == 0.0

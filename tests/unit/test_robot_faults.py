@@ -66,7 +66,7 @@ def outside(bench: Bench) -> bytes:
 
 def test_every_kind_of_the_robot_is_tried_here() -> None:
     robot = {name for name, kind in KINDS.items() if not kind.has("channel")}
-    assert robot == {*LASTING, *PASSING, "load"}
+    assert robot == {*LASTING, *PASSING, "load", "put_back"}
 
 
 @pytest.mark.parametrize("bus", BUSES)

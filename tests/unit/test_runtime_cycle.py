@@ -193,6 +193,10 @@ def elsewhere(image: ProcessImage) -> None:
     image.tracker["position"] = np.add(REST, (0.0, 0.2, 0.0))
 
 
+def askew(image: ProcessImage) -> None:
+    image.tracker["quaternion"] = (np.cos(0.02), np.sin(0.02), 0.0, 0.0)
+
+
 def restless(image: ProcessImage) -> None:
     image.tracker["sequence"] += 1
     image.tracker["position"][0] += 0.01 if image.tracker["sequence"] // 8 % 2 else -0.01
@@ -207,6 +211,7 @@ def slack(image: ProcessImage) -> None:
     [
         (blind, "tracker poses"),
         (elsewhere, "from its cradle"),
+        (askew, "lies askew, turned by 2.3 deg"),
         (restless, "spread over"),
         (slack, "away from"),
     ],
