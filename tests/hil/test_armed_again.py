@@ -14,7 +14,6 @@ from tonus.config.schema.faults import Replug, Unplug
 from tonus.config.schema.robot_faults import PutBack
 from tonus.runtime.states import Operator, State
 
-
 pytestmark = pytest.mark.wide
 
 
