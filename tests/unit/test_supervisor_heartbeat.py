@@ -139,6 +139,15 @@ def test_a_reset_that_is_recorded_in_every_tick_is_nobodys(watchdog: Watchdog) -
     assert not any(watchdog.steps(1300, 3000, enabled=False))
 
 
+def test_a_reset_that_is_recorded_from_the_first_tick_on_is_nobodys(watchdog: Watchdog) -> None:
+    """It stops the robot before there is a record."""
+    list(watchdog.steps(0, 310, enabled=False, tick=False))
+    list(watchdog.steps(310, 400, enabled=True, tick=False))
+    assert watchdog.supervisor.violation is not None
+    watchdog.stuck = True
+    assert not any(watchdog.steps(400, 2000, enabled=False))
+
+
 @pytest.mark.parametrize(("pause_ms", "begins"), [(298, False), (302, True)])
 @pytest.mark.parametrize("state", [State.OFF, State.STANDBY])
 def test_another_daemon_needs_no_reset(
