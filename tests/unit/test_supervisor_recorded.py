@@ -29,7 +29,7 @@ from tests.unit.recorded_setup import (
 )
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
-from tonus.runtime.states import State
+from tonus.runtime.states import Operator, State
 from tonus.runtime.supervisor.record import CONTROLLED
 
 
@@ -616,3 +616,36 @@ def test_what_others_tell_an_amplifier_on_can(
     assert beside.buses.keys() == {"sto", "can0", "can1"}
     assert not beside.buses["can0"].sent
     assert not beside.buses["can1"].sent
+
+
+@pytest.mark.parametrize("silent", [0, 5])
+def test_amplifiers_on_can_have_to_be_brought_up_too(beside: Beside, silent: int) -> None:
+    """After another has written to one: each has to boot, the relay's node besides. The cell that
+    does not is of the first channel, or of the second."""
+
+    def failed(record: Any) -> None:
+        disarmed(record)
+        record["state"]["state"] = State.FAULT
+        record["state"]["operator"] = Operator.RESET if record["timing"]["tick"] % 2 else 0
+
+    def boot(channel: str, node: int) -> None:
+        beat = can.Message(arbitration_id=0x700 + node, data=b"\0", is_extended_id=False)
+        beside.buses[channel].waiting.append(beat)
+
+    list(beside.steps(160, disarmed))
+    beside.buses["can0"].waiting.append(
+        can.Message(
+            arbitration_id=0x600 + 25, data=bytes.fromhex("2323610100001643"), is_extended_id=False
+        )
+    )
+    list(beside.steps(3, disarmed))
+    assert not beside.supervisor.beating
+    boot("sto", NODE)
+    for cell in range(9):
+        if cell != silent:
+            boot("can1" if 4 <= cell < 8 else "can0", 17 + cell)
+    list(beside.steps(400, failed))
+    assert not beside.supervisor.beating
+    boot("can1" if silent else "can0", 17 + silent)
+    list(beside.steps(3, failed))
+    assert beside.supervisor.beating
