@@ -243,8 +243,6 @@ class Judge:
         if claim is None or claim.state != State.SAFE_STOP or claim.stop_mode == StopMode.PASSIVE:
             return
         taut = ~(seen.tension < self._slack)
-        if taut.all():
-            return
         on_path = claim.stop_mode == StopMode.ON_PATH
         limit = self._settings.speed_on_path if on_path else self._settings.speed_in_descent
         for each in _faster(self._speeds(seen, seen.rate, taut), (limit, math.inf)):

@@ -232,9 +232,14 @@ def test_drums_of_slack_cables_stand_while_the_platform_is_thrown(
         "tension": tension,
         "torque": np.where(upper, 12.0, 0.5),
     }
-    for slack, expected in ((True, found), (False, False)):
-        if not slack:
-            given["tension"] = np.full(N, 45.0)
+    slack = config.control.tension.slack
+    for lower, state, expected in (
+        (slack - 0.01, State.SAFE_STOP, found),
+        (slack, State.SAFE_STOP, False),
+        (slack - 0.01, State.FAULT, False),
+    ):
+        given["tension"] = np.where(upper, 45.0, lower)
+        said = replace(said, state=state)
         looks = [
             seen(at_ms, replace(said, at_ns=round(at_ms * MS)), **given)
             for at_ms in (100.0, 100.0 + for_ms)
