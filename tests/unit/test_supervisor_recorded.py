@@ -618,10 +618,11 @@ def test_what_others_tell_an_amplifier_on_can(
     assert not beside.buses["can1"].sent
 
 
-@pytest.mark.parametrize("silent", [0, 5])
-def test_amplifiers_on_can_have_to_be_brought_up_too(beside: Beside, silent: int) -> None:
-    """After another has written to one: each has to boot, the relay's node besides. The cell that
-    does not is of the first channel, or of the second."""
+@pytest.mark.parametrize("silent", [("can0", 17), ("can1", 22), ("sto", NODE)])
+def test_amplifiers_on_can_have_to_be_brought_up_too(
+    beside: Beside, silent: tuple[str, int]
+) -> None:
+    """After another has written to one: each has to boot, the relay's node besides."""
 
     def failed(record: Any) -> None:
         disarmed(record)
@@ -640,12 +641,11 @@ def test_amplifiers_on_can_have_to_be_brought_up_too(beside: Beside, silent: int
     )
     list(beside.steps(3, disarmed))
     assert not beside.supervisor.beating
-    boot("sto", NODE)
-    for cell in range(9):
-        if cell != silent:
-            boot("can1" if 4 <= cell < 8 else "can0", 17 + cell)
+    nodes = {("can1" if 4 <= cell < 8 else "can0", 17 + cell) for cell in range(9)}
+    for each in {*nodes, ("sto", NODE)} - {silent}:
+        boot(*each)
     list(beside.steps(400, failed))
     assert not beside.supervisor.beating
-    boot("can1" if silent else "can0", 17 + silent)
+    boot(*silent)
     list(beside.steps(3, failed))
     assert beside.supervisor.beating
