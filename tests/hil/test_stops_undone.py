@@ -159,58 +159,6 @@ def test_bursts_in_a_stop(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert tension <= 120.0
 
 
-def twisting(newton: float) -> Change:
-    """A stop that is recorded as a descent, whose torques carry the platform and turn it about its
-    x axis with all that cables of at most so many N can."""
-    geometry, platform = CAN.robot.geometry, CAN.robot.platform
-    arms = np.array(geometry.platform)
-    along = np.array(geometry.frame) - arms - np.array(CAN.robot.home)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    matrix = np.hstack([along, np.cross(arms, along)]).T
-    balanced = [0, 1, 2, 4, 5]
-    wrench = np.array([0.0, 0.0, platform.mass * CAN.robot.gravity, 0.0, 0.0])
-    bounds = [(0.0, newton)] * len(arms)
-    tensions = linprog(-matrix[3], A_eq=matrix[balanced], b_eq=wrench, bounds=bounds).x
-
-    def made() -> Change:
-        radius = np.array([train.drum.radius for train in CAN.robot.drive_trains])
-        count = [0]
-
-        def acted(_: None, cycle: ControlCycle, image: Any, *__: Any) -> None:
-            del cycle
-            count[0] += 1
-            image.commands["torque"] = (tensions + 0.3 * (count[0] % 5)) * radius
-
-        def recorded(record: Any, *_: Any) -> Any:
-            record.state.state[...] = State.SAFE_STOP
-            record.state.stop_mode[...] = DESCENT
-            return record
-
-        return both(
-            blind, after(ControlCycle, "act", acted), after(ControlCycle, "write", recorded)
-        )
-
-    return anew(made)
-
-
-def test_a_descent_that_turns_the_platform_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without pulling it away. Until 2026-11-28 turning had no bound of a descent: 236 ms, 341 N,
-    14 rad/s."""
-    change = twisting(300.0)
-    run = Run(CAN, load_scenario("hold"), lambda: change(monkeypatch))
-    with monkeypatch.context():
-        seen = run.play(0.4)
-    monkeypatch.undo()
-    assert {number for number, _ in run.said} == {Requirement.SPEED}
-    assert run.slowest_ms <= 150.0
-    last = max(run.stopped_ns.values())
-    until = (seen.truth_ns > run.changed_ns) & (seen.truth_ns <= last)
-    assert np.linalg.norm(seen.truth["angular_velocity"][until], axis=1).max() <= 10.0
-    speed, tension = after_change(run, seen, last)
-    assert speed <= 0.4
-    assert tension <= 160.0
-
-
 def driven(newton_of: Callable[[Any], Any]) -> Change:
     """Torques (N, from the drums' rates in m/s) that the daemon records as a descent."""
 
@@ -238,6 +186,39 @@ def driven(newton_of: Callable[[Any], Any]) -> Change:
         )
 
     return anew(made)
+
+
+def twisting(newton: float) -> Change:
+    """A stop that is recorded as a descent, whose torques carry the platform and turn it about its
+    x axis with all that cables of at most so many N can."""
+    geometry, platform = CAN.robot.geometry, CAN.robot.platform
+    arms = np.array(geometry.platform)
+    along = np.array(geometry.frame) - arms - np.array(CAN.robot.home)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    matrix = np.hstack([along, np.cross(arms, along)]).T
+    balanced = [0, 1, 2, 4, 5]
+    wrench = np.array([0.0, 0.0, platform.mass * CAN.robot.gravity, 0.0, 0.0])
+    bounds = [(0.0, newton)] * len(arms)
+    tensions = linprog(-matrix[3], A_eq=matrix[balanced], b_eq=wrench, bounds=bounds).x
+    return driven(lambda _: tensions)
+
+
+def test_a_descent_that_turns_the_platform_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without pulling it away. Until 2026-11-28 turning had no bound of a descent: 236 ms, 341 N,
+    14 rad/s."""
+    change = twisting(300.0)
+    run = Run(CAN, load_scenario("hold"), lambda: change(monkeypatch))
+    with monkeypatch.context():
+        seen = run.play(0.4)
+    monkeypatch.undo()
+    assert {number for number, _ in run.said} == {Requirement.SPEED}
+    assert run.slowest_ms <= 150.0
+    last = max(run.stopped_ns.values())
+    until = (seen.truth_ns > run.changed_ns) & (seen.truth_ns <= last)
+    assert np.linalg.norm(seen.truth["angular_velocity"][until], axis=1).max() <= 10.0
+    speed, tension = after_change(run, seen, last)
+    assert speed <= 0.4
+    assert tension <= 160.0
 
 
 def test_a_descent_whose_damping_has_the_wrong_sign(monkeypatch: pytest.MonkeyPatch) -> None:
