@@ -11,6 +11,8 @@ from tests.foreign import pytest_in
 TEST = """\
 import pytest
 
+import tonus
+
 
 @pytest.mark.tonus_expect("*")
 def test_a_lost_drive(tonus_daemon):
@@ -18,6 +20,12 @@ def test_a_lost_drive(tonus_daemon):
     daemon.arm()
     daemon.fault("unplug", channel="can3", node=2)
     daemon.wait_for("FAULT")
+    daemon.fault("replug", channel="can3", node=2)
+    daemon.command("reset")
+    daemon.wait_for("STANDBY")
+    daemon.command("estop")
+    with pytest.raises(tonus.ToolError, match="the robot is in FAULT and not in HOLD"):
+        daemon.wait_for("HOLD")
     run = daemon.end()
     assert [strike.kind for strike in run.faults] == ["unplug"]
     assert run.expect("drive_lost", where="axis 1", after=0.0).time > 1.0

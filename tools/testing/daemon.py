@@ -87,6 +87,8 @@ class Daemon:
         self._ready = self._began
         self._run: Run | None = None
         self._injected: list[tuple[int, Fault]] = []
+        self._resetting = False
+        """a reset was given, and it has not been seen to be over"""
 
     def status(self) -> dict[str, Any]:
         """What the daemon does (docs/operation.md). Raises `ToolError` if it has ended."""
@@ -98,6 +100,7 @@ class Daemon:
         reply = self._ask(verb)
         if not reply["ok"]:
             raise ToolError(f"{verb} is refused: {reply['error']}; {reply.get('remedy', '')}")
+        self._resetting |= verb == "reset"
         return reply
 
     def arm(self) -> None:
@@ -113,7 +116,8 @@ class Daemon:
 
     def wait_for(self, state: str, within: float = _PATIENCE_S) -> None:
         """Wait until the robot is in a state; s of real time. Raises `ToolError` if it is not in
-        time, and where it ends in FAULT instead."""
+        time, and where it ends in FAULT instead. After a reset it is in FAULT until every device
+        has been brought back."""
         end = clock.wall_seconds() + within
         reached = ""
         while reached != state:
@@ -124,7 +128,8 @@ class Daemon:
             except ToolError:
                 status = {"state": "", "fault": None}  # it starts still
             reached = status["state"]
-            if reached == "FAULT" and state != "FAULT":
+            self._resetting &= reached == "FAULT"
+            if reached == "FAULT" and state != "FAULT" and not self._resetting:
                 raise ToolError(f"the robot is in FAULT and not in {state}: {status['fault']}")
             if clock.wall_seconds() > end:
                 raise ToolError(f"{state} was not reached in {within:g} s; it is in {reached}")
