@@ -82,9 +82,9 @@ def test_what_shows_one_run_only_refuses_two(paths: list[Path]) -> None:
 def test_tensions_are_the_true_ones_and_less_their_reference(paths: list[Path]) -> None:
     figure = drawn("tension", paths[0])
     rows = open_log(paths[0])["/tonus/tension"]["reference"]
-    _, values = curves(figure)["cable 8"]
+    _, values = curves(figure)["cable 7"]
     assert values.max() == pytest.approx(rows[:, 7].max() + TENSION_ERROR)
-    _, errors = curves(figure, 1)["cable 3"]
+    _, errors = curves(figure, 1)["cable 2"]
     assert errors[~np.isnan(errors)] == pytest.approx(TENSION_ERROR)
 
 

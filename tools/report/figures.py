@@ -143,7 +143,7 @@ def spectra(story: Story) -> Figure | None:
         hertz, density = signal.welch(values, 1.0 / story.period, nperseg=segment, axis=0)
         for column in range(values.shape[1]):
             colour, line = (colours[column], "-") if colours else style.cable(column)
-            label = names[column] if names else f"cable {column + 1}"
+            label = names[column] if names else f"cable {column}"
             axis.loglog(
                 hertz[1:],
                 np.sqrt(density[1:, column]),

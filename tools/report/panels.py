@@ -59,7 +59,7 @@ def tension(sheet: Sheet, piece: Piece) -> None:
     """The cables: true in a lab, measured otherwise."""
     for cable, column in enumerate(tensions(piece.log).T):
         colour, line = style.cable(cable)
-        sheet.curve(piece, column, f"cable {cable + 1}", colour, width=1.1, line=line)
+        sheet.curve(piece, column, f"cable {cable}", colour, width=1.1, line=line)
     if piece.config is not None:
         bounds = piece.config.control.tension
         sheet.limit(bounds.max, f"T_max {bounds.max:g} N")
@@ -83,7 +83,7 @@ def tension_error(sheet: Sheet, piece: Piece) -> None:
     values[~piece.in_state(*_RUNNING)] = np.nan
     for cable, column in enumerate(values.T):
         colour, line = style.cable(cable)
-        sheet.curve(piece, column, f"cable {cable + 1}", colour, width=0.9, line=line)
+        sheet.curve(piece, column, f"cable {cable}", colour, width=0.9, line=line)
     sheet.zero = True
     source = "true" if piece.has_truth else "measured"
     sheet.label = f"tension, {source} - reference / N"
@@ -198,6 +198,9 @@ def _mark_faults(panels: Sequence[Axes], story: Story) -> None:
             va="top",
             fontsize=8,
             color=style.VERMILION,
+            # One beyond the panel's times would take the room of all panels.
+            annotation_clip=True,
+            bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 1.0},
         )
 
 
