@@ -11,6 +11,7 @@ import can
 import numpy as np
 
 from tonus.config import Config
+from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import ARMED, Operator, State
 from tonus.runtime.supervisor.judge import Judge, Violation
@@ -291,3 +292,9 @@ class Watchdog:
     def steps(self, start: int, stop: int, **given: Any) -> Iterator[list[tuple[int, bytes]]]:
         for now in range(start, stop, 2):
             yield self.step(now, **given)
+
+
+def broken(watchdog: Watchdog) -> Requirement | None:
+    """What it stopped the robot for."""
+    found = watchdog.supervisor.violation
+    return None if found is None else found.requirement

@@ -10,7 +10,7 @@ import can
 import numpy as np
 import pytest
 
-from tests.unit.supervisor_setup import STRICT, EchoBus, Watchdog
+from tests.unit.supervisor_setup import STRICT, EchoBus, Watchdog, broken
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
@@ -40,11 +40,6 @@ def watchdog(config: Config) -> Iterator[Watchdog]:
     made = Watchdog(config)
     yield made
     made.supervisor.close()
-
-
-def broken(watchdog: Watchdog) -> Requirement | None:
-    found = watchdog.supervisor.violation
-    return None if found is None else found.requirement
 
 
 def let_out(watchdog: Watchdog, *, first: bool = True) -> None:

@@ -9,7 +9,7 @@ import can
 import numpy as np
 import pytest
 
-from tests.unit.supervisor_setup import STRICT, Watchdog, claim, seen
+from tests.unit.supervisor_setup import STRICT, Watchdog, broken, claim, seen
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
@@ -30,11 +30,6 @@ def watchdog(config: Config) -> Iterator[Watchdog]:
     made = Watchdog(config)
     yield made
     made.supervisor.close()
-
-
-def broken(watchdog: Watchdog) -> Requirement | None:
-    found = watchdog.supervisor.violation
-    return None if found is None else found.requirement
 
 
 def test_torques_that_no_sync_makes_act(watchdog: Watchdog) -> None:
