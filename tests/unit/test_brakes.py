@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from operated import TRAVEL, Operated
 
-from tonus.config import load
+from tonus.config import ConfigError, load
 from tonus.config.loader import load_scenario
 from tonus.drivers.process_image import AxisState, ProcessImage
 from tonus.runtime.operation.brakes import OFF, BrakeWatch
@@ -121,3 +121,11 @@ def test_a_brake_that_cannot_hold_the_tension_is_refused() -> None:
         (found,) = [each for each in check(config, load_scenario("hold")) if each.rule == "brakes"]
         assert found.ok is ok
         assert f"holds {torque * 49 / 4 / RADIUS:.0f} N of 200 N" in found.text
+
+
+@pytest.mark.parametrize("name", ["opening_ms", "closing_ms"])
+def test_a_brake_that_takes_longer_than_any_is_refused(name: str) -> None:
+    """Meanwhile the supervisor compares no torque of its drive."""
+    load("config/can.yaml", overrides={"robot.brake": BRAKE | {name: 200.0}})
+    with pytest.raises(ConfigError, match=rf"robot\.brake\.{name}: .*200"):
+        load("config/can.yaml", overrides={"robot.brake": BRAKE | {name: 200.1}})
