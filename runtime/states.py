@@ -131,7 +131,7 @@ _MOVES: dict[State, dict[Event, Move]] = {
     },
     State.REFERENCING: {
         Event.REFERENCED: Move(
-            State.PRETENSION, "lengths are referenced: poses agree, tensions are even, at rest"
+            State.PRETENSION, "no cable is slack, lengths are referenced: poses and tensions agree"
         ),
         Event.STOP: Move(
             State.SAFE_STOP, "the tensions are released evenly; nothing has moved yet"

@@ -27,6 +27,8 @@ OVERRIDES: dict[str, Any] = {
     "control.sequence.referencing_settle_s": 0.004,
     "control.sequence.referencing_average_s": 0.03,
     "control.sequence.referencing_poses": 2,
+    "control.sequence.slack_s": 0.0,
+    "control.sequence.take_up_s": 0.02,
     "control.sequence.pretension_s": 0.02,
     "control.sequence.lift_s": 0.02,
     "control.sequence.stop_s": 0.02,

@@ -287,6 +287,11 @@ class Sequence(Section):
     tare_s: Positive
     referencing_settle_s: Positive
     referencing_average_s: Positive
+    slack_s: NonNegative = 0.0
+    """referencing lets a cable be slack for so long beyond `tension.slack`, and then goes back to
+    that tension until it pulls"""
+    take_up_s: NonNegative = 0.0
+    """s after which a cable that is still slack has failed; 0 in a log of before: none waits"""
     pretension_s: Positive
     lift_s: Positive
     """s of minimum-jerk motion from the cradle to home"""

@@ -86,7 +86,9 @@ class Sequence:
         self._radius = robot.drum_radius
         self._period = control.rates.period
         self._entered = 0
-        self._ready_at = 0.0
+        self._ready_at = self._held = self._slack = 0.0
+        """s into referencing when the drives were enabled, by which tensions grow later, and for
+        which a cable has been slack"""
         self._resetting = False
         self.state = State.OFF
         self.elapsed = 0.0
@@ -334,7 +336,7 @@ class Sequence:
         if not self.enabled or self.state is not State.REFERENCING:
             return -1.0
         rise = 0.5 * self._settings.referencing_settle_s
-        self._straightness = min(1.0, (self.elapsed - self._ready_at) / rise)
+        self._straightness = min(1.0, (self.elapsed - self._ready_at - self._held) / rise)
         return self._straightness
 
     @property
@@ -531,18 +533,39 @@ class Sequence:
             ready = image.axes["state"] == AxisState.OPERATION_ENABLED
             if ready.all():
                 self.enabled, self._ready_at = True, self.elapsed
+                self._held = self._slack = 0.0
             elif self.elapsed > settings.enable_timeout_s:
                 self.faults.add(Fault.ENABLE_TIMEOUT, int((~ready).argmax()))
                 return Event.FAULT
             return None
-        since = self.elapsed - self._ready_at - settings.referencing_settle_s
+        since = self.elapsed - self._ready_at - self._held - settings.referencing_settle_s
         if since >= 0.0:
             self._referencing.collect(image, sensing.angle, sensing.tension)
+        elif slack := self._take_up():
+            return self._refuse(f"it is still slack after {settings.take_up_s:g} s", slack)
         if since < settings.referencing_average_s:
             return None
-        self.reason = self._referencing.conclude(self._control.tension.referencing)
-        if self.reason:
-            for cable in self._referencing.astray or [-1]:
-                self.faults.add(Fault.REFERENCING_FAILED, cable)
-            return Event.FAULT
-        return Event.REFERENCED
+        reason = self._referencing.conclude(self._control.tension.referencing)
+        return self._refuse(reason, self._referencing.astray) if reason else Event.REFERENCED
+
+    def _refuse(self, reason: str, cables: list[int]) -> Event:
+        self.reason = reason
+        for cable in cables or [-1]:
+            self.faults.add(Fault.REFERENCING_FAILED, cable)
+        return Event.FAULT
+
+    def _take_up(self) -> list[int]:
+        """Let tensions wait at `tension.slack` for cables that stay slack, since without them more
+        would tilt the platform out of its cups. Gives those that have been slack for too long."""
+        settings, tension = self._settings, self._control.tension
+        slack = self._sensing.tension < 0.5 * tension.slack
+        share = tension.slack / tension.referencing
+        if not slack.any() or not settings.take_up_s:
+            self._slack = 0.0
+            return []
+        if self._slack > 0.0 or self._straightness >= share:
+            self._slack += self._period
+        if self._slack > settings.slack_s:
+            rise = 0.5 * settings.referencing_settle_s
+            self._held = self.elapsed - self._ready_at - share * rise
+        return np.flatnonzero(slack).tolist() if self._slack > settings.take_up_s else []

@@ -21,6 +21,8 @@ OVERRIDES = {
     "control.sequence.enable_timeout_s": 0.008,
     "control.sequence.referencing_settle_s": 0.004,
     "control.sequence.referencing_average_s": 0.008,
+    "control.sequence.slack_s": 0.0015,
+    "control.sequence.take_up_s": 0.0155,
     "control.sequence.pretension_s": 0.016,
     "control.sequence.lift_s": 0.002,
     "control.sequence.reference_slew": 10.0,

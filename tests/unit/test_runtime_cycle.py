@@ -206,6 +206,10 @@ def slack(image: ProcessImage) -> None:
     image.cells["force"][3] = 2.0
 
 
+def loose(image: ProcessImage) -> None:
+    image.cells["force"][3] = 9.5
+
+
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
@@ -213,7 +217,8 @@ def slack(image: ProcessImage) -> None:
         (elsewhere, "from its cradle"),
         (askew, "lies askew, turned by 2.3 deg"),
         (restless, "spread over"),
-        (slack, "away from"),
+        (slack, "still slack after 0.02 s"),
+        (loose, "a cable's tension is 2.5 N away from 12 N"),
     ],
 )
 def test_referencing_refuses_what_it_cannot_trust_and_says_why(spoil: Spoil, reason: str) -> None:

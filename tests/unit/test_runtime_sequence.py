@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.unit import sequence_setup
 from tests.unit.sequence_setup import CONTROL, PRETENSION_TICKS, N, Way
 from tonus.drivers.process_image import AxisCommand, AxisState
 from tonus.runtime.states import Fault, Operator, State, StopMode
@@ -101,6 +102,72 @@ def test_references_are_taken_after_a_while_and_for_a_while(way: Way) -> None:
     assert (way.collected, way.concluded) == (9, [CONTROL.tension.referencing])
     assert way.sequence.referenced
     assert way.sequence.straightening == -1.0
+
+
+def with_slack(way: Way, ticks: int, tension: float = 2.4) -> list[float]:
+    """Shares of the tension asked for, from the tick on in which the drives are enabled."""
+    armed(way)
+    way.sensing.tension[[2, 6]] = tension
+    shares = [way.sequence.straightening]
+    for _ in range(ticks):
+        way.step()
+        shares.append(way.sequence.straightening)
+    return shares
+
+
+def test_tensions_wait_for_a_cable_that_is_slack(way: Way) -> None:
+    """With 5 N of 12, from the second tick of slack beyond that on."""
+    low = 5.0 / 12.0
+    assert with_slack(way, 12) == pytest.approx([0.0, 0.5, 1.0, *([low] * 10)])
+    assert way.collected == 0
+    way.sensing.tension[2] = 2.5
+    way.step()
+    assert way.sequence.straightening == pytest.approx(low), "there is another"
+    way.sensing.tension[6] = 2.5
+    shares = []
+    for _ in range(3):
+        way.step()
+        shares.append(way.sequence.straightening)
+    assert shares == pytest.approx([low + 0.5, 1.0, 1.0])
+    assert way.collected == 0
+    way.steps(8)
+    assert way.collected == 8
+    way.steps(1, after=State.PRETENSION)
+
+
+def test_a_cable_that_stays_slack_is_refused(way: Way) -> None:
+    with_slack(way, 16)
+    way.steps(1, after=State.SAFE_STOP)
+    assert found(way) == [(Fault.REFERENCING_FAILED, 2), (Fault.REFERENCING_FAILED, 6)]
+    assert way.sequence.reason == "it is still slack after 0.0155 s"
+    assert (way.sequence.stop_mode, way.collected) == (StopMode.PASSIVE, 0)
+
+
+def test_slack_that_is_taken_up_meanwhile_is_forgotten(way: Way) -> None:
+    """By the cable, and by the next time that the robot is armed."""
+    assert with_slack(way, 2) == pytest.approx([0.0, 0.5, 1.0])
+    way.sensing.tension[:] = 30.0
+    way.step()
+    way.sensing.tension[3] = 0.0
+    way.step()
+    assert way.sequence.straightening == 1.0
+    again = Way()
+    with_slack(again, 6)
+    again.sensing.tension[:] = 30.0
+    again.step(Operator.STOP)
+    again.to(State.STANDBY)
+    armed(again)
+    again.steps(12, after=State.PRETENSION)
+
+
+def test_a_cable_at_half_of_the_tension_asked_for_is_not_slack(way: Way) -> None:
+    assert with_slack(way, 4, tension=2.5) == pytest.approx([0.0, 0.5, 1.0, 1.0, 1.0])
+
+
+def test_no_robot_waits_whose_log_is_from_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = CONTROL.sequence.model_copy(update={"take_up_s": 0.0, "slack_s": 0.0})
+    monkeypatch.setattr(sequence_setup, "CONTROL", CONTROL.model_copy(update={"sequence": before}))
+    assert with_slack(Way(), 4) == pytest.approx([0.0, 0.5, 1.0, 1.0, 1.0])
 
 
 def test_references_that_are_refused_stop_the_robot(way: Way) -> None:

@@ -110,17 +110,19 @@ def _self_stress(robot: Robot, at: Poses) -> Finding:
 
 
 def _referencing(config: Config) -> Finding:
-    """The platform must lie still in its cradle while all cables pull evenly."""
-    robot, even = config.robot, config.control.tension.referencing
-    at = poses(robot.geometry, np.array([robot.rest]), np.zeros((1, 3)))
-    lift = even * float(at.matrices[0, 2].sum())
+    """The platform must lie still in its cradle while all cables pull evenly, and before that, with
+    a lower tension, while any of them are still slack."""
+    robot, tension = config.robot, config.control.tension
+    upward = poses(robot.geometry, np.array([robot.rest]), np.zeros((1, 3))).matrices[0, 2]
+    lift = tension.referencing * float(upward.sum())
+    some = tension.slack * float(upward[upward > 0.0].sum())
     weight = robot.platform.mass * robot.gravity
     return Finding(
         "referencing",
-        lift < weight,
-        "control.tension.referencing",
-        f"{even:g} N in every cable lift with {lift:.1f} N a platform of {weight:.1f} N in its "
-        "cradle",
+        lift < weight and some < weight,
+        f"control.tension.{'referencing' if lift >= weight else 'slack'}",
+        f"{tension.referencing:g} N in every cable lift with {lift:.1f} N, and {tension.slack:g} N "
+        f"in the upper ones alone with {some:.1f} N, a platform of {weight:.1f} N in its cradle",
         "lower it",
     )
 
