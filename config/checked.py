@@ -41,10 +41,18 @@ def validated(document: Document, model: type[Model]) -> Model:
     try:
         return model.model_validate(document.data)
     except ValidationError as error:
-        found = error.errors()
         # A misspelt key is also a missing one; its own place is the better answer.
-        first = next((each for each in found if each["type"] == "extra_forbidden"), found[0])
-        raise _explain(document, model, first) from error
+        found = sorted(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+        misspelt = {each["loc"][:-1] for each in found if each["type"] == "extra_forbidden"}
+        explained: dict[str, ConfigError] = {}
+        for each in found:
+            if each["type"] == "missing" and each["loc"][:-1] in misspelt:
+                continue
+            one = _explain(document, model, each)
+            explained.setdefault(one.key, one)  # each branch of a union has its own words
+        first, *further = explained.values()
+        first.others = tuple(further)
+        raise first from error
 
 
 def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) -> ConfigError:

@@ -18,6 +18,8 @@ class ConfigError(Exception):
     key: str
     problem: str
     remedy: str
+    others: tuple[ConfigError, ...] = ()
+    """further broken rules of the same document"""
 
     def __str__(self) -> str:
         place = f"{self.file}:{self.line}" if self.line else self.file

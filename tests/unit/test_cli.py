@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from loop import QUICK
 
 import tonus.tools
+from tonus.config.loader import HERE
 from tonus.tools.cli import campaign, log
 from tonus.tools.cli.main import COMMANDS, main
 
@@ -88,6 +90,24 @@ def test_nowhere_to_keep_compiled_code_is_one_line_too() -> None:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "set NUMBA_CACHE_DIR" in done.stderr
+
+
+def test_check_says_each_mistake_of_a_configuration(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """In a line of its own; ``pre`` counts as misspelt, and not as missing besides."""
+    shutil.copytree(HERE, tmp_path / "config")
+    control = tmp_path / "config" / "control.yaml"
+    text = control.read_text()
+    for old, new in (("  pre: 45.0", "  prex: 45"), ("stop_s: 0.3", "stop_s: -1")):
+        text = text.replace(old, new, 1)
+    control.write_text(text)
+    assert call(monkeypatch, "check", str(tmp_path / "config" / "can.yaml")) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert [line.split(": ")[2] for line in told] == [
+        "control.sequence.stop_s",
+        "control.tension.prex",
+    ]
 
 
 def test_a_failed_check_is_exit_code_1(

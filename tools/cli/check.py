@@ -9,9 +9,11 @@ from dataclasses import asdict
 import click
 
 from tonus.config import load
+from tonus.config.errors import ConfigError
 from tonus.config.loader import load_catalogue
 from tonus.tools.check import rules as rules
 from tonus.tools.check.finding import Finding
+from tonus.tools.cli.failures import line
 from tonus.tools.settings import overrides_of
 
 
@@ -33,11 +35,19 @@ def check(
     settings: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Validate CONFIG: schema, bus load, identifiers, workspace, limits. Nothing is started."""
+    """Validate CONFIG: schema, bus load, identifiers, workspace, limits. Nothing is started.
+
+    What does not fit the schema is said in a line each, on standard error; exit code 2.
+    """
     overrides = overrides_of(settings)
     if controller is not None:
         overrides["control.controller"] = controller
-    loaded, played = load(config, scenario, overrides)
+    try:
+        loaded, played = load(config, scenario, overrides)
+    except ConfigError as error:
+        for other in error.others:
+            click.echo(line(str(other)), err=True)
+        raise
     findings = rules.check(loaded, played, timed=True)
     if loaded.operation.scenarios is not None:
         findings += rules.check_catalogue(loaded, played, load_catalogue(config))
