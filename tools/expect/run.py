@@ -86,7 +86,7 @@ class Run:
     def faults(self) -> list[Strike]:
         """Each fault of the lab that struck, in order of time: those of the scenario and those
         injected by hand. Without truth in the log, those injected by hand only."""
-        found = list(self._observed.strikes) if TRUTH in self.log else []
+        found = list(self._observed.strikes) if TRUTH in self.log and self._ticked else []
         if self._injected:
             config = configuration(self.log)
             for at_ns, fault in self._injected:
@@ -221,6 +221,11 @@ class Run:
     def failure(self, figure: str, time: float | None = None) -> ExpectationError:
         """The error to raise for a figure at a time (s); None: of the whole run."""
         return ExpectationError(figure, self.timeline, self.events, time)
+
+    @property
+    def _ticked(self) -> bool:
+        """A daemon that could not bring the bus up has recorded no tick."""
+        return "/tonus/timing" in self.log
 
     @cached_property
     def _observed(self) -> Observed:

@@ -191,8 +191,8 @@ class Case:
         return self._kept
 
     def account(self, error: BaseException | None, *, kept: bool, nodeid: str = "") -> str:
-        """What a reader needs beside the failure itself: events, files, the command. ``nodeid`` of
-        the test that failed, where it is not this one."""
+        """What a reader needs beside the failure itself: events, faults, files, the command.
+        ``nodeid`` of the test that failed, where it is not this one."""
         lines: list[str] = []
         if isinstance(error, ExpectationError):
             lines.append(error.figure)
@@ -200,6 +200,10 @@ class Case:
             run = self.runs[-1]
             lines.append("the last events:")
             lines += [f"  {run.timeline.line(event)}" for event in run.events[-SHOWN:]]
+        for number, run in enumerate(self.runs, start=1):
+            of = "" if len(self.runs) == 1 else f" in run {number}"
+            struck = [f"  {run.timeline.seconds(each.at_ns):9.3f} s  {each}" for each in run.faults]
+            lines += [f"faults of the lab{of}:", *struck] if struck else []
         lines.append(f"seed {self.seed}, configuration {self.config}")
         if kept:
             lines += [f"{name}: {path}" for name, path in self._kept]

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,7 @@ class DaemonFactory:
             case.seeded(seed),
         )
         case.closing.callback(daemon.kill)
+        case.open.append(daemon.end)
         daemon.wait_for("STANDBY")
         return daemon
 
@@ -161,7 +162,9 @@ class Daemon:
         return run
 
     def kill(self) -> None:
-        """End it at once, if it has not ended."""
+        """End it at once, if it has not ended; no run of it is judged or kept."""
+        with suppress(ValueError):
+            self._case.open.remove(self.end)
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)
             try:
