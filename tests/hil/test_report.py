@@ -64,6 +64,14 @@ def page_of(log: Path, out: Path) -> tuple[Page, list[float]]:
     return Page(out.read_text(encoding="utf-8")), shares
 
 
+def test_times_count_from_where_those_of_log_info_do(tonus_run: Player) -> None:
+    """The first message, which is a frame of the bring-up here, and not the first tick."""
+    log = tonus_run("hold", config="config/can.yaml", duration=0.1).log
+    begins = log.times("/tonus/timing")[0] - log.start_ns
+    assert begins > 0
+    assert Story(log).time[0] == begins * 1e-9
+
+
 def test_a_page_is_whole_in_itself_and_begins_with_the_verdict(quiet: Path, tmp_path: Path) -> None:
     out = tmp_path / "report.html"
     page, shares = page_of(quiet, out)

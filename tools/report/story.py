@@ -49,9 +49,9 @@ class Story:
         self.note: str | None = None
         """why the limits are not known, None if they are"""
         self.config = config or self._attached()
-        self._start = int(log.times("/tonus/timing")[0])
+        self._start = self._whole.start_ns
         self.time: Array = np.asarray((log.times("/tonus/timing") - self._start) * 1e-9, np.float64)
-        """s (n,) of the cycles since the first"""
+        """s (n,) of the cycles since the log's first message, as `tonus log info` has them"""
         self.faults = find_faults(log)
         self.has_truth = False
         """known when the pieces are"""
