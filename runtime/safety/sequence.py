@@ -18,6 +18,7 @@ from tonus.runtime.control.sensing import FAULT_STATES, NOT_ENABLED, Sensing
 from tonus.runtime.safety.envelope import Envelope
 from tonus.runtime.safety.faults import PASSIVE, Faults
 from tonus.runtime.safety.isolation import Isolation
+from tonus.runtime.safety.straightening import Straightening
 from tonus.runtime.safety.witness import Witness
 from tonus.runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, State, StopMode
 
@@ -86,9 +87,9 @@ class Sequence:
         self._radius = robot.drum_radius
         self._period = control.rates.period
         self._entered = 0
-        self._ready_at = self._held = self._slack = 0.0
-        """s into referencing when the drives were enabled, by which tensions grow later, and for
-        which a cable has been slack"""
+        self._ready_at = 0.0
+        """s into referencing when the drives were enabled"""
+        self._straight = Straightening(control)
         self._resetting = False
         self.state = State.OFF
         self.elapsed = 0.0
@@ -130,8 +131,7 @@ class Sequence:
             tension.referencing + (tension.pre - tension.referencing),
         )
         self._tightness = 0.0
-        self._straightness = 0.0
-        """how far tensions had grown when a stop came, 0 to 1, on the way to each level"""
+        """how far tensions had grown when a stop came, 0 to 1"""
 
     def step(
         self, image: ProcessImage, tick: int, operator: Operator, *, finite: bool = True
@@ -229,7 +229,7 @@ class Sequence:
         if self.stop_mode is not StopMode.PASSIVE and not self.releasing:
             return -1.0
         if not self.referenced:
-            return self._straightness * max(0.0, 1.0 - self.elapsed / self._settings.stop_s)
+            return self._straight.share * max(0.0, 1.0 - self.elapsed / self._settings.stop_s)
         if self._released_at < 0.0:
             return 1.0
         return max(0.0, 1.0 - (self.elapsed - self._released_at) / self._settings.stop_s)
@@ -335,9 +335,7 @@ class Sequence:
         """Share of the referencing tension asked of each cable on its own; negative for none."""
         if not self.enabled or self.state is not State.REFERENCING:
             return -1.0
-        rise = 0.5 * self._settings.referencing_settle_s
-        self._straightness = min(1.0, (self.elapsed - self._ready_at - self._held) / rise)
-        return self._straightness
+        return self._straight.grow(self.elapsed - self._ready_at)
 
     @property
     def levels(self) -> Levels:
@@ -533,15 +531,16 @@ class Sequence:
             ready = image.axes["state"] == AxisState.OPERATION_ENABLED
             if ready.all():
                 self.enabled, self._ready_at = True, self.elapsed
-                self._held = self._slack = 0.0
+                self._straight.begin()
             elif self.elapsed > settings.enable_timeout_s:
                 self.faults.add(Fault.ENABLE_TIMEOUT, int((~ready).argmax()))
                 return Event.FAULT
             return None
-        since = self.elapsed - self._ready_at - self._held - settings.referencing_settle_s
+        time = self.elapsed - self._ready_at
+        since = self._straight.settled(time)
         if since >= 0.0:
             self._referencing.collect(image, sensing.angle, sensing.tension)
-        elif slack := self._take_up():
+        elif slack := self._straight.take_up(time, sensing.tension):
             return self._refuse(f"it is still slack after {settings.take_up_s:g} s", slack)
         if since < settings.referencing_average_s:
             return None
@@ -553,19 +552,3 @@ class Sequence:
         for cable in cables or [-1]:
             self.faults.add(Fault.REFERENCING_FAILED, cable)
         return Event.FAULT
-
-    def _take_up(self) -> list[int]:
-        """Let tensions wait at `tension.slack` for cables that stay slack, since without them more
-        would tilt the platform out of its cups. Gives those that have been slack for too long."""
-        settings, tension = self._settings, self._control.tension
-        slack = self._sensing.tension < 0.5 * tension.slack
-        share = tension.slack / tension.referencing
-        if not slack.any() or not settings.take_up_s:
-            self._slack = 0.0
-            return []
-        if self._slack > 0.0 or self._straightness >= share:
-            self._slack += self._period
-        if self._slack > settings.slack_s:
-            rise = 0.5 * settings.referencing_settle_s
-            self._held = self.elapsed - self._ready_at - share * rise
-        return np.flatnonzero(slack).tolist() if self._slack > settings.take_up_s else []
