@@ -69,7 +69,7 @@ LARGEST = {
     "axis_torque_ms": 200.0,
     "stale_ms": 40.0,
     "disarmed_ms": 100.0,
-    "stopping_ms": 200.0,
+    "stopping_ms": 120.0,
     "stop_s": 80.0,
     "window_ms": 50.0,
     "opposed_ms": 50.0,

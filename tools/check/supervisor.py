@@ -19,6 +19,7 @@ from tonus.config.schema.supervisor import (
     Supervisor,
 )
 from tonus.runtime.supervisor.wiring import Wiring, forces_of
+from tonus.tools.check.feasibility import poses
 from tonus.tools.check.finding import Finding
 
 _KEY = "supervisor"
@@ -47,6 +48,11 @@ _LEAST_SLACK = 0.2
 _FORGOTTEN = 4.0
 """times slower than it is counted is the time forgotten for which a condition held"""
 _IN_TICKS = ("frozen_frames", "logged_ticks")
+_MOST_CONTACT = 1.4
+"""times the limit of contact, found by a cell that was tared with what leaned on it. R"""
+_MOST_LIFT = 3.0
+"""times the platform's weight, in a passive stop whose lower cables do not pull. R: with 1.8 it was
+thrown at 0.21 m/s, with 5.8 at 0.64 m/s"""
 
 
 def check_supervisor(config: Config) -> Iterator[Finding]:
@@ -99,8 +105,10 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
     isolation = control.isolation
     tare, rise = control.sequence.tare_limit, stiffness.rise_rate
     slack_ms = envelope.over_tension_ticks * control.rates.period * 1e3
-    frame = np.array(config.robot.geometry.frame)
-    narrowest = float(np.ptp(frame, axis=0).min()) / 2.0
+    space = config.robot.workspace
+    middle = np.array([space.x, space.y, space.z]).mean(axis=1)
+    away = np.abs(np.array(config.robot.geometry.frame) - middle)
+    narrowest = float(away.max(axis=0).min())  # above a robot that hangs, its frame is a plane
     relay_ms = 0 if config.relay is None else config.relay.heartbeat_ms
     for key, value, bound, times in (
         *(
@@ -114,9 +122,13 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
         (f"{_KEY}.speed_on_path", settings.speed_on_path, envelope.speed_limit, 3.0),
         (f"{_KEY}.speed_in_descent", settings.speed_in_descent, envelope.speed_limit, 4.0),
         (f"{_KEY}.spread", settings.spread, narrowest, LARGEST_SPREAD),
-        ("control.sequence.tare_limit", tare, envelope.contact_limit, 0.5),
+        (
+            "control.sequence.tare_limit",
+            tare,
+            envelope.contact_limit,
+            round(_MOST_CONTACT - settings.margin, 3),
+        ),
         ("control.stiffness.rise_rate", rise, stiffness.maximum - stiffness.minimum, 10.0),
-        ("control.stop.passive_tension", control.stop.passive_tension, tension.pre, 1.0),
         ("control.isolation.tension_error", isolation.tension_error, tension.pre, 0.5),
         ("control.isolation.tension_error_s", isolation.tension_error_s, _DRIFTING_S, 1.0),
         ("control.envelope.over_tension_ticks", slack_ms, settings.patience_ms, 1.0),
@@ -153,6 +165,7 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
             yield Finding(
                 "supervisor", False, key, why.format(value), f"set it to at least {least:g}"
             )
+    yield from _lift(config, settings)
     tick_ms = max(1.0, control.rates.period * 1e3)
     for name, largest in LARGEST.items():
         value = getattr(settings, name)
@@ -162,6 +175,24 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
             yield Finding(
                 "supervisor", False, f"{_KEY}.{name}", text, f"set it to at most {most:g}"
             )
+
+
+def _lift(config: Config, settings: Supervisor) -> Iterator[Finding]:
+    """What the upper cables may pull with in a passive stop without being found."""
+    robot, passive = config.robot, config.control.stop.passive_tension
+    upward = poses(robot.geometry, np.array([robot.rest]), np.zeros((1, 3))).matrices[0, 2]
+    share = float(upward[upward > 0.0].sum())
+    lift, weight = (passive + settings.passive_torque) * share, robot.platform.mass * robot.gravity
+    if lift > _MOST_LIFT * weight:
+        most = _MOST_LIFT * weight / share - settings.passive_torque
+        yield Finding(
+            "supervisor",
+            False,
+            "control.stop.passive_tension",
+            f"a passive stop whose lower cables do not pull lifts the platform of {weight:.0f} N "
+            f"with {lift:.0f} N, and is not found",
+            f"set it to at most {math.floor(10.0 * most) / 10.0:g}",
+        )
 
 
 def _longest_stop(config: Config) -> float:
