@@ -6,6 +6,7 @@ Apart from the loader, so that who reads one small file does not wait for the sc
 from __future__ import annotations
 
 import difflib
+import re
 import reprlib
 from typing import Any, TypeVar
 
@@ -33,6 +34,7 @@ _REMEDY = {
     "value_error": "change one of the values",
 }
 _OF_KEY = "[key]"
+_RELATION = " must hold"
 _EXPECTED = "give a value of that type"
 
 
@@ -78,14 +80,23 @@ def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) ->
     elif kind == "value_error":
         problem, _, said = problem.partition("; ")
         remedy = said or remedy
+        if problem.endswith(_RELATION):
+            problem += f", not {_in_values(problem.removesuffix(_RELATION), error['input'])}"
     elif kind in ("too_short", "too_long"):
         bound = error["ctx"].get("min_length" if kind == "too_short" else "max_length")
         word = "least" if kind == "too_short" else "most"
         problem = f"has {error['ctx']['actual_length']} items, and takes at {word} {bound}"
     else:
         problem = f"{problem}, not {reprlib.repr(error['input'])}"
+        remedy = remedy if error["input"] == error["input"] else _REMEDY["finite_number"]
     file, line = document.place(key)
     return ConfigError(file, line, dotted(key), problem, remedy)
+
+
+def _in_values(relation: str, section: Any) -> str:
+    """A relation between keys of a section, with what is stated there in their place."""
+    stated = section if isinstance(section, dict) else {}
+    return re.sub(r"[a-z_]+", lambda name: str(stated.get(name[0], name[0])), relation)
 
 
 def _real_key(document: Document, loc: tuple[int | str, ...]) -> Key:

@@ -38,16 +38,14 @@ def load(
     ("control.controller") to values, for tests and command-line options. Raises `ConfigError`.
     """
     document = _configuration(path)
-    for key, value in (overrides or {}).items():
-        _override(document, key, value)
+    _overridden(document, overrides)
     config = validated(document, Config)
     for path_of, problem, remedy in unnamed_risks(config):
         raise ConfigError(*document.place(path_of), dotted(path_of), problem, remedy)
     if scenario is not None:
         return config, load_scenario(scenario)
     at: Key = ("scenario",)
-    # What an override says stands in no file.
-    base = Path() if "scenario" in (overrides or {}) else document.folder(at)
+    base = document.folder(at)
     return config, _scenario(config.scenario, *document.place(at), "scenario", base=base)
 
 
@@ -178,8 +176,7 @@ def _scenario(
     base: Path = Path(),
 ) -> Scenario:
     document = _named("scenario", name, file, line, key, base)
-    for dotted_key, value in (overrides or {}).items():
-        _override(document, dotted_key, value)
+    _overridden(document, overrides)
     return _prepared(document, validated(document, Scenario))
 
 
@@ -213,16 +210,27 @@ def locate(name: str | Path) -> tuple[Path, str]:
     if named and is_file(ours):
         return ours, f"config/{path.name}"
     known = sorted(file.stem for file in HERE.glob("*.yaml") if _complete(file))
+    remedy = choose(path.stem, known, shown="config/{}.yaml")
     try:
-        problem = "is a directory" if path.is_dir() else "there is no such file"
+        problem = "there is no such file"
+        if path.is_dir():
+            problem = "is a directory"
+            within = sorted(str(file) for file in path.glob("*.yaml") if _complete(file))
+            remedy = f"name one of {', '.join(within)}" if within else remedy
     except OSError:
         problem = "cannot be the name of a file"
-    raise ConfigError(str(path), 0, "", problem, choose(path.stem, known, shown="config/{}.yaml"))
+    raise ConfigError(str(path), 0, "", problem, remedy)
 
 
 def _complete(file: Path) -> bool:
     """Whether it is a whole configuration, and not a part that others include."""
-    return "\nfieldbus:" in file.read_text(encoding="utf-8")
+    return "\nfieldbus:" in file.read_text(encoding="utf-8", errors="replace")
+
+
+def _overridden(document: Document, overrides: Overrides | None) -> None:
+    """Set values that stand in no file: what is wrong with one is its own mistake."""
+    for key, value in (overrides or {}).items():
+        document.places[_override(document, key, value)] = ("overrides", 0)
 
 
 def _override(

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from tonus.config.errors import PlacedError
 from tonus.config.schema.base import Count, Fraction, NonNegative, Positive, Section
 from tonus.config.schema.controller import ControllerChoice
 from tonus.config.schema.robot import Rates, Tension
@@ -351,6 +352,14 @@ class Control(Section):
     stop: Stop
     isolation: Isolation
     envelope: Envelope
+
+    @model_validator(mode="after")
+    def _sampled(self) -> Control:
+        half = 0.5 / self.rates.period
+        if self.filters.force_cutoff_hz >= half:
+            text = f"{self.filters.force_cutoff_hz:g} Hz are not below half of the cycle's rate"
+            raise PlacedError(("filters", "force_cutoff_hz"), f"{text}; choose less than {half:g}")
+        return self
 
 
 class Recording(Section):

@@ -23,3 +23,8 @@ class FaultSection(Section):
         """The kind tells one fault from another, so it is written where defaults are left out."""
         written: dict[str, Any] = plain(self)
         return written if "kind" in written else {"kind": getattr(self, "kind", ""), **written}
+
+    def __str__(self) -> str:
+        """As `tonus fault` has it, without its time."""
+        told = self.model_dump(mode="json", exclude={"at"}, exclude_defaults=True)
+        return " ".join([told.pop("kind"), *(f"{key}={value}" for key, value in told.items())])

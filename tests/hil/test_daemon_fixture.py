@@ -53,7 +53,7 @@ def test_a_fault_in_the_lab_of_a_daemon(tmp_path: Path) -> None:
     text, code = pytest_in(tmp_path)
     assert code == 1, text
     assert "1 failed, 1 passed" in text
-    assert re.search(r"faults of the lab:\n +\d\.\d{3} s  unplug can3/2\n", text), text
+    assert re.search(r"faults of the lab:\n +\d\.\d{3} s  unplug channel=can3 node=2\n", text), text
     assert "\nagain: python -m pytest test_it.py::test_that_fails_before_its_end\n" in text
     (log,) = (tmp_path / "tonus-out").glob("*that_fails_before_its_end/run.mcap")
     assert Run(open_log(log)).state == "FAULT"

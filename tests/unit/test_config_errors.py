@@ -134,7 +134,7 @@ CASES = [
     ),
     Broken(
         "not a number", Edit(ROBOT, "efficiency: 0.80", "efficiency: .nan"), ROBOT, "efficiency",
-        "robot.gearbox.efficiency", "not nan", "choose",
+        "robot.gearbox.efficiency", "not nan", "give a finite number",
     ),
     Broken(
         "infinite", Edit(ROBOT, "radius: 0.020", "radius: .inf"), ROBOT, "radius",
@@ -348,7 +348,8 @@ CASES = [
     ),
     Broken(
         "tensions out of order", Edit(CONTROL, "min: 20.25", "min: 50.0"), CONTROL, "tension:",
-        "control.tension", "slack < min < pre < max must hold", "change one of the values",
+        "control.tension", "slack < min < pre < max must hold, not 5.0 < 50.0 < 45.0 < 200.0",
+        "change one of the values",
     ),
     Broken(
         "stiffness out of order", Edit(CONTROL, "maximum: 4879.2", "maximum: 100.0"), CONTROL,

@@ -108,7 +108,7 @@ def test_runs_without_a_start_are_drawn_from_the_first_cycle(
     rows["state"]["state"] = int(State.HOLD)
     other = record(tmp_path, 600, rows=rows, raw_frames=False)
     figure = drawn("stiffness", paths[0], other)
-    assert figure.axes[0].get_xlabel() == "time since the first cycle / s"
+    assert figure.axes[0].get_xlabel() == "time since the first message / s"
     assert [time[0] for time, _ in curves(figure).values()] == [0.0, 0.0]
 
 

@@ -14,11 +14,14 @@ import pytest
 from loop import QUICK
 
 from tests.foreign import pytest_in
+from tonus.runtime.recording.taps import Level
 from tonus.runtime.signals import SCHEMA_VERSION
 from tonus.tools.expect import ExpectationError, Run
+from tonus.tools.expect.timeline import Timeline
 from tonus.tools.log import open as open_log
+from tonus.tools.log.log import Event
 from tonus.tools.testing.case import Case
-from tonus.tools.testing.player import Player
+from tonus.tools.testing.player import LabFactory, Player
 
 INI = """\
 [pytest]
@@ -333,3 +336,32 @@ def test_the_module_itself_needs_pytest_alone() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "['tonus', 'tonus.pytest_plugin']"
+
+
+@pytest.mark.tonus(config="config/direct.yaml")
+def test_what_a_failed_test_says_of_its_lab(tonus_lab_factory: LabFactory) -> None:
+    lab = tonus_lab_factory()
+    lab.advance(5)
+    lab.fault("cell_offset", cell=2, force=30.0, at=0.1)
+    lines = tonus_lab_factory._case.account(None, kept=False).splitlines()
+    assert lines[0] == "a lab of seed 1, at 0.005 s of its time; its faults:"
+    assert lines[1] == "      0.105 s  cell_offset cell=2 force=30.0"
+
+
+def test_events_of_one_moment_are_one_line() -> None:
+    """Of those of one name; ten lines of others stay in sight."""
+    second, ms = 1_000_000_000, 1_000_000
+
+    def event(name: str, at_ns: int, where: str = "") -> Event:
+        return Event(at_ns, 1, Level.WARNING, name, where, f"{name} {where}")
+
+    lost = event("drive_lost", second, "can0/1")
+    twice = [event("duplicate_pdo", second + ms * i, f"can0/{i}") for i in range(9)]
+    late = event("duplicate_pdo", second + 20 * ms, "can0/1")
+    lines = Timeline(0).lines([lost, *twice, late], 10)
+    assert [line.split("WARNING ")[1] for line in lines] == [
+        "drive_lost: drive_lost can0/1",
+        "duplicate_pdo: duplicate_pdo can0/0; 8 more",
+        "duplicate_pdo: duplicate_pdo can0/1",
+    ]
+    assert Timeline(0).lines([lost, *twice, late], 1) == lines[2:]

@@ -38,11 +38,8 @@ class Strike:
     """an event has to name its place"""
     pushes: tuple[tuple[int, int], ...] = ()
     """first and last ns in which it does work on the platform from outside"""
-    device: str = ""
-    """what it concerns, in words"""
-
-    def __str__(self) -> str:
-        return f"{self.kind} {self.device}".rstrip()
+    words: str = ""
+    """as `tonus fault` has it"""
 
     def is_named_by(self, where: str) -> bool:
         """Whether an event's place points at this fault."""
@@ -70,10 +67,7 @@ def _strike(config: Config, fault: Any, at_ns: int, named: frozenset[str]) -> St
     cells = {cell} if cell is not None else set()
     channel, node = getattr(fault, "channel", None), getattr(fault, "node", None)
     places: tuple[str, ...] = ()
-    device = "" if axis is None else f"axis {axis}"
-    device = device if cell is None else f"cell {cell}"
     if channel is not None:
-        device = channel if node is None else f"{channel}/{node}"
         axes, cells = devices(config, channel, node)
         places = (channel,) if node is None else (f"{channel}/{node} ",)
     elif kind.startswith("tracker"):
@@ -93,7 +87,7 @@ def _strike(config: Config, fault: Any, at_ns: int, named: frozenset[str]) -> St
         pushes=tuple(
             (at_ns + round(begin * NS), at_ns + round(end * NS)) for begin, end in _pushes(fault)
         ),
-        device=device,
+        words=str(fault),
     )
 
 

@@ -169,7 +169,12 @@ def _outcome(verb: str, told: Reply) -> Reply:
     reply = {"op": verb, "state": state, "next": told["next"]}
     if state == _WANTED[verb]:
         return {"ok": True, **reply, "text": f"{state}: {told['meaning']}"}
-    return {"ok": False, **reply, "error": told["fault"] or f"it is in {state} instead"}
+    return {
+        "ok": False,
+        "accepted": True,
+        **reply,
+        "error": told["fault"] or f"it is in {state} instead",
+    }
 
 
 def _end(reply: Reply, as_json: bool) -> None:
@@ -179,7 +184,8 @@ def _end(reply: Reply, as_json: bool) -> None:
     elif reply["ok"]:
         click.echo(f"{reply['text']}; next: {reply['next']}")
     else:
-        click.echo(f"refused: {reply['error']}; {reply['next']}", err=True)
+        word = "failed" if reply.get("accepted") else "refused"
+        click.echo(f"{word}: {reply['error']}; {reply['next']}", err=True)
     raise click.exceptions.Exit(0 if reply["ok"] else 1)
 
 

@@ -28,11 +28,12 @@ class ExpectationError(AssertionError):
     ) -> None:
         self.figure, self.time = figure, time
         until = len(events) if time is None else timeline.before(events, time)
-        self.events = tuple(events[max(until - SHOWN, 0) : until])
+        shown = timeline.last(events[:until], SHOWN)
+        self.events = tuple(event for group in shown for event in group)
         super().__init__("\n".join([figure, *self._told(timeline)]))
 
     def _told(self, timeline: Timeline) -> list[str]:
         if not self.events:
             return ["no event was recorded until then"]
         head = "the last events:" if self.time is None else "the last events until then:"
-        return [head, *(f"  {timeline.line(event)}" for event in self.events)]
+        return [head, *timeline.lines(self.events, SHOWN)]

@@ -9,6 +9,7 @@ from tonus.runtime.recording.taps import Level
 from tonus.tools.log.log import Event
 
 _NS = 1_000_000_000
+_AT_ONCE_NS = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,27 @@ class Timeline:
     def before(self, events: Sequence[Event], time: float) -> int:
         """How many of the events, which are in order of time, happened up to ``time`` s."""
         return sum(self.seconds(event.time_ns) <= time for event in events)
+
+    def last(self, events: Sequence[Event], count: int) -> list[list[Event]]:
+        """The last ``count`` of what was told: each an event, with those of its name that follow at
+        once, as when one delay of the host concerns every node of a channel."""
+        told: list[list[Event]] = []
+        for event in reversed(events):
+            again = told and told[-1][0].name == event.name
+            if again and told[-1][0].time_ns - event.time_ns <= _AT_ONCE_NS:
+                told[-1].insert(0, event)
+            elif len(told) == count:
+                break
+            else:
+                told.append([event])
+        return told[::-1]
+
+    def lines(self, events: Sequence[Event], count: int) -> list[str]:
+        """`last`, each in a line."""
+        found = []
+        for first, *others in self.last(events, count):
+            found.append(f"  {self.line(first)}" + (f"; {len(others)} more" if others else ""))
+        return found
 
     def line(self, event: Event) -> str:
         """An event for a person: time, tick, level, name, place, text."""

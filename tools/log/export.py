@@ -36,7 +36,7 @@ class Merged:
 def export(log: Log, out: Path, kind: str, topics: Sequence[str] = ()) -> Written:
     """Write ``topics`` (all, if none are named) to the folder ``out``; gives the file of each
     topic, None for one that makes no table. Raises ToolError, also where a file exists."""
-    chosen = list(topics) or list(log.topics)
+    chosen = [log.named(topic) for topic in topics] or list(log.topics)
     if kind in FRAMES:
         chosen = [topic for topic in chosen if topic.startswith(BUS)]
         if not chosen:

@@ -12,6 +12,7 @@ import numpy as np
 from mcap.records import Channel
 from numpy.typing import NDArray
 
+from tonus.config.checked import choose
 from tonus.tools.errors import ToolError
 from tonus.tools.log.ahead import contents
 from tonus.tools.log.chunks import (
@@ -234,10 +235,16 @@ class Log:
     def _known(self, topics: Sequence[str] | None) -> Sequence[str]:
         if topics is None:
             return self.topics
-        for name in topics:
-            if name not in self.topics:
-                raise ToolError(f"{self.path}: there is no topic {name}")
-        return topics
+        return [self.named(name) for name in topics]
+
+    def named(self, topic: str) -> str:
+        """A topic by its name, which may leave out ``/tonus/``. Raises `ToolError`."""
+        for name in (topic, f"/tonus/{topic}"):
+            if name in self.topics:
+                return name
+        known = [name.removeprefix("/tonus/") for name in self.topics]
+        remedy = choose(topic.removeprefix("/tonus/"), known, "`tonus log info` lists them")
+        raise ToolError(f"{self.path}: there is no topic {topic}; {remedy}")
 
     def _places(self) -> list[ChunkPlace]:
         """Chunks that may hold what is wanted."""

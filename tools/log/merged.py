@@ -57,9 +57,8 @@ def mergeable(log: Log, topics: Sequence[str]) -> list[str]:
     ToolError for a log without ticks, and for a topic of which nothing can be held."""
     if BASE not in log:
         raise ToolError(f"{log.path}: has no topic {BASE}, whose ticks are the rows of --merge")
+    topics = [log.named(topic) for topic in topics]
     for topic in topics:
-        if topic not in log:
-            raise ToolError(f"{log.path}: there is no topic {topic}")
         if topic in _NO_SIGNALS:
             raise ToolError(
                 f"{log.path}: {topic} has no value between its messages; export it without --merge"

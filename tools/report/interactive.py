@@ -78,7 +78,7 @@ def interactive(story: Story, sheets: Sequence[Sheet]) -> str:
             )
         figure.update_yaxes(title_text=sheet.label, range=sheet.range, row=row, col=1)
     figure.update_xaxes(range=(0.0, float(story.time[-1])))
-    figure.update_xaxes(title_text="time since the first cycle / s", row=len(heights), col=1)
+    figure.update_xaxes(title_text="time since the first message / s", row=len(heights), col=1)
     figure.update_layout(
         height=sum(heights) + 120,
         template="plotly_white",

@@ -60,7 +60,7 @@ def runs(stories: Sequence[Story]) -> list[Run]:
 
 def over_time(all_runs: Sequence[Run], drawn: Sequence[Panel]) -> Figure:
     """Panels with a curve or two of each run; time 0 is START, the first ACTIVE, if each has one,
-    otherwise the first cycle."""
+    otherwise the log's first message."""
     sheets = [Sheet() for _ in drawn]
     starts = [run.started() for run in all_runs]
     aligned = None not in starts
@@ -77,7 +77,7 @@ def over_time(all_runs: Sequence[Run], drawn: Sequence[Panel]) -> Figure:
         if aligned:
             axis.axvline(0.0, color="0.7", linewidth=0.7, zorder=0.5)
     panels.trim(axes)
-    axes[-1].set_xlabel(f"time since {'START' if aligned else 'the first cycle'} / s")
+    axes[-1].set_xlabel(f"time since {'START' if aligned else 'the first message'} / s")
     return figure
 
 

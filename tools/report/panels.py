@@ -147,7 +147,7 @@ def dress(panels: Sequence[Axes], story: Story, *, names: bool = True) -> None:
     if names:
         _name(panels[0], bands, float(story.time[-1]))
     _mark_faults(panels, story)
-    panels[-1].set_xlabel("time since the first cycle / s")
+    panels[-1].set_xlabel("time since the first message / s")
 
 
 def trim(panels: Sequence[Axes]) -> None:

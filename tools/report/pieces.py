@@ -46,7 +46,7 @@ class Piece:
     log: Log
     config: Config | None
     time: Array
-    """s (n,) since the run's first cycle"""
+    """s (n,) since the log's first message"""
     period: float
     """s from cycle to cycle"""
     missed: Mapping[str, NDArray[np.bool_]]

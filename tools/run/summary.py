@@ -164,7 +164,10 @@ def find_faults(log: Log) -> list[dict[str, Any]]:
     """Every fault in order: tick, name, where, and the state it led to."""
     state, tick = log["/tonus/state"], log["/tonus/timing"]["tick"]
     fault = state["fault"].astype(np.int64)
-    places = {(event.tick, event.name): event.where for event in log.events()}
+    places: dict[tuple[int, str], str] = {}
+    for event in log.events():
+        # Of several in one tick the first is the reason for the stop.
+        places.setdefault((event.tick, event.name), event.where)
     found = []
     for index in np.flatnonzero((fault != 0) & (np.diff(fault, prepend=0) != 0)):
         name = Fault(int(fault[index])).name.lower()

@@ -58,11 +58,18 @@ def require_reach(config: Config) -> None:
 
 
 def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
-    """A bus of the supervisor's own on a channel, which tells what it has sent."""
+    """A bus of the supervisor's own on a channel, which tells what it has sent. Raises
+    `ToolError`."""
     lab: dict[str, Any] = {"gather_ms": _GATHER_MS} if interface == "tonus" else {}
-    return can.Bus(
-        interface=interface, channel=channel, bitrate=bitrate, receive_own_messages=True, **lab
-    )
+    try:
+        return can.Bus(
+            interface=interface, channel=channel, bitrate=bitrate, receive_own_messages=True, **lab
+        )
+    except (can.CanError, OSError, ValueError, ImportError) as error:
+        raise ToolError(
+            f"{channel} cannot be opened on interface {interface}: {error}; `tonus doctor` says "
+            "what this host has"
+        ) from error
 
 
 class Overheard:

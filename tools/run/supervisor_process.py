@@ -127,7 +127,7 @@ def main() -> None:
     job = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     try:
         clock.run(_until_left_alone(job), virtual=False)
-    except (DaemonError, can.CanError, OSError) as error:
+    except (DaemonError, ToolError, can.CanError, OSError) as error:
         say(str(error).encode())
         sys.exit(2)
 

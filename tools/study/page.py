@@ -28,12 +28,14 @@ def write_page(study: ParameterStudy, rows: Sequence[Row], folder: Path) -> Path
     found = groups(study, rows)
     bad = sum(group.bad for group in found)
     over = "the robots, each over its seeds" if ROBOT in study.parameters else "the seeds"
+    one = study.seeds == 1 or (isinstance(study.seeds, tuple) and len(study.seeds) == 1)
+    sure = "one each, so without a confidence" if one else "with 95 % confidence"
     text = page(
         "study.html.j2",
         f"Study {study.name}",
         subtitle=study.description,
-        facts=f"{len(rows)} of {len(trials(study))} runs, {bad} not completed; means over {over}, "
-        "with 95 % confidence",
+        facts=f"{len(rows)} of {len(trials(study))} runs, {bad} not completed; "
+        f"means over {over}, {sure}",
         means=_means(study, found),
         differences=_means(study, differences(study, rows)),
         plots=_plots(study, found, rows),

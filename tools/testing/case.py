@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from operator import methodcaller
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tonus.config import Config, load
 from tonus.runtime.states import State
@@ -21,6 +21,9 @@ from tonus.tools.errors import ToolError
 from tonus.tools.expect import ExpectationError, Run
 from tonus.tools.expect.failure import SHOWN
 from tonus.tools.testing.arguments import mapping, named, seed
+
+if TYPE_CHECKING:
+    from tonus.tools.testing.lab import VirtualLab
 
 __tracebackhide__ = methodcaller("errisinstance", ExpectationError)
 """For pytest, as in `tonus.tools.expect.run`."""
@@ -61,6 +64,7 @@ class Case:
         self._out, self.config, self._options = out, config, options
         self.runs: list[Run] = []
         """those made by this test, in order"""
+        self.labs: list[VirtualLab] = []
         self.bring_up_s = self.run_s = 0.0
         """s of wall time"""
         self._measures: list[Measure] = []
@@ -199,11 +203,15 @@ class Case:
         elif self.runs and self.runs[-1].events:
             run = self.runs[-1]
             lines.append("the last events:")
-            lines += [f"  {run.timeline.line(event)}" for event in run.events[-SHOWN:]]
+            lines += run.timeline.lines(run.events, SHOWN)
         for number, run in enumerate(self.runs, start=1):
             of = "" if len(self.runs) == 1 else f" in run {number}"
-            struck = [f"  {run.timeline.seconds(each.at_ns):9.3f} s  {each}" for each in run.faults]
+            seconds = run.timeline.seconds
+            struck = [f"  {seconds(each.at_ns):9.3f} s  {each.words}" for each in run.faults]
             lines += [f"faults of the lab{of}:", *struck] if struck else []
+        for lab in self.labs:
+            lines.append(f"a lab of seed {lab.seed}, at {lab.now:.3f} s of its time; its faults:")
+            lines += [f"  {at:9.3f} s  {fault}" for at, fault in lab.given] or ["  none"]
         lines.append(f"seed {self.seed}, configuration {self.config}")
         if kept:
             lines += [f"{name}: {path}" for name, path in self._kept]

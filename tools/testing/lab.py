@@ -49,6 +49,8 @@ class VirtualLab:
             truth=self._note,
         )
         """the lab itself, with all it offers beside this"""
+        self.given: list[tuple[float, Fault]] = []
+        """each fault of `fault`, with the time in s at which it strikes"""
         self._networks: list[VirtualNetwork] = []
         self._closing = ExitStack()
         self.lab.open()
@@ -130,7 +132,9 @@ class VirtualLab:
         """Inject a fault: one of `tonus.faults`, or its kind with its fields (docs/faults.md).
         ``at``: s from now. Raises `ToolError` for fields that make no fault, `LabError` for one
         that is not possible in this lab."""
-        self.lab.inject(made(fault, fields))
+        one = made(fault, fields)
+        self.lab.inject(one)
+        self.given.append((self.now + one.at, one))
 
     @property
     def _no_bus(self) -> str:

@@ -97,6 +97,7 @@ class LabFactory:
         chosen = self._case.seeded(seed)
         lab = VirtualLab(settings, script, seed=chosen)
         self._case.closing.callback(lab.close)
+        self._case.labs.append(lab)
         return lab
 
 
