@@ -43,6 +43,8 @@ from tonus.sim.plant.parameters import clearance
 
 TRUTH_PERIOD_NS = 1_000_000
 _SECOND_NS = 1_000_000_000
+_DROP = 1e6
+"""N/s at which a load ends that is dropped"""
 Clock = Callable[[], int]
 TruthSink = Callable[[NDArray[Any], int], None]
 
@@ -76,7 +78,8 @@ class Lab:
 
     ``clock`` returns ns; lab time is its time. ``truth`` is called with the truth record (a
     preallocated array of one, to be copied) and its time, once per millisecond from ``start_ns``.
-    Load and faults of ``script`` begin when all drives are first enabled. ``seed`` replaces the
+    Load and faults of ``script`` begin when all drives are first enabled, the load again whenever
+    they were all without power. ``seed`` replaces the
     configuration's. ``nodes`` (channel, node id) are the emulated ones, None: all; axes whose
     drives are not emulated have no power, and the script does not wait for them. Raises `LabError`
     without a lab section or with a fault that is not possible in this lab.
@@ -119,6 +122,7 @@ class Lab:
         self._grid_ns = start_ns
         self._script = script
         self._load_release = lab.load_release
+        self._loaded = True
         self.script_start_ns: int | None = None
         """when the script began; None: it has not"""
         self._tracker = Tracker(
@@ -300,6 +304,8 @@ class Lab:
             self.plant.advance(now_ns)
             if self.script_start_ns is None:
                 self._start_script(now_ns)
+            elif self._script.load is not None:
+                self._follow_power(self._script.load, now_ns)
             if self._truth is not None:
                 self._record_words[:] = self.plant.truth
                 self._truth(self._record, now_ns)
@@ -316,6 +322,18 @@ class Lab:
         self._tracker.start_script(now_ns, script.occlusions, script.tracker_shifts)
         for fault in self._script.faults:
             self._inject_later(fault, now_ns)
+
+    def _follow_power(self, load: Load, now_ns: int) -> None:
+        """A test rig pulls a robot that has power: without any drive enabled the script's load is
+        dropped, and once all are enabled again it begins anew."""
+        if self._loaded:
+            if not any(drive.enabled for drive in self._awaited):
+                self._loaded = False
+                self.plant.release(_DROP)
+        elif all(drive.enabled for drive in self._awaited):
+            self._loaded = True
+            self.plant.schedule(load)
+            self.plant.start_schedule(now_ns)
 
     def release_load(self) -> None:
         """Have the script's load or displacement end now: who applies it sees the robot stop."""

@@ -69,6 +69,38 @@ def test_it_is_armed_again(monkeypatch: pytest.MonkeyPatch, put_back: bool, node
     assert again[1:] == [State.STANDBY, State.REFERENCING, State.PRETENSION, State.HOLD]
 
 
+def test_a_load_that_was_not_played_waits_for_the_next_arming(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It comes 6 s after arming. Until 2026-11-29 that was the first arming, and the platform was
+    pulled out of its cups while it was referenced anew."""
+    orders = [
+        (State.ACTIVE, 0.3, Operator.ESTOP),
+        (State.FAULT, 0.3, Operator.RESET),
+        (State.STANDBY, 0.8, Operator.ARM),
+    ]
+    ordered(monkeypatch, orders)
+    config, _ = configured(**BRIEF, **{"supervisor.policy": "off"})
+    pulled = []
+
+    class Watched(_Lost):
+        put_back = True
+
+        def _before_tick(self, playing: Any) -> None:
+            self.mended = State.FAULT in self.states  # nothing was unplugged
+            super()._before_tick(playing)
+            if playing.lab is not None:
+                force = float(np.abs(playing.lab.plant.load_wrench).max())
+                pulled.append((self.states[-1:], force))
+
+    run = Watched(config, load_scenario("load_test"), lambda: None, State.ACTIVE, at=0.3)
+    run.play(10.5)
+    assert run.states[-3:] == [State.REFERENCING, State.PRETENSION, State.HOLD]
+    loaded = [state for state, force in pulled if force > 1.0]
+    assert loaded, "or it was not played at all"
+    assert all(state == [State.HOLD] for state in loaded)
+
+
 def test_a_cable_that_stays_slack_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """It has torn at rest, after a first run; the others leave the platform where it lies."""
     ordered(monkeypatch, [(State.STANDBY, 0.5, Operator.ARM)])

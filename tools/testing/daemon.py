@@ -131,7 +131,10 @@ class Daemon:
             reached = status["state"]
             self._resetting &= reached == "FAULT"
             if reached == "FAULT" and state != "FAULT" and not self._resetting:
-                raise ToolError(f"the robot is in FAULT and not in {state}: {status['fault']}")
+                own, host = status["missed_own"], status["missed_host"]
+                missed = f"; missed ticks: {own} own, {host} by the host" if own + host else ""
+                told = f"{status['fault']}{missed}"
+                raise ToolError(f"the robot is in FAULT and not in {state}: {told}")
             if clock.wall_seconds() > end:
                 raise ToolError(f"{state} was not reached in {within:g} s; it is in {reached}")
             if reached != state:
