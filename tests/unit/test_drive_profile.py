@@ -131,7 +131,8 @@ def test_a_profile_that_contradicts_itself_is_one_line(changed: dict[str, Any], 
     with pytest.raises(ConfigError, match=why) as refused:
         profile(**changed)
     assert "\n" not in str(refused.value)
-    assert "drives/cia402.yaml" in str(refused.value)
+    # What is wrong with an override alone stands in no file.
+    assert refused.value.file.endswith("drives/cia402.yaml") or refused.value.file == "overrides"
 
 
 def test_a_profile_that_is_not_there_is_named_with_those_that_are() -> None:

@@ -159,10 +159,11 @@ def test_a_topic_that_changes_within_a_run_is_refused(
     """As that of files of two robots would."""
     rows = [np.zeros(2, [("a", "<f8", (size,))]) for size in (8, 6)]
     times = np.arange(2)
-    parts = [{"/x": Column(each, times, times)} for each in rows]
+    (topic, *_) = log.topics
+    parts = [{topic: Column(each, times, times)} for each in rows]
     monkeypatch.setattr(log, "batches", lambda _topics: iter(parts))
     with pytest.raises(ToolError, match="not the same in all of the run"):
-        export(log, tmp_path / "new", "mat", ["/x"])
+        export(log, tmp_path / "new", "mat", [topic])
     assert not (tmp_path / "new").exists()
 
 
