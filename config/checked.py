@@ -88,7 +88,8 @@ def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) ->
         problem = f"has {error['ctx']['actual_length']} items, and takes at {word} {bound}"
     else:
         problem = f"{problem}, not {reprlib.repr(error['input'])}"
-        remedy = remedy if error["input"] == error["input"] else _REMEDY["finite_number"]
+        if error["input"] != error["input"]:  # nan alone
+            remedy = _REMEDY["finite_number"]
     file, line = document.place(key)
     return ConfigError(file, line, dotted(key), problem, remedy)
 

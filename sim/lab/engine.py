@@ -304,7 +304,7 @@ class Lab:
             self.plant.advance(now_ns)
             if self.script_start_ns is None:
                 self._start_script(now_ns)
-            elif self._script.load is not None:
+            elif self._script.load is not None and self._awaited:
                 self._follow_power(self._script.load, now_ns)
             if self._truth is not None:
                 self._record_words[:] = self.plant.truth

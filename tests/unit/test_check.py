@@ -504,3 +504,14 @@ def test_cables_that_lift_the_platform_out_of_its_cradle_while_referencing_are_r
     assert "referencing" in found
     assert "42 N in every cable lift with 119" in found["referencing"].text
     assert found["referencing"].where == "control.tension.referencing"
+
+
+def test_an_inertia_that_no_such_platform_has_is_seen() -> None:
+    """In kg cm2: 2.35 kg as far out as twice its anchors have 0.31 kg m2."""
+    found = failed({"robot.platform.inertia": [255.0, 255.0, 353.0]})
+    assert "353 kg m2, and 2.35 kg within 0.36 m have 0.31" in only(found, "units").text
+
+
+def test_a_workspace_without_a_turn_is_plausible() -> None:
+    config, _ = load("config/can.yaml", overrides={"robot.workspace.tilt_deg": 0.0})
+    assert all(each.ok for each in plausibility(config))

@@ -538,3 +538,25 @@ def test_on_the_command_line_it_is_one_line_and_exit_code_2(
     assert out == ""
     assert err.count("\n") == 1
     assert said in err
+
+
+def test_a_value_that_was_given_beside_the_files_is_told_as_such() -> None:
+    """The file's line has another one."""
+    with pytest.raises(ConfigError) as told:
+        load("config/can.yaml", overrides={"robot.platform.mass": -1})
+    assert (told.value.file, told.value.line) == ("overrides", 0)
+    assert "robot.platform.mass: input should be greater than 0, not -1" in str(told.value)
+
+
+def test_a_filter_beyond_half_of_the_rate_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"500 Hz are not below half .*; choose less than 500"):
+        load("config/can.yaml", overrides={"control.filters.force_cutoff_hz": 500.0})
+    load("config/can.yaml", overrides={"control.filters.force_cutoff_hz": 499.0})
+
+
+def test_a_folder_is_answered_with_what_is_in_it(folder: Path) -> None:
+    with pytest.raises(ConfigError) as told:
+        load(folder)
+    assert told.value.problem == "is a directory"
+    assert str(folder / "can.yaml") in told.value.remedy
+    assert "control.yaml" not in told.value.remedy

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from click.exceptions import Exit
 from click.testing import CliRunner, Result
 from operated import Operated
 
 from tonus.runtime.states import State
-from tonus.tools.cli.ctl import ctl
+from tonus.tools.cli.ctl import _end, _outcome, ctl
 from tonus.tools.errors import ToolError
 
 
@@ -92,3 +93,13 @@ def test_without_a_daemon_the_remedy_is_said(tmp_path: Path) -> None:
     result = CliRunner().invoke(ctl, ["arm", "--socket", str(tmp_path / "none.sock")])
     assert isinstance(result.exception, ToolError)
     assert "tonus run CONFIG --serve" in str(result.exception)
+
+
+def test_what_was_accepted_and_fails_was_not_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    told = {"state": "FAULT", "next": "reset it", "fault": "axis 4: a cable is slack"}
+    reply = _outcome("arm", told)
+    assert (reply["ok"], reply["accepted"]) == (False, True)
+    with pytest.raises(Exit) as ended:
+        _end(reply, as_json=False)
+    assert ended.value.exit_code == 1
+    assert capsys.readouterr().err == "failed: axis 4: a cable is slack; reset it\n"

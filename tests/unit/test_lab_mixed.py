@@ -33,3 +33,14 @@ def test_a_scenario_that_needs_a_node_that_is_elsewhere_is_refused() -> None:
     script = LabScript.model_validate({"faults": [PULL]})
     with pytest.raises(LabError, match="there is no node 25 on channel 'can3'"):
         Bench(script=script, nodes=NODES - {("can3", 25)})
+
+
+def test_a_load_is_played_where_no_drive_is_emulated() -> None:
+    """Nothing tells whether the others have power."""
+    points = [{"at": 0.0, "force": 0.0}, {"at": 0.002, "force": 20.0}, {"at": 1.0, "force": 20.0}]
+    load = {"direction": (1, 0, 0), "point": (0, 0, 0), "profile": points}
+    with Bench(
+        script=LabScript.model_validate({"load": load}), nodes=NODES - {("can0", 1)}
+    ) as bench:
+        bench.wait(10)
+        assert bench.lab.plant.load_wrench[0] == pytest.approx(20.0)

@@ -235,3 +235,9 @@ def test_an_export_that_fails_leaves_nothing(
             export(log, tmp_path / "new", kind)
         assert not (tmp_path / "new").exists()
     assert any(export(log, tmp_path / "new", kind).values())
+
+
+def test_a_topic_may_leave_out_what_all_have(log: Log, tmp_path: Path) -> None:
+    assert list(export(log, tmp_path, "csv", ["tension"])) == ["/tonus/tension"]
+    with pytest.raises(ToolError, match=r"there is no topic tensoin; did you mean tension\?"):
+        export(log, tmp_path / "other", "csv", ["tensoin"])

@@ -245,6 +245,14 @@ def test_an_error_that_nobody_foresaw_is_a_row(
     assert made["reason"].startswith("ZeroDivisionError: of mine (test_study.py:")
 
 
+@pytest.mark.parametrize(("seeds", "sure"), [(1, False), ([4], False), (2, True), ([4, 5], True)])
+def test_one_seed_gives_no_confidence(tmp_path: Path, seeds: Any, *, sure: bool) -> None:
+    of = study(seeds=seeds)
+    page = write_page(of, [row(of, each) for each in trials(of)], tmp_path).read_text()
+    assert ("with 95 % confidence" in page) is sure
+    assert ("one each, so without a confidence" in page) is not sure
+
+
 def test_nothing_of_a_row_is_markup_on_the_page(tmp_path: Path) -> None:
     of = study(
         controllers=["bio", "pid"], parameters={BASE: [1.0, 2.0]}, pareto=["effort_rms_nm"] * 2
