@@ -16,7 +16,6 @@ from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.commands import Own
 from tonus.runtime.supervisor.listener import Heard
-from tonus.tools.errors import ToolError
 from tonus.tools.run.supervision import open_bus
 
 BEAT = [(0x77E, b"\5")]
@@ -463,8 +462,3 @@ def test_power_in_bursts_before_it_has_begun(
     sent = [made.step(now, enabled=now % every < 20, deaf=deaf) for now in range(0, 1000, 2)]
     assert (BEAT in sent) is watched
     made.supervisor.close()
-
-
-def test_a_channel_that_cannot_be_opened_is_named() -> None:
-    with pytest.raises(ToolError, match=r"can7 cannot be opened on interface nowhere: .*doctor"):
-        open_bus("nowhere", "can7", 1_000_000)
