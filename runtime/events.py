@@ -45,6 +45,11 @@ EVENTS: dict[str, Meaning] = {
         "they deliver the nearest wrench that they can",
         "lower the load or the acceleration, or move towards the middle of the workspace",
     ),
+    "cable_slack": Meaning(
+        "a cable does not pull while all are tensioned for referencing",
+        "the others wait at tension.slack for it, sequence.take_up_s at most",
+        "nothing, where it is being wound up; else look whether it has torn or is caught",
+    ),
     "drums_unobserved": Meaning(
         "ticks were missed, or samples of a drive late or of uncertain time, throughout "
         "isolation.unobserved_s",

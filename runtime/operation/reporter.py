@@ -10,7 +10,7 @@ from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.recording.taps import Level
 from tonus.runtime.signals import Consistency, Grade
 from tonus.runtime.states import ARMED, Fault, State, StopMode
-from tonus.runtime.words import STOP_TEXT, describe, place, reaction
+from tonus.runtime.words import STOP_TEXT, axis_name, describe, place, reaction
 
 _CONSISTENCY = {
     Consistency.GOOD: "lengths, tensions and tracker fit together again",
@@ -48,6 +48,7 @@ class Reporter:
         self._count, self._known = 0, cycle.sequence.faults.found.copy()
         self._stop = StopMode.NONE
         self._short = False
+        self._slack: list[int] = []
         self._consistency, self._learnt = Consistency.GOOD, 0
         self._tracker_tick, self._tracker_silent = 0, False
         patience = config.tracker.maximum_age_ms * 1e-3 / config.control.rates.period
@@ -79,7 +80,19 @@ class Reporter:
         if regulating:
             self._watch_estimator()
             self._watch_deficit()
+        if sequence.waits_for != self._slack:
+            self._report_slack()
         self._watch_drums()
+
+    def _report_slack(self) -> None:
+        """Cables for which referencing waits, each once an arming or each time that it slackens."""
+        low = self._config.control.tension.slack
+        before, self._slack = self._slack, self._sequence.waits_for
+        for cable in self._slack:
+            if cable not in before:
+                at = axis_name(self._config, cable)
+                text = f"{at}: the cable is slack; the others wait with {low:g} N until it pulls"
+                self._tell(Level.WARNING, "cable_slack", at, text)
 
     def _watch_envelope(self) -> None:
         grade = self._cycle.grade

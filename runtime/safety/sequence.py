@@ -338,6 +338,11 @@ class Sequence:
         return self._straight.grow(self.elapsed - self._ready_at)
 
     @property
+    def waits_for(self) -> list[int]:
+        """Cables that are slack, for which the others wait before lengths are referenced."""
+        return self._straight.waits_for if self.state is State.REFERENCING else []
+
+    @property
     def levels(self) -> Levels:
         """Full from HOLD on, growing in PRETENSION, shrinking at the end of a stop."""
         if self.state in _REGULAR:

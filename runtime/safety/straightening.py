@@ -27,6 +27,8 @@ class Straightening:
         """s by which tensions grow later, and for which a cable has been slack"""
         self.share = 0.0
         """of the referencing tension that is asked of each cable on its own, 0 to 1"""
+        self.waits_for: list[int] = []
+        """cables that are slack, while the others wait for them"""
 
     def grow(self, time: float) -> float:
         """Gives the `share`."""
@@ -42,6 +44,7 @@ class Straightening:
         more would tilt the platform out of its cups. ``tension`` (n,) in N. Gives the cables that
         have been slack for too long."""
         slack = tension < self._taut
+        self.waits_for = []
         if not slack.any() or not self._longest:
             self._slack = 0.0
             return []
@@ -49,4 +52,5 @@ class Straightening:
             self._slack += self._period
         if self._slack > self._tolerated:
             self._late = time - self._low * self._rise
-        return np.flatnonzero(slack).tolist() if self._slack > self._longest else []
+            self.waits_for = np.flatnonzero(slack).tolist()
+        return self.waits_for if self._slack > self._longest else []

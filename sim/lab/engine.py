@@ -43,8 +43,6 @@ from tonus.sim.plant.parameters import clearance
 
 TRUTH_PERIOD_NS = 1_000_000
 _SECOND_NS = 1_000_000_000
-_DROP = 1e6
-"""N/s at which a load ends that is dropped"""
 Clock = Callable[[], int]
 TruthSink = Callable[[NDArray[Any], int], None]
 
@@ -78,8 +76,8 @@ class Lab:
 
     ``clock`` returns ns; lab time is its time. ``truth`` is called with the truth record (a
     preallocated array of one, to be copied) and its time, once per millisecond from ``start_ns``.
-    Load and faults of ``script`` begin when all drives are first enabled, the load again whenever
-    they were all without power. ``seed`` replaces the
+    Load and faults of ``script`` begin when all drives are first enabled, the load anew at each
+    later time. ``seed`` replaces the
     configuration's. ``nodes`` (channel, node id) are the emulated ones, None: all; axes whose
     drives are not emulated have no power, and the script does not wait for them. Raises `LabError`
     without a lab section or with a fault that is not possible in this lab.
@@ -324,12 +322,12 @@ class Lab:
             self._inject_later(fault, now_ns)
 
     def _follow_power(self, load: Load, now_ns: int) -> None:
-        """A test rig pulls a robot that has power: without any drive enabled the script's load is
-        dropped, and once all are enabled again it begins anew."""
+        """A load that has not begun waits while no drive is enabled; one that pulls goes on. Once
+        all drives are enabled again it begins anew."""
         if self._loaded:
             if not any(drive.enabled for drive in self._awaited):
                 self._loaded = False
-                self.plant.release(_DROP)
+                self.plant.withhold()
         elif all(drive.enabled for drive in self._awaited):
             self._loaded = True
             self.plant.schedule(load)

@@ -150,12 +150,23 @@ class Plant:
             self._displacement = None
             let_go(self.parameters)
         elif self._schedule_ns is not None and self._knots.size:
-            now = (self.now_ns - self._schedule_ns) * 1e-9
-            force = float(np.interp(now, self._knots, self._loads))
+            now, force = self._scheduled(self._schedule_ns)
             self._knots = np.array([now, now + abs(force) / rate])
             self._loads = np.array([force, 0.0])
             return
         self._knots, self._loads = np.zeros(0), np.zeros(0)
+
+    def withhold(self) -> None:
+        """Let a load that does not pull now pull no more."""
+        if self._schedule_ns is not None and self._knots.size:
+            _, force = self._scheduled(self._schedule_ns)
+            if force == 0.0:
+                self._knots, self._loads = np.zeros(0), np.zeros(0)
+
+    def _scheduled(self, begun_ns: int) -> tuple[float, float]:
+        """s of the load's profile, and its force."""
+        now = (self.now_ns - begun_ns) * 1e-9
+        return now, float(np.interp(now, self._knots, self._loads))
 
     @property
     def has_phantom(self) -> bool:

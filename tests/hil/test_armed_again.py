@@ -120,6 +120,7 @@ def test_a_cable_that_stays_slack_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     run = Watched(config, load_scenario("hold"), cut, State.STANDBY, at=0.2)
     seen = run.play(6.5)
     assert run.states[-3:] == [State.REFERENCING, State.SAFE_STOP, State.FAULT]
+    assert [each.where for each in seen.events if each.name == "cable_slack"] == ["can1/5 (axis 4)"]
     (said,) = [each.text for each in seen.events if each.name == "referencing_failed"]
     assert "axis 4" in said
     assert "still slack after 5 s" in said

@@ -123,6 +123,7 @@ def test_tensions_wait_for_a_cable_that_is_slack(way: Way) -> None:
     way.sensing.tension[2] = 2.5
     way.step()
     assert way.sequence.straightening == pytest.approx(low), "there is another"
+    assert way.sequence.waits_for == [6]
     way.sensing.tension[6] = 2.5
     shares = []
     for _ in range(3):
@@ -140,6 +141,7 @@ def test_a_cable_that_stays_slack_is_refused(way: Way) -> None:
     way.steps(1, after=State.SAFE_STOP)
     assert found(way) == [(Fault.REFERENCING_FAILED, 2), (Fault.REFERENCING_FAILED, 6)]
     assert way.sequence.reason == "it is still slack after 0.0155 s"
+    assert way.sequence.waits_for == []
     assert (way.sequence.stop_mode, way.collected) == (StopMode.PASSIVE, 0)
 
 

@@ -49,12 +49,14 @@ def test_slack_counts_from_the_tension_on_up_to_which_all_may_be_slack() -> None
     assert ticks(one, loose(5), 0, 5) == [0.0, 0.25, 0.5, 0.75, 1.0]
     assert ticks(one, loose(5), 5, 2) == pytest.approx([0.5, 0.5])
     assert one.settled(0.006) == pytest.approx(-0.006)
+    assert one.waits_for == [5]
     assert one.take_up(0.007, loose(5, 2)) == [2, 5]
 
 
 def test_a_cable_that_was_taut_meanwhile_has_its_time_anew() -> None:
     one = made()
     ticks(one, loose(5), 0, 5)
+    assert one.waits_for == []
     ticks(one, TAUT, 5, 1)
     assert ticks(one, loose(5), 6, 2) == [1.0, 1.0]
     assert ticks(one, loose(5), 8, 1) == pytest.approx([0.5])
@@ -71,9 +73,17 @@ def test_slack_is_counted_however_the_share_is_rounded() -> None:
 def test_it_begins_anew() -> None:
     one = made()
     ticks(one, loose(5), 0, 7)
+    assert one.waits_for == [5]
     one.begin()
-    assert one.share == 0.0
+    assert (one.share, one.waits_for) == (0.0, [])
     assert ticks(one, loose(5), 0, 5) == [0.0, 0.25, 0.5, 0.75, 1.0]
+
+
+def test_none_is_waited_for_any_more_once_all_pull() -> None:
+    one = made()
+    ticks(one, loose(5), 0, 7)
+    ticks(one, TAUT, 7, 1)
+    assert one.waits_for == []
 
 
 def test_without_a_time_for_it_none_waits() -> None:
