@@ -107,12 +107,14 @@ class Channel:
     def send(self, identifier: int, data: bytes) -> None:
         self._transmit(((identifier, data),), self._clock())
 
-    def send_all(self, frames: Sequence[tuple[int, bytes]]) -> None:
-        """Identifiers and data, in one go where the bus can."""
-        self._transmit(frames, self._clock())
+    def send_all(self, frames: Sequence[tuple[int, bytes]], now: int | None = None) -> None:
+        """Identifiers and data, in one go where the bus can; ``now`` as in `sync`."""
+        self._transmit(frames, self._present(now))
 
-    def sync(self, tick: int) -> None:
-        now, free_ns = self._clock(), self._free_ns
+    def sync(self, tick: int, now: int | None = None) -> None:
+        """``now``: one time for the frames of all channels, which a bus in software keeps to. On
+        wires each has its own."""
+        now, free_ns = self._present(now), self._free_ns
         if self._transmit(_SYNC, now):
             self._book_sync(tick, now, free_ns)
         else:
@@ -123,6 +125,9 @@ class Channel:
         free_ns = self._free_ns
         self.book(_EMPTY_BITS, now)
         self._book_sync(tick, now, free_ns)
+
+    def _present(self, now: int | None) -> int:
+        return self._clock() if now is None or self._together is None else now
 
     def _book_sync(self, tick: int, now: int, free_ns: int) -> None:
         """A SYNC has been sent; ``free_ns``: when all that was sent before it has been."""

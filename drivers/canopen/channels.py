@@ -68,7 +68,7 @@ class Channels:
                 self._channels[number].book(bits, now)
         else:
             for number in batch.bits:
-                self._channels[number].send_all(batch.of(number))
+                self._channels[number].send_all(batch.of(number), now)
 
     def drain(self) -> None:
         """Hand every frame that has arrived to its handler, channel by channel."""
@@ -99,7 +99,7 @@ class Channels:
                 channel.sync_was_sent(tick, now)
         else:
             for channel in self._channels:
-                channel.sync(tick)
+                channel.sync(tick, now)
 
     def _send_joined(self, batch: Batch, now: int) -> bool:
         if self._joined is None:

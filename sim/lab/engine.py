@@ -243,8 +243,16 @@ class Lab:
         return due
 
     def advance(self, to_ns: int) -> None:
-        """Simulate up to ``to_ns``, in order of time over all channels; an earlier time does
-        nothing."""
+        """Simulate up to ``to_ns``, in order of time over all channels, and let every host have
+        what has come for it. An earlier time brings nothing forward."""
+        self.simulate(to_ns)
+        for channel in self._order:
+            if channel.wire.words[DELIVERED]:
+                channel.hand_out()
+
+    def simulate(self, to_ns: int) -> None:
+        """`advance`, but hosts may have to wait for their frames until the next one: for a time at
+        which nobody looks for them."""
         if to_ns <= self.now_ns:
             return
         channels = self._order
@@ -258,9 +266,6 @@ class Lab:
             self.now_ns = due
             self._happen(due)
         self.now_ns = to_ns
-        for channel in channels:
-            if channel.wire.words[DELIVERED]:
-                channel.hand_out()
 
     def _carry(self, limit: int) -> None:
         """Let frames come up to ``limit``, or to a timer that one of them has set before it."""

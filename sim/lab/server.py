@@ -254,8 +254,9 @@ class _Server:
         frames, client.waiting = client.waiting, []
         if port.room <= len(frames):
             self._lab.advance(self._clock())
+        room = port.room
         try:
-            while port.room > len(frames):
+            while room > len(frames):
                 packet = client.connection.recv(PACKET_BYTES)
                 now_ns = self._clock()
                 if not packet:
@@ -279,9 +280,10 @@ class _Server:
         """Let the lab have frames, each at its time."""
         lab = self._lab
         for sent in sorted(frames, key=_sent_ns):
-            lab.advance(sent.sent_ns)
+            lab.simulate(sent.sent_ns)
             port = sent.client.port
             if sent.identifier == WISHES:
+                port.channel.hand_out()  # what has ended before
                 port.echo = sent.data[:1] == b"\1"
                 sent.client.gather_ns = 1_000_000 * int.from_bytes(sent.data[1:2], "little")
             elif not sound(sent.identifier, sent.dlc):

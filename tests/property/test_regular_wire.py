@@ -140,9 +140,7 @@ class Play:
         elif kind == "wait":
             self.wait(value)
         elif kind == "statistics":
-            self.seen.append(
-                [(channel.frames, channel.busy_ns) for channel in lab.channels.values()]
-            )
+            self.seen.append(lab.statistics())
         elif kind == "latency":
             lab.measure_latency(on=value)
         elif value:
@@ -154,6 +152,7 @@ class Play:
         for _ in range(5):
             self.cycle([0] * 8)
         plant = self.bench.lab.plant
+        self.seen.append(self.bench.lab.statistics())
         for guest in self._guests:
             guest.shutdown()
         return [*self.seen, plant.state.tobytes(), self.bench.lab.samples.values.tobytes()]
@@ -184,6 +183,16 @@ def test_both_give_the_same(steps: list[tuple[str, Any]]) -> None:
     by_object, _ = played(steps, compiled=False)
     for number, (ours, theirs) in enumerate(zip(compiled, by_object, strict=True)):
         assert ours == theirs, f"differs at observation {number}"
+
+
+def test_latencies_are_measured_without_a_frame_as_an_object() -> None:
+    steps = [("latency", True), *_CYCLES * 20]
+    ours, regular = played(steps, compiled=True)
+    theirs, _ = played(steps, compiled=False)
+    assert ours == theirs
+    assert regular > 20
+    measured = ours[-3]["channels"]["can0"]["latency"]
+    assert measured["0x181"]["count"] == measured["0x080"]["count"] == 25
 
 
 def test_a_set_point_that_is_limited_is_the_drives_own() -> None:

@@ -3,7 +3,13 @@ what comes in on them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import count
+
 import can
+import numpy as np
+import pytest
+from numpy.typing import NDArray
 from unit.fake_can import Tap
 
 from tonus.config import load
@@ -13,6 +19,7 @@ from tonus.drivers.canopen.channels import Batch, Channels
 from tonus.drivers.canopen.identifiers import SYNC
 from tonus.drivers.canopen.reception import Reception
 from tonus.drivers.events import EventLog
+from tonus.drivers.fieldbus import RAW_FRAME
 from tonus.sim.lab.engine import Lab
 
 _FRAMES = [(0, 0x201, 4), (0, 0x202, 4), (1, 0x203, 2), (3, 0x204, 8)]
@@ -109,6 +116,55 @@ def test_a_queue_without_room_keeps_all_back_and_each_channel_tries_by_itself() 
     sent = [entry[1] for entry in bench.tap.seen]
     assert sent.count(3) == 20, "a channel with room has lost nothing"
     assert sent.count(0) == 32
+
+
+class _Other(can.BusABC):
+    """A bus on wires: it takes frames one by one, and keeps their times."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="other")
+        self.sent_ns: list[int] = []
+
+    def receive_frames(self, limit: int) -> NDArray[np.void]:
+        del limit
+        return np.zeros(0, RAW_FRAME)
+
+    def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
+        del identifier, data
+        self.sent_ns.append(sent_ns)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise NotImplementedError
+
+
+class _InSoftware(_Other):
+    """As a lab's process has it."""
+
+    def send_frames(self, frames: Sequence[tuple[int, bytes]], sent_ns: int) -> None:
+        self.sent_ns += [sent_ns] * len(frames)
+
+
+@pytest.mark.parametrize(("kind", "times"), [(_InSoftware, 1), (_Other, 4)])
+def test_a_sync_is_of_one_time_on_all_channels_where_the_bus_keeps_to_it(
+    kind: type[_Other], times: int
+) -> None:
+    """On wires it is on its way when it is sent, and the answers are as old as that."""
+    config, _ = load("config/can.yaml")
+    assert isinstance(config.fieldbus, CanopenBus)
+    fieldbus, clock, events = config.fieldbus, count(1_000_000, 7_000).__next__, EventLog()
+    buses, reception = [kind() for _ in range(4)], Reception(4, 8)
+    channels = [
+        Channel(n, bus, fieldbus, 1000, 3, clock, None, events, reception)
+        for n, bus in enumerate(buses)
+    ]
+    together = Channels(channels, clock, None, reception)
+    together.sync(0)
+    sent_ns = [bus.sent_ns for bus in buses]
+    assert [len(each) for each in sent_ns] == [1] * 4
+    assert len({each[0] for each in sent_ns}) == times
+    assert [channel.syncs.of(0)[1] for channel in channels] == [each[0] for each in sent_ns]
+    together.send(Batch(_FRAMES))
+    assert len({time for bus in buses for time in bus.sent_ns[1:]}) == (1 if times == 1 else 3)
 
 
 class _Foreigner:

@@ -163,6 +163,7 @@ class Channel:
     def attach(self, *, listens: bool, inbox: int | None = None) -> Port:
         """A new controller; with ``listens`` it receives every frame of the others, and keeps
         ``inbox`` of them at most."""
+        self.hand_out()  # what has ended before is not for it
         port = Port(self, self._ports, self._depth, listens, inbox)
         self._ports += 1
         self._all_ports.append(port)
@@ -329,7 +330,7 @@ class Channel:
         """Let the wire have the idle channel, if there is a plan for it."""
         if not self._planned:
             self._planned = True
-            usual = self.planner is not None and self._latency is None and self.detour is None
+            usual = self.planner is not None and self.detour is None
             self._plan = self.planner() if self.planner is not None and usual else None
         if self._plan is not None:
             self._regular = True
@@ -406,7 +407,7 @@ class Channel:
 
     def hand_out(self) -> None:
         """Let every host have what has ended on the wire."""
-        self.wire.hand_out(self._hosts)
+        self.wire.hand_out(self._hosts, self._latency)
 
     def _react(self, now_ns: int) -> bool:
         """A SYNC has ended. False: it has to be delivered to each device."""

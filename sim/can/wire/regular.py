@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tonus.sim.can.wire.frame import BASE_ID, BASE_SHIFT, Frame
 from tonus.sim.can.wire.inbox import WORDS, Inbox
+from tonus.sim.can.wire.latency import Latency
 from tonus.sim.can.wire.timing import stuffed_bits
 
 Integers = NDArray[np.int64]
@@ -37,6 +38,9 @@ DUE, PORT, KEY, IDENTIFIER, DLC, DATA = range(6)
 """Columns of a frame; `DUE` is when it enters its queue, `DATA` as a little-endian integer."""
 _COLUMNS = 6
 _ROW = struct.Struct("<5q8s")
+SENDER, SPAN = WORDS, WORDS + 1
+"""Columns of a delivered frame behind those of an inbox: its controller's number, and how long it
+took from its queue to its end, ns."""
 LEAST, WAITS, HELD_DATA = range(3)
 """Rows of held frames: shortest length, length of the one that waits or 0, its data."""
 ROOM = 48
@@ -102,7 +106,8 @@ def land(state: Integers, frames: Integers, delivered: Integers) -> None:
     row[0] = state[END]
     row[1] = frames[_FLIGHT, IDENTIFIER] | frames[_FLIGHT, DLC] << 32
     row[2] = frames[_FLIGHT, DATA]
-    row[WORDS] = frames[_FLIGHT, PORT]
+    row[SENDER] = frames[_FLIGHT, PORT]
+    row[SPAN] = state[END] - frames[_FLIGHT, DUE]
     state[DELIVERED] += 1
     state[FLYING] = 0
 
@@ -241,7 +246,7 @@ def _for_host(
     behind them."""
     taken = at
     for i in range(count):
-        own = delivered[i, WORDS] == port
+        own = delivered[i, SENDER] == port
         if own and not echo:
             continue
         rows[taken, 0] = delivered[i, 0]
@@ -270,7 +275,7 @@ class WireTable:
         self.states[:, WIDE] = NEVER
         self._words: memoryview[int] = self.states.reshape(-1).data
         self.frames = np.zeros((rows, _SIZE, _COLUMNS), np.int64)
-        self.delivered = np.zeros((rows, _SIZE, WORDS + 1), np.int64)
+        self.delivered = np.zeros((rows, _SIZE, SPAN + 1), np.int64)
         self.kinds = np.zeros((rows, BASE_ID + 1), np.int64)
         self.held = np.zeros((rows, 3, ROOM), np.int64)
         self.durations = np.zeros((rows, bits), np.int64)
@@ -330,6 +335,7 @@ class RegularWire:
         self.set_points: Integers = table.set_points[row]
         # Python reads and writes single words of a memoryview in a third of an array's time.
         self.words: memoryview[int] = self.state.data
+        self._frame_words: memoryview[int] = self.frames.reshape(-1).data
         self._memory = self.frames.reshape(-1).view(np.uint8).data
 
     def move(self, table: WireTable, row: int) -> None:
@@ -420,12 +426,14 @@ class RegularWire:
         """When something happens next by itself, or `NEVER`."""
         return self.words[NEXT]
 
-    def hand_out(self, hosts: Iterable[tuple[Host, Inbox]]) -> None:
-        """Let every host have what it receives of the delivered frames."""
+    def hand_out(self, hosts: Iterable[tuple[Host, Inbox]], latency: Latency | None) -> None:
+        """Let every host have what it receives of the delivered frames, and count their times."""
         count = self.words[DELIVERED]
         if not count:
             return
         delivered, spare = self.delivered, self._rows
+        if latency is not None:
+            latency.add_rows(delivered, count, SPAN)
         for host, inbox in hosts:
             number, echo = host.number, host.echo
             if inbox.holds(count):
@@ -436,8 +444,9 @@ class RegularWire:
 
     def waiting(self, port: int) -> int:
         """Frames in a controller's queue."""
-        rows = self.frames[: self.state[PENDING], PORT]
-        return int(np.count_nonzero(rows == port))
+        # Without an array: asked for every frame that a client sends, and mostly few wait.
+        senders = self._frame_words[PORT : self.words[PENDING] * _COLUMNS : _COLUMNS]
+        return senders.tolist().count(port)
 
     def frame(self, row: int = _FLIGHT) -> tuple[Frame, int]:
         """A row as a frame, with its controller's number; by default that on the wire."""
