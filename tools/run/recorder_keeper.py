@@ -1,6 +1,9 @@
 """Keeps a recorder alive: starts it, and again when it dies; what it had not written by then still
 stands in the rings. A process of its own, since starting one from the daemon would cost it a tick.
 
+The first one takes its priority when it has loaded its code: nothing is recorded yet, and a
+real-time process that leaves others nothing of a second makes the kernel hold all of them back.
+
     python -m tonus.tools.run.recorder_keeper PRIORITY RING_DIR COMMAND...
 """
 
@@ -21,7 +24,7 @@ _ATTEMPTS = 5
 """deaths in a row, with nothing recorded in between, before a recorder is given up"""
 
 
-def keep(ring_dir: Path, command: list[str]) -> int:
+def keep(ring_dir: Path, command: list[str], priority: int) -> int:
     """Run a recorder to its end, which its standard input decides. Gives its exit code."""
     code, failures, recorded = 0, 0, -1
     while failures < _ATTEMPTS:
@@ -29,6 +32,8 @@ def keep(ring_dir: Path, command: list[str]) -> int:
         if code in (0, INCOMPLETE):
             return code
         sys.stderr.write(f"the recorder ended with {code} and is started again\n")
+        if priority:
+            _hasten(priority)
         before, recorded = recorded, _recorded(ring_dir)
         failures = 1 if recorded > before else failures + 1
     sys.stderr.write(f"the recorder ended {_ATTEMPTS} times and is given up\n")
@@ -36,8 +41,9 @@ def keep(ring_dir: Path, command: list[str]) -> int:
 
 
 def _hasten(priority: int) -> None:
-    """A recorder that starts slowly on a busy host loses what the rings cannot hold, so it has its
-    priority from its first instruction on. A refusal is the recorder's to report."""
+    """A recorder that starts slowly on a busy host loses what the rings cannot hold, so one that
+    is started again has its priority from its first instruction on. A refusal is the recorder's to
+    report."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
@@ -57,6 +63,4 @@ def _recorded(ring_dir: Path) -> int:
 if __name__ == "__main__":
     output.install()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if int(sys.argv[1]):
-        _hasten(int(sys.argv[1]))
-    sys.exit(keep(Path(sys.argv[2]), sys.argv[3:]))
+    sys.exit(keep(Path(sys.argv[2]), sys.argv[3:], int(sys.argv[1])))
