@@ -1,4 +1,4 @@
-"""`tonus run --or-virtual`: a run that the host disturbed is played again, and nothing is lost."""
+"""`tonus run --or-virtual`: a run that delays disturbed is played again, and nothing is lost."""
 
 from __future__ import annotations
 
@@ -52,13 +52,20 @@ def test_it_is_for_a_person_with_a_scenario(other: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("ticks", "steal_percent", "disturbed"),
-    [(1, 0.0, True), (0, 1.0, True), (0, 0.9, False), (0, None, False)],
+    ("own", "host", "steal_percent", "disturbed"),
+    [
+        (0, 1, 0.0, True),
+        (1, 0, 0.0, True),
+        (0, 0, 1.0, True),
+        (0, 0, 0.9, False),
+        (0, 0, None, False),
+    ],
 )
-def test_time_taken_from_the_lab_alone_is_a_disturbance_too(
-    ticks: int, steal_percent: float | None, disturbed: bool
+def test_a_disturbance_is_any_tick_missed_or_time_taken_from_the_lab_alone(
+    own: int, host: int, steal_percent: float | None, disturbed: bool
 ) -> None:
+    """A host may be too slow as well as away."""
     config, _ = load("config/can.yaml")
     assert config.realtime.host.steal_bad_percent == 1.0
-    summary = {"missed_by_host": ticks, "steal_percent": steal_percent}
+    summary = {"missed_ticks": own, "missed_by_host": host, "steal_percent": steal_percent}
     assert _disturbed(config, summary) is disturbed

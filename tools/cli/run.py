@@ -47,7 +47,7 @@ from tonus.tools.settings import overrides_of
 @click.option(
     "--or-virtual",
     is_flag=True,
-    help="If the host causes a fault by delays, repeat the run with --virtual in OUT/virtual.",
+    help="If delays may have caused a fault, repeat the run with --virtual in OUT/virtual.",
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the lab's noise.")
 @click.option("--serve", is_flag=True, help="Wait for `tonus ctl` instead of playing a scenario.")
@@ -133,7 +133,7 @@ def run(
 
 
 def _play(order: Order, *, as_json: bool) -> tuple[bool, bool]:
-    """Whether it came to a good end, and whether the host may be why it did not."""
+    """Whether it came to a good end, and whether delays may be why it did not."""
     result = carry_out(order)
     outcome = result.outcome
     ended_well = outcome.fault is Fault.NONE and not outcome.obstacle and not outcome.overrun
@@ -161,10 +161,11 @@ def _play(order: Order, *, as_json: bool) -> tuple[bool, bool]:
 
 
 def _disturbed(config: Config, summary: Summary) -> bool:
-    """Whether the host took ticks, or so much time that it may have been the lab's alone, whose
-    nodes were silent then."""
+    """Whether ticks came late, or the host took so much time that it may have been the lab's alone,
+    whose nodes were silent then."""
     stolen = summary["steal_percent"] or 0.0
-    return summary["missed_by_host"] > 0 or stolen >= config.realtime.host.steal_bad_percent
+    late = summary["missed_ticks"] + summary["missed_by_host"]
+    return late > 0 or stolen >= config.realtime.host.steal_bad_percent
 
 
 def _tell_unsummed(result: Result, error: Exception, *, as_json: bool) -> None:
@@ -255,6 +256,17 @@ def _largest_load(log: Log) -> tuple[float, float] | None:
     return float(force.max()), float(np.linalg.norm(away[at_most], axis=1).max())
 
 
+def _delays(summary: Summary) -> list[tuple[str, str]]:
+    """Of a run in real time that ended in a fault."""
+    own, host = summary["missed_ticks"], summary["missed_by_host"]
+    stolen = summary["steal_percent"] or 0.0
+    return [
+        ("delays", f"{own + host} ticks missed, and {stolen:.1f} % of the time taken by the host;"),
+        ("", "they may have caused the stop: tonus doctor lists what to change;"),
+        ("", "--virtual does not depend on the host"),
+    ]
+
+
 def _tell(summary: Summary, result: Result, files: list[Path], *, disturbed: bool) -> None:
     """What a newcomer wants to see, the verdict last."""
 
@@ -283,11 +295,7 @@ def _tell(summary: Summary, result: Result, files: list[Path], *, disturbed: boo
     if result.unrecorded:
         rows.append(("NOT RECORDED", f"a part of the run, at least its end: {result.unrecorded}"))
     if disturbed:
-        taken = f"{summary['missed_by_host']} ticks and {result.steal_percent or 0.0:.1f} %"
-        rows.append(("the host", f"took {taken} of the time, which may have caused the stop;"))
-        rows.append(
-            ("", "tonus doctor lists what to change; --virtual does not depend on the host")
-        )
+        rows += _delays(summary)
     click.echo()
     for name, value in rows:
         click.echo(f"  {name:<15} {value}")
