@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests import stalls
+from tests import pace, stalls
 from tests.foreign import EDITABLE
 from tests.stalls import Stall, Watch
 from tonus.runtime.timing import clock
@@ -19,6 +19,8 @@ pytest_plugins = ["pytester"]
 
 STALL_NS, LONG_NS = 5_000_000, 20_000_000
 MS = 1_000_000
+EVEN, UNEVEN = 1.2, 1.3
+"""times as long as at best"""
 MODULE = """
 from itertools import count
 from pathlib import Path
@@ -93,6 +95,7 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watch]:
     """Without watchers: a test writes the stalls."""
     with closing(Watch(())) as made:
         monkeypatch.setattr(stalls, "watching", lambda: made)
+        monkeypatch.setattr(pace, "unevenness", lambda: EVEN)
         yield made
 
 
@@ -134,13 +137,55 @@ def test_only_what_fails_while_the_host_stalls_is_tried_again(
     result = played(pytester, module)
     assert result.parseoutcomes() == outcome
     if mark == "realtime" and good != {0}:
-        measured = f"{during / 1e6:.1f} ms on processor 0" if during else "0 in all"
-        result.stdout.fnmatch_lines(["*stalls of the host meanwhile*", measured])
+        measured = f"{during / 1e6:.1f} ms on processor 0" if during else "0 stalls in all"
+        result.stdout.fnmatch_lines(["*disturbances by the host*", measured])
 
 
-def test_no_stall_excuses_a_refused_configuration(pytester: pytest.Pytester, watch: Watch) -> None:
+@pytest.mark.parametrize(
+    ("mark", "good", "outcome"),
+    [
+        ("realtime", {0}, {"passed": 1}),
+        ("realtime", {1}, {"passed": 1, "rerun": 1}),
+        ("realtime", {3}, {"skipped": 1, "rerun": 2}),
+        ("long", {1}, {"failed": 1}),
+    ],
+)
+def test_an_uneven_host_disturbs_as_one_that_stalls(
+    pytester: pytest.Pytester,
+    watch: Watch,
+    monkeypatch: pytest.MonkeyPatch,
+    mark: str,
+    good: set[int],
+    outcome: dict[str, int],
+) -> None:
+    monkeypatch.setattr(pace, "unevenness", lambda: UNEVEN)
+    module = MODULE.format(mark=mark, good=good, during=0, path=str(watch.path))
+    result = played(pytester, module)
+    assert result.parseoutcomes() == outcome
+    if "rerun" in outcome:
+        result.stdout.fnmatch_lines(["up to 1.30 times as long for the same computation"])
+
+
+def test_nothing_excuses_a_refused_configuration(
+    pytester: pytest.Pytester, watch: Watch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pace, "unevenness", lambda: UNEVEN)
     module = REFUSES.format(path=str(watch.path), during=LONG_NS)
     assert played(pytester, module).parseoutcomes() == {"failed": 1}
+
+
+def test_times_are_compared_with_the_least_there_has_been() -> None:
+    """Nine of ten count, of the slowest processor."""
+    least: list[int] = []
+    assert pace.compared([[10] * 18 + [90] * 2, [11] * 20], least) == 1.1
+    assert pace.compared([[20] * 17 + [30] * 3], least) == 3.0
+    assert pace.compared([[8] * 20], least) == 1.0
+    assert pace.compared([[10] * 20], least) == 1.25
+    assert pace.compared([[10] * 20, []], least) == 1.0, "refused"
+
+
+def test_the_host_is_as_quick_as_itself_at_best() -> None:
+    assert pace.unevenness() >= 1.0
 
 
 @pytest.mark.parametrize(
