@@ -187,9 +187,8 @@ class RelayedFieldbus:
         if self._supervisor.doubt:
             _distrust(self.fieldbus)
         node = self._node
-        stopped = node is not None and node.monitor.state is not NmtState.OPERATIONAL
-        lost = self._restarted or self._silent or self._unproven or self._supervisor.doubt
-        if node is not None and (stopped or lost):
+        if node is not None:
+            # Whatever it has: who has written to it since it was brought up, nobody knows.
             try:
                 reset = (
                     Command.RESET_NODE if self._supervisor.doubt else Command.RESET_COMMUNICATION

@@ -461,6 +461,20 @@ async def test_a_relay_that_restarted_waits_for_a_reset(bench: Bench) -> None:
     assert bench.obstacles == {}
 
 
+@played()
+async def test_each_reset_brings_the_relay_up_anew(bench: Bench) -> None:
+    """Who has written to it in FAULT nobody has seen."""
+    await bench.held()
+    watch = bench.object(0x1016, 1)
+    bench.node.objects.find(0x1016, 1).set(0)
+    bench.beats = bench.holds = False
+    assert bench.obstacles == {}, "nothing was found"
+    task = asyncio.get_running_loop().create_task(bench.fieldbus.recover())
+    while not task.done():
+        await bench.pass_ms(1)
+    assert bench.object(0x1016, 1) == watch
+
+
 def welded(bench: Bench) -> None:
     """The mirror contact never closes."""
     node = bench.node
