@@ -13,7 +13,7 @@ from tonus.runtime.supervisor.wiring import Value
 
 REQUEST, NMT = 0x600, 0x000
 """Identifiers (CiA 301): of SDO requests, with the node's number added, and of NMT commands"""
-_BYTES, _NMT_BYTES = 8, 2
+_NMT_BYTES = 2
 _START = 0x01
 """a node, by NMT"""
 _BEGINS, _GOES_ON, _EXPEDITED = (0x20, 0xC0), 0x00, 0x22
@@ -64,8 +64,9 @@ class Own:
 
 
 def told_by(nodes: Iterable[int]) -> list[Watched]:
-    """What these nodes of a channel are told by."""
-    found = [Watched(REQUEST + node, _BYTES, (Value(0, 64),)) for node in nodes]
+    """What these nodes of a channel are told by. A request has 8 bytes (CiA 301); a device may take
+    a shorter one all the same."""
+    found = [Watched(REQUEST + node, 1, (Value(0, 64),), command=True) for node in nodes]
     return [*found, Watched(NMT, _NMT_BYTES, (Value(0, 16),), command=True)]
 
 

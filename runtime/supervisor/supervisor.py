@@ -168,7 +168,7 @@ class Supervisor:
             self._voice.tell(again)
         if self._voice.beat(now_ns):
             self._quiet_ns = None
-        self._voice.hold_relay()
+        self._voice.hold_relay(now_ns)
         self._looked_ns = now_ns
 
     def _look(self, now_ns: int) -> Observation:

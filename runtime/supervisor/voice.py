@@ -119,22 +119,33 @@ class Voice:
         there. Once a look has lost its processor none is sent: what it saw is too old."""
         lost = False
         for place in np.flatnonzero(self.beating).tolist():
-            spent_ns = 0 if self._clock is None else self._clock() - now_ns
             beats = self._beats[place]
-            in_time = spent_ns <= self._settings.period_ms * 1e6
-            if in_time and beats.follows() and self._tell(place, beats, _OPERATIONAL):
+            if (
+                self._is_in_time(now_ns)
+                and beats.follows()
+                and self._tell(place, beats, _OPERATIONAL)
+            ):
                 self._beat_ns[place] = now_ns
             if now_ns - self._beat_ns[place] > self.timeout_ns:
                 self.beating[place], lost = False, True
         return lost
 
-    def hold_relay(self) -> None:
-        """Its output is on as long as the heartbeat goes, and is off at once with its end."""
+    def hold_relay(self, now_ns: int) -> None:
+        """Its output is on as long as the heartbeat goes, and is off at once with its end. Like a
+        heartbeat it is not switched on by what was seen too long ago: the node, started again
+        meanwhile, would wait for none."""
         beating = any(self.beating)
         if self._output is None or not (beating or self._holds):
             return
+        if beating and not self._is_in_time(now_ns):
+            return
         told = self._tell(0, self._output, _HELD if beating else _RELEASED)
         self._holds = beating or not told
+
+    def _is_in_time(self, now_ns: int) -> bool:
+        """Whether the look that began then has kept its processor."""
+        spent_ns = 0 if self._clock is None else self._clock() - now_ns
+        return spent_ns <= self._settings.period_ms * 1e6
 
     def _tell(self, place: int, own: Own, data: bytes) -> bool:
         """Send what only the supervisor sends."""

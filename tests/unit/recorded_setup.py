@@ -75,14 +75,21 @@ class Held:
     """A supervisor, its relay's bus, and what a daemon records each ms; ``change`` is applied."""
 
     def __init__(self, config: Config) -> None:
+        self.spent_ns = 0
+        """of the processor's time since a look began, when it sends"""
         self.bus, self.config = FakeBus(), config
         self.answers = True
         self.recorded = True
         self.later_ns = 0
         """of a look than the newest record"""
         self.waiting: list[tuple[int, Any]] = []
-        self.supervisor = Supervisor(config, self._new, lambda _, name, __: self.opened(name))  # type: ignore[arg-type, return-value]
         self._now = 0
+        self.supervisor = Supervisor(
+            config,
+            self._new,
+            lambda _, name, __: self.opened(name),  # type: ignore[arg-type, return-value]
+            lambda: self._now * MS + self.spent_ns,
+        )
 
     def opened(self, channel: str) -> FakeBus:
         """The bus of a channel; there is that of the relay alone."""

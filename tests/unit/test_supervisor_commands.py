@@ -331,6 +331,15 @@ def test_what_others_do_is_told_once_where_no_heartbeat_goes(watchdog: Watchdog)
     assert watchdog.step(314, enabled=False) == []
 
 
+@pytest.mark.parametrize("size", range(1, 8))
+def test_a_request_shorter_than_any_device_should_take(watchdog: Watchdog, size: int) -> None:
+    list(watchdog.steps(0, 310, enabled=False))
+    watchdog.step(310, enabled=True)
+    written(watchdog, RAMP[:size])
+    watchdog.step(312, enabled=True)
+    assert broken(watchdog) is Requirement.COMMANDED
+
+
 def test_a_download_that_is_found_at_once_is_told_once(watchdog: Watchdog) -> None:
     list(watchdog.steps(0, 310, enabled=False))
     watchdog.step(310, enabled=True)

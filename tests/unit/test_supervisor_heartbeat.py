@@ -492,4 +492,5 @@ def test_on_each_channel_it_listens_to_the_devices_of_that_channel(config: Confi
         syncs = {each.identifier: each.sync for each in watched if each.sync}
         assert syncs == {0x200 + node: 0x080 for node in drives}
         commands = {each.identifier for each in watched if each.command}
-        assert commands == {0x000, *syncs}, "may be longer"
+        requests = {0x600 + node for node in (*drives, *cells)}
+        assert commands == {0x000, *syncs, *requests}, "may be longer"

@@ -112,6 +112,17 @@ def test_it_holds_the_relay_again_only_when_nothing_was_enabled_for_a_while(held
     assert held.step(disarmed) == [BEAT, HELD]
 
 
+def test_a_look_that_lost_its_processor_switches_no_output_on(held: Held) -> None:
+    """The node may have been started again meanwhile, and wait for no heartbeat."""
+    list(held.steps(160, disarmed))
+    held.spent_ns = 2 * MS
+    assert held.step(disarmed) == [BEAT, HELD]
+    held.spent_ns += 1
+    assert held.step(disarmed) == []
+    held.spent_ns = 0
+    assert held.step(disarmed) == [BEAT, HELD]
+
+
 @pytest.mark.parametrize(("gap_ms", "goes_on"), [(7, True), (8, False)])
 def test_a_look_later_than_the_relays_node_waits(held: Held, gap_ms: int, goes_on: bool) -> None:
     """It has opened by then, whatever the supervisor's own margin is."""
