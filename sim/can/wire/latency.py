@@ -36,6 +36,21 @@ class Summary(TypedDict):
 
 
 @njit(cache=True)
+def _add(
+    row: int,
+    span_ns: int,
+    edges_ns: NDArray[np.float64],
+    bins: NDArray[np.int64],
+    sums: NDArray[np.int64],
+) -> None:
+    """A span to its row of the bins, and of the sums: count, total, longest."""
+    bins[row, min(int(np.searchsorted(edges_ns, span_ns)), _BINS - 1)] += 1
+    sums[row, 0] += 1
+    sums[row, 1] += span_ns
+    sums[row, 2] = max(sums[row, 2], span_ns)
+
+
+@njit(cache=True)
 def _count(
     rows: NDArray[np.int64],
     spans_ns: NDArray[np.int64],
@@ -43,13 +58,9 @@ def _count(
     bins: NDArray[np.int64],
     sums: NDArray[np.int64],
 ) -> None:
-    """Add each span to its row of the bins, and of the sums: count, total, longest."""
+    """`_add` each."""
     for i in range(rows.shape[0]):
-        row, span = rows[i], spans_ns[i]
-        bins[row, min(np.searchsorted(edges_ns, span), _BINS - 1)] += 1
-        sums[row, 0] += 1
-        sums[row, 1] += span
-        sums[row, 2] = max(sums[row, 2], span)
+        _add(rows[i], spans_ns[i], edges_ns, bins, sums)
 
 
 @njit(
@@ -67,17 +78,13 @@ def _count_rows(
     bins: NDArray[np.int64],
     sums: NDArray[np.int64],
 ) -> int:
-    """As `_count`, of the frames from number ``first`` on. ``rows``: (2048,) by identifier, -1
+    """`_add` the times of the frames from number ``first`` on. ``rows``: (2048,) by identifier, -1
     where there is none. Returns the number of the first frame without one, or ``count``."""
     for i in range(first, count):
         row = rows[frames[i, _IDENTIFIER] & BASE_ID]
         if row < 0:
             return i
-        span = frames[i, column]
-        bins[row, min(np.searchsorted(edges_ns, span), _BINS - 1)] += 1
-        sums[row, 0] += 1
-        sums[row, 1] += span
-        sums[row, 2] = max(sums[row, 2], span)
+        _add(row, frames[i, column], edges_ns, bins, sums)
     return count
 
 
