@@ -118,6 +118,21 @@ def test_a_queue_without_room_keeps_all_back_and_each_channel_tries_by_itself() 
     assert sent.count(0) == 32
 
 
+def test_a_host_that_comes_has_nothing_of_what_ended_before_it() -> None:
+    """Though the lab has handed it out to nobody yet."""
+    bench = _Bench(regular=True)
+    message = can.Message(arbitration_id=0x7A0, is_extended_id=False)
+    bench.listeners[0].send(message)
+    bench.now += 1_000_000
+    bench.lab.simulate(bench.now)
+    late = bench.lab.channels["can0"].attach(listens=True)
+    bench.lab.advance(bench.now)
+    assert late.received is not None
+    assert len(late.received) == 0
+    assert bench.channels[0].bus.recv(0) is not None
+    bench.close()
+
+
 class _Other(can.BusABC):
     """A bus on wires: it takes frames one by one, and keeps their times."""
 

@@ -163,7 +163,6 @@ class Channel:
     def attach(self, *, listens: bool, inbox: int | None = None) -> Port:
         """A new controller; with ``listens`` it receives every frame of the others, and keeps
         ``inbox`` of them at most."""
-        self.hand_out()  # what has ended before is not for it
         port = Port(self, self._ports, self._depth, listens, inbox)
         self._ports += 1
         self._all_ports.append(port)
