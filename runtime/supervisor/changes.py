@@ -25,6 +25,8 @@ class Changes:
         """it stopped the robot, and no reset was recorded since, nor the beginning of a daemon"""
         self._resetting = True
         """in the newest record; one that is recorded in every tick is nobody's"""
+        self._failed = False
+        """in the newest record: in any other state a daemon takes no reset"""
         self._restarted = self._forgetful = False
         """a device has booted since the last record of FAULT; and STANDBY was recorded then"""
         self._foul: Violation | None = None
@@ -54,8 +56,8 @@ class Changes:
             self._foul = None
         for claim in claims:
             reset = claim.operator == Operator.RESET
-            self._unreset &= not (reset and not self._resetting)
-            self._resetting = reset
+            self._unreset &= not (reset and self._failed and not self._resetting)
+            self._resetting, self._failed = reset, claim.state == State.FAULT
         self._unreset &= not begun
         self._note_restarts(claims, recovered=recovered)
         found = self._changed if claims and not (recovered or self._foul) else None

@@ -145,6 +145,11 @@ class Held:
         return Requirement(code - 0xFF00)
 
 
+def failed(record: Any) -> None:
+    disarmed(record)
+    record["state"]["state"], record["state"]["operator"] = State.FAULT, Operator.NONE
+
+
 def disarmed(record: Any) -> None:
     record["state"]["state"] = State.STANDBY
     record["state"]["operator"] = Operator.RESET

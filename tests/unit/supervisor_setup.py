@@ -274,11 +274,14 @@ class Watchdog:
         if tick:
             # Power comes with control, and a stop is of what was controlled.
             begins = enabled and not self._powered
-            for state in (State.REFERENCING, self.state) if begins else (self.state,):
+            self._reset = self.resets and not (enabled or self._reset)
+            # A daemon takes a reset in FAULT alone. What follows from FAULT itself is the test's.
+            failed = self._reset and broken(self) not in (None, Requirement.COMMANDED)
+            first = [State.REFERENCING] if begins else [State.FAULT] if failed else []
+            for state in (*first, self.state):
                 record = np.zeros(1, cycle_dtype(N))
                 record["state"]["state"] = state
-                self._reset = self.resets and not (enabled or self._reset)
-                if self._reset or self.stuck:
+                if (self._reset and state == self.state) or self.stuck:
                     record["state"]["operator"] = Operator.RESET
                 record["timing"]["tick"] = round(now_ms * 1000) + (state == self.state)
                 at_ms = now_ms - (state != self.state)

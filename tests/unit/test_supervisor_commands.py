@@ -248,9 +248,9 @@ def test_it_does_not_begin_while_a_device_is_not_as_it_was_brought_up(watchdog: 
     changed(watchdog)
     assert beginnings(watchdog, 314, 1000) == []
     watchdog.state = State.FAULT
-    watchdog.step(1000, enabled=False)
+    assert beginnings(watchdog, 1000, 1004) == []
     watchdog.state = State.STANDBY
-    assert beginnings(watchdog, 1002, 1100) == []
+    assert beginnings(watchdog, 1004, 1100) == []
     watchdog.boot()
     assert beginnings(watchdog, 1100, 1200)[:1] == [1100]
 

@@ -129,14 +129,30 @@ def test_after_a_violation_nothing_begins_before_the_operators_reset(watchdog: W
 def test_a_reset_that_is_recorded_in_every_tick_is_nobodys(watchdog: Watchdog) -> None:
     """As with a button that is stuck, or an order that is never cleared."""
     stopped(watchdog)
-    watchdog.stuck = True
+    watchdog.state = State.FAULT
     assert watchdog.step(400, enabled=False) != BEAT
+    watchdog.stuck, watchdog.state = True, State.STANDBY
     before = list(watchdog.steps(402, 1200, enabled=False))
     assert BEAT in before, "it was pressed once"
+    watchdog.state = State.SAFE_STOP
     watchdog.step(1200, enabled=True)
     list(watchdog.steps(1202, 1300, enabled=True, tick=False))
     assert watchdog.supervisor.violation is not None
+    watchdog.state = State.FAULT
     assert not any(watchdog.steps(1300, 3000, enabled=False))
+
+
+def test_a_reset_that_the_daemon_does_not_take_is_none(watchdog: Watchdog) -> None:
+    """It takes one in FAULT alone. The robot would have its power back in the stop."""
+    stopped(watchdog)
+    watchdog.stuck = True
+    assert watchdog.step(400, enabled=False) != BEAT
+    watchdog.stuck = False
+    assert not any(watchdog.steps(402, 1200, enabled=False))
+    watchdog.state = State.FAULT
+    assert watchdog.step(1200, enabled=False) != BEAT
+    watchdog.stuck, watchdog.state = True, State.STANDBY
+    assert watchdog.step(1202, enabled=False) == BEAT
 
 
 def test_a_reset_that_is_recorded_from_the_first_tick_on_is_nobodys(watchdog: Watchdog) -> None:
@@ -144,7 +160,7 @@ def test_a_reset_that_is_recorded_from_the_first_tick_on_is_nobodys(watchdog: Wa
     list(watchdog.steps(0, 310, enabled=False, tick=False))
     list(watchdog.steps(310, 400, enabled=True, tick=False))
     assert watchdog.supervisor.violation is not None
-    watchdog.stuck = True
+    watchdog.stuck, watchdog.state = True, State.FAULT
     assert not any(watchdog.steps(400, 2000, enabled=False))
 
 

@@ -24,6 +24,7 @@ from tests.unit.recorded_setup import (
     Change,
     Held,
     disarmed,
+    failed,
     record_of,
 )
 from tonus.config import Config, load
@@ -108,7 +109,8 @@ def test_it_holds_the_relay_again_only_when_nothing_was_enabled_for_a_while(held
     held.armed()
     held.stopped_for(out_of_bounds)
     assert all(sent == [] for sent in held.steps(400)), "while a drive is enabled"
-    assert all(sent == [] for sent in held.steps(150, disarmed))
+    assert held.step(failed) == []
+    assert all(sent == [] for sent in held.steps(149, disarmed))
     assert held.step(disarmed) == [BEAT, HELD]
 
 
