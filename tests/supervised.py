@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import can
 
@@ -30,6 +31,8 @@ REPORT_MS = 0.26
 """the emergency frames of the two drives on a channel, 0.13 ms each: the drives stop before them"""
 _EMERGENCY, _HEARTBEAT_LOST = 0x080, 0x8130
 _SUPERVISOR = 126
+_MOST = 1000
+"""frames of a tick"""
 
 
 def configured(path: str = "config/can.yaml", **overrides: object) -> tuple[Config, Scenario]:
@@ -54,7 +57,7 @@ class Run:
     """by node: when its drive lost the supervisor's heartbeat"""
     said: list[tuple[int, float]] = field(default_factory=list)
     """requirement and value, of each emergency frame of the supervisor"""
-    _buses: list[can.BusABC] = field(default_factory=list)
+    _buses: list[Any] = field(default_factory=list)
 
     def play(self, seconds: float = 0.3) -> Observed:
         self._left = round(seconds / self.config.control.rates.period)
@@ -91,11 +94,11 @@ class Run:
 
     def _listen(self) -> None:
         for bus in self._buses:
-            while (frame := bus.recv(timeout=0)) is not None:
-                node = frame.arbitration_id - _EMERGENCY
-                if node in DRIVES:
-                    if int.from_bytes(frame.data[:2], "little") == _HEARTBEAT_LOST:
-                        self.stopped_ns.setdefault(node, round(frame.timestamp * 1e9))
-                elif node == _SUPERVISOR:
-                    number = int.from_bytes(frame.data[:2], "little") - 0xFF00
-                    self.said.append((number, frame.timestamp))
+            frames = bus.receive_frames(_MOST)  # as messages they take a tenth of the run's time
+            early = frames[frames["identifier"] <= _EMERGENCY + _SUPERVISOR]
+            for stamp_ns, identifier, *_, data in early.tolist():
+                code, node = data & 0xFFFF, identifier - _EMERGENCY
+                if node == _SUPERVISOR:
+                    self.said.append((code - 0xFF00, stamp_ns * 1e-9))
+                elif node in DRIVES and code == _HEARTBEAT_LOST:
+                    self.stopped_ns.setdefault(node, stamp_ns)

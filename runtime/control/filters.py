@@ -25,6 +25,17 @@ def _biquad(value: Array, coefficients: Array, state: Array) -> None:
         out[i] = y
 
 
+def butterworth(cutoff_hz: float, rate_hz: float) -> Array:
+    """Coefficients b and a (2, 3) of the second-order low-pass, by the bilinear transform with its
+    cutoff prewarped. Those of ``scipy.signal.butter(2, cutoff_hz, fs=rate_hz)`` to the last bit,
+    for which every start of a daemon would wait a second until scipy.signal is loaded."""
+    warped = 4.0 * np.tan(np.pi * (2.0 * cutoff_hz / rate_hz) / 2.0)
+    analog = -warped * np.exp(1j * np.pi * np.array([-1, 1]) / 4)
+    gain = warped**2 * np.real(1.0 / np.prod(4.0 - analog))
+    poles = (4.0 + analog) / (4.0 - analog)
+    return np.array([gain * np.poly([-1.0, -1.0]), np.poly(poles).real])
+
+
 class ButterworthBank:
     """The paper's filter (section 3.4), causal, on ``channels`` signals at once.
 
@@ -34,11 +45,7 @@ class ButterworthBank:
     """
 
     def __init__(self, channels: int, cutoff_hz: float, rate_hz: float) -> None:
-        from scipy import (
-            signal,  # most of a second, for which commands without a filter need not wait
-        )
-
-        self._coefficients = np.array(signal.butter(2, cutoff_hz, fs=rate_hz))
+        self._coefficients = butterworth(cutoff_hz, rate_hz)
         self._state = np.zeros((3, channels))
         self.delay = float(np.sqrt(2.0) / (2.0 * np.pi * cutoff_hz))
         """s, group delay at low frequency"""

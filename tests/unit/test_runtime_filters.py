@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import signal
 
-from tonus.runtime.control.filters import ButterworthBank
+from tonus.runtime.control.filters import ButterworthBank, butterworth
 
 RATE, CUTOFF = 1000.0, 50.0
 
@@ -20,6 +25,25 @@ def test_every_channel_is_scipys_second_order_low_pass() -> None:
     b, a = signal.butter(2, CUTOFF, fs=RATE)
     expected = signal.lfilter(b, a, samples, axis=0)
     np.testing.assert_allclose(run(ButterworthBank(9, CUTOFF, RATE), samples), expected, atol=1e-9)
+
+
+@given(st.floats(0.1, 1e5), st.floats(1e-4, 0.4999))
+def test_coefficients_are_scipys_to_the_last_bit(rate_hz: float, share: float) -> None:
+    """Logs do not depend on whose they are."""
+    expected = np.array(signal.butter(2, share * rate_hz, fs=rate_hz))
+    np.testing.assert_array_equal(butterworth(share * rate_hz, rate_hz), expected)
+
+
+def test_a_run_does_not_wait_for_scipys_signals() -> None:
+    """A second or more, at every start of a daemon."""
+    code = (
+        "import sys\n"
+        "import tonus.tools.cli.run, tonus.tools.report.overview\n"
+        "from tonus.runtime.control.filters import ButterworthBank\n"
+        "ButterworthBank(1, 50.0, 1000.0)\n"
+        "assert 'scipy.signal' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_the_stated_delay_is_the_group_delay_at_low_frequency() -> None:

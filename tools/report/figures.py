@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
-from scipy import signal
 
 from tonus.config.schema.root import Config
 from tonus.runtime.signals import Grade
@@ -137,10 +136,12 @@ def spectra(story: Story) -> Figure | None:
         (tension, f"tension error, {source}", "N/√Hz", None, None),
         (wrench, "load, estimated", "N/√Hz", "xyz", style.AXES),
     )
+    from scipy.signal import welch  # a second, for which every run's overview would wait
+
     figure = Figure(figsize=(11.0, 8.2), layout="constrained")
     axes = figure.subplots(len(rows), 1, sharex=True)
     for axis, (values, title, unit, names, colours) in zip(axes, rows, strict=True):
-        hertz, density = signal.welch(values, 1.0 / story.period, nperseg=segment, axis=0)
+        hertz, density = welch(values, 1.0 / story.period, nperseg=segment, axis=0)
         for column in range(values.shape[1]):
             colour, line = (colours[column], "-") if colours else style.cable(column)
             label = names[column] if names else f"cable {column}"
