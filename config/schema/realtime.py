@@ -37,6 +37,10 @@ class HostLimits(Section):
     disk_good_mib_s: Positive = 20.0
     """a log with every CAN frame takes 2 MiB a second"""
     disk_bad_mib_s: Positive = 4.0
+    lab_good_factor: Positive = 2.8
+    """of real time, at which a run with its lab is played in virtual time on one processor; in real
+    time lab, daemon and recorder share two processors, and are late together"""
+    lab_bad_factor: Positive = 1.5
     can_queue: Count = 32
     """frames; a tick of one channel sends 4"""
 

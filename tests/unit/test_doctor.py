@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -12,9 +14,10 @@ from tonus.config import load
 from tonus.runtime.timing.histogram import Histogram
 from tonus.runtime.timing.realtime import Grant
 from tonus.tools.cli.doctor import doctor as command
-from tonus.tools.doctor import doctor, privileges, wakeup
+from tonus.tools.doctor import doctor, lab, privileges, wakeup
 from tonus.tools.doctor.finding import Finding, Verdict, graded, worst
 from tonus.tools.errors import ToolError
+from tonus.tools.run.order import Order, Result
 
 CONFIG = load("config/can.yaml")[0]
 
@@ -79,6 +82,7 @@ def test_the_command_measures_and_tells_in_one_json_object(tmp_path: Path) -> No
     assert 0.0 < figures["p50_us"] <= figures["p99_us"] <= figures["max_us"]
     assert by_name["disk"]["figures"]["mib_per_s"] > 0.0
     assert {"stolen time", "kernel preemption", "clock source", "EtherCAT", "rings"} <= set(by_name)
+    assert by_name["lab in software"]["figures"]["factor"] > 0.0
     assert not list((tmp_path / "out").iterdir()), "it leaves nothing behind"
 
 
@@ -101,6 +105,32 @@ def test_the_configured_period_is_judged(
     assert asked == [1000 * period_us]
     assert findings["wake-up"].verdict == verdict
     assert doctor.report(config, list(findings.values()), 0.1)["period_us"] == period_us
+
+
+@pytest.mark.parametrize(
+    ("ticks_a_second", "verdict"),
+    [(2900.0, Verdict.GOOD), (2000.0, Verdict.BETTER), (1400.0, Verdict.BAD)],
+)
+def test_a_host_that_is_too_slow_for_a_lab_is_told(
+    monkeypatch: pytest.MonkeyPatch, ticks_a_second: float, verdict: Verdict
+) -> None:
+    """It may wake up in time and still be."""
+
+    def played(order: Order) -> Result:
+        assert order.virtual
+        outcome: Any = SimpleNamespace(ticks=6000)
+        return Result(outcome, order.out, 6000 / ticks_a_second)
+
+    monkeypatch.setattr(lab, "run", played)
+    (found,) = lab.examine(CONFIG)
+    assert (found.name, found.verdict) == ("lab in software", verdict)
+    assert found.figures["factor"] == pytest.approx(ticks_a_second / 1000.0)
+    assert bool(found.remedy) is (verdict is not Verdict.GOOD)
+
+
+@pytest.mark.parametrize("config", ["config/robot.yaml", "config/direct.yaml"])
+def test_no_lab_is_played_for_a_robot_or_without_real_time(config: str) -> None:
+    assert lab.examine(load(config)[0]) == []
 
 
 @pytest.mark.wide

@@ -13,6 +13,7 @@ from rich.text import Text
 from tonus.config import load
 from tonus.tools.cli.numbers import FiniteRange
 from tonus.tools.doctor import doctor as rules
+from tonus.tools.doctor import lab
 from tonus.tools.doctor.finding import Finding, Verdict, worst
 
 _STYLES = {Verdict.GOOD: "green", Verdict.BETTER: "yellow", Verdict.BAD: "bold red"}
@@ -31,7 +32,7 @@ def doctor(config: str, seconds: float, out: Path, *, as_json: bool) -> None:
     settings, _ = load(config)
     console = Console(highlight=False, soft_wrap=True)
     say = (lambda _: None) if as_json else (lambda text: console.print(f"  {text} ..."))
-    findings = rules.examine(settings, out, seconds, say)
+    findings = [*rules.examine(settings, out, seconds, say), *lab.examine(settings, say)]
     found = rules.report(settings, findings, seconds)
     rules.keep(found)
     if as_json:
