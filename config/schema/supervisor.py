@@ -80,6 +80,7 @@ LARGEST = {
     "logged_ticks": 16.0,
     "margin": 1.2,
     "rotation": 3.0,
+    "rotation_in_descent": 5.5,
     "rotation_stopping": 20.0,
 }
 """What a robot may state, in the keys' units, frames and ticks as of 1 ms; in a lab the keys' own

@@ -126,6 +126,7 @@ class RelayedFieldbus:
         """Raises `NodeError` for a relay that does not open without its output."""
         self._released = None
         await node.configure(progress, reset)
+        boots = node.monitor.boots
         await asyncio.sleep(self._relay.release_ms * 1e-3)
         inputs = int.from_bytes(await node.sdo.read(0x6000, 1), "little")
         if not inputs & _RELEASED:
@@ -134,6 +135,9 @@ class RelayedFieldbus:
                 "contact is welded, or the wire to its input is broken"
             )
         await node.start()
+        if node.monitor.boots != boots:
+            self._restarted = True
+            raise NodeError("restarted while it was brought up; reset")
         self._restarted = self._silent = self._unproven = self._supervisor.doubt = False
 
     def _begin(self) -> Node:

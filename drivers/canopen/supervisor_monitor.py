@@ -187,7 +187,7 @@ class SupervisorMonitor:
         silent = [heard.channel for heard in self._heard if not self._holds(heard, tick)]
         if not silent:
             return ""
-        remedy = "; it has stopped the robot, and waits for a reset" if self._stopped else ""
+        remedy = "; it has stopped the robot: emergency stop, then reset" if self._stopped else ""
         return f"is not heard on {', '.join(silent)}{remedy}"
 
     def _on_heartbeat(self, heard: _Heard, data: bytes) -> None:

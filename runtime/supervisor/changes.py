@@ -27,8 +27,9 @@ class Changes:
         """in the newest record; one that is recorded in every tick is nobody's"""
         self._failed = False
         """in the newest record: in any other state a daemon takes no reset"""
-        self._restarted = self._forgetful = False
-        """a device has booted since the last record of FAULT; and STANDBY was recorded then"""
+        self._restarted = self._forgetful = self._unpowered = False
+        """a device has booted since the last record of FAULT; a state without control was recorded
+        then; and no drive had power at a look"""
         self._foul: Violation | None = None
         """others commanded devices, or wrote to them, and FAULT, in which a daemon brings them up
         again, was not recorded since"""
@@ -56,10 +57,11 @@ class Changes:
             self._foul = None
         for claim in claims:
             reset = claim.operator == Operator.RESET
-            self._unreset &= not (reset and self._failed and not self._resetting)
+            taken = reset and self._failed and claim.state == State.STANDBY
+            self._unreset &= not (taken and not self._resetting)
             self._resetting, self._failed = reset, claim.state == State.FAULT
         self._unreset &= not begun
-        self._note_restarts(claims, recovered=recovered)
+        self._note_restarts(claims, recovered=recovered, powered=bool(seen.enabled.any()))
         found = self._changed if claims and not (recovered or self._foul) else None
         if claims:
             self._changed = None
@@ -69,17 +71,19 @@ class Changes:
         self._paused = newest is not None and seen.now_ns - newest.at_ns > self._quiet_ns
         return found
 
-    def _note_restarts(self, claims: list[Claim], *, recovered: bool) -> None:
+    def _note_restarts(self, claims: list[Claim], *, recovered: bool, powered: bool) -> None:
         """A device that restarts has lost what the bring-up made of it. The daemon answers with
         FAULT, if only after a stop; one that is armed again without that counts as changed."""
         if self._recorded and self._restarts:
             self._restarted |= bool(self._boots.found)
         if recovered:
-            self._restarted = self._forgetful = False
+            self._restarted = self._forgetful = self._unpowered = False
         for claim in claims:
-            self._forgetful |= self._restarted and claim.state == State.STANDBY
-            if self._forgetful and claim.state in CONTROLLED:
+            self._forgetful |= self._restarted and claim.state not in CONTROLLED
+            armed = self._forgetful or (self._unpowered and powered)
+            if armed and claim.state in CONTROLLED:
                 self._changed = self._changed or Violation(Requirement.COMMANDED, NOWHERE, 0.0)
+        self._unpowered |= self._restarted and not powered
 
     def stop(self, found: Violation, looked_ns: int) -> bool:
         """The robot was stopped. Whether others did it, and that is to be told everywhere."""

@@ -328,10 +328,11 @@ class Judge:
         # Where nothing is sent and no drive answers the channel is gone: its heartbeat ends alone.
         gone = np.minimum(seen.torque_age, seen.channel_age) > settings.patience_ms
         wrong = enabled & seen.unlogged & ~gone
-        # A daemon that is late is so on every channel, and one that repeats itself is not late; but
-        # zeros may wait in a queue behind which there are others.
+        # A daemon that is late is so on more than one channel, and one that repeats itself is not
+        # late; but zeros may wait in a queue behind which there are others.
         late = wrong & seen.late & ((seen.same < settings.frozen_frames) | (seen.mille == 0))
-        late &= not (late | ~enabled).all()
+        beside = enabled & ~seen.together[late].any(axis=0)
+        late &= seen.together[np.ix_(late, late)].all() and beside.any()
         yield from _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, wrong & ~late)
         for each in _at(Requirement.COMMAND_LOGGED, seen, seen.torque, None, late):
             yield replace(each, alone=True)

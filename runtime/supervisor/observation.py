@@ -107,6 +107,8 @@ class Observation:
     """m by which a recorded length is outside of those on the bus lately"""
     beating: NDArray[np.bool_]
     """its channel has the heartbeat"""
+    together: NDArray[np.bool_]
+    """drives on one channel (n, n)"""
 
 
 @dataclass
@@ -143,7 +145,6 @@ class Observer:
         self._numbers = np.array([axis.number for axis in wiring.axes], np.int64)
         channels = np.array([axis.channel for axis in wiring.axes])
         self._together = channels == channels[:, None]
-        """drives on one channel (n, n)"""
         self._newton = np.array([np.nan if a.newton is None else a.newton for a in wiring.axes])
         self._limit = np.array([axis.limit for axis in wiring.axes], np.int64)
         self._mass = np.array([axis.mass for axis in wiring.axes])
@@ -235,6 +236,7 @@ class Observer:
             *self._compared(sent, mille, len(claims)),
             self._lengths(now_ns, self._samples[-1].length, self._claim),
             np.ones(len(enabled), bool),
+            self._together,
         )
 
     def _powers(

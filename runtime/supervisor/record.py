@@ -104,7 +104,7 @@ def claims(records: New, *, answered: bool = False) -> list[Claim]:
             state["failed"].astype(bool),
             rows["drives"]["angle"].copy(),
             _answers(rows) if answered else [None] * len(stamps),
-            rows["timing"]["tick"].tolist(),
+            rows["timing"]["tick"].astype(np.int64).tolist(),
             state["fault"].tolist(),
             state["operator"].tolist(),
             state["stop_mode"].tolist(),

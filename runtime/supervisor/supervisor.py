@@ -129,7 +129,7 @@ class Supervisor:
             if relay is None
         }
         self._boots = Boots({key: frames[key] for key in sorted(beats)}, errors)
-        self._changes = Changes(self._boots, settings.quiet_s, restarts=relay is None)
+        self._changes = Changes(self._boots, settings.quiet_s, restarts=True)
         self._powered = Powered(wiring.axes, self._heard, self._boots, settings.stale_ms)
 
     def step(self, now_ns: int) -> None:
@@ -159,7 +159,7 @@ class Supervisor:
         seen.enabled &= seen.beating
         if seen.enabled.any() or self._commands.led or changed:
             found = changed or commanded or self._late(now_ns) or self._judge(seen)
-            if found is not None and found.alone:
+            if found is not None and found.alone and sum(self._voice.beating) > 1:
                 self._voice.beating[self._channel_of[seen.axes == found.where].item()] = False
             elif found is not None:
                 self._fall_silent(found)

@@ -57,6 +57,8 @@ class Voice:
         """since when drives of each have power without a heartbeat, or since the last single one"""
         self._output: Own | None = None
         """what the relay's node is told"""
+        self._begun = False
+        """a heartbeat was sent since it began"""
         self._holds = False
         """whether it has set the relay's output"""
         self.own: list[Own] = [*self._beats]
@@ -70,6 +72,7 @@ class Voice:
         """On every channel."""
         self.beating = [True] * len(self._buses)
         self._beat_ns = [now_ns] * len(self._buses)
+        self._begun = False
         for own in self.own:
             own.begin()
 
@@ -126,18 +129,19 @@ class Voice:
                 and self._tell(place, beats, _OPERATIONAL)
             ):
                 self._beat_ns[place] = now_ns
+                self._begun = True
             if now_ns - self._beat_ns[place] > self.timeout_ns:
                 self.beating[place], lost = False, True
         return lost
 
     def hold_relay(self, now_ns: int) -> None:
-        """Its output is on as long as the heartbeat goes, and is off at once with its end. Like a
-        heartbeat it is not switched on by what was seen too long ago: the node, started again
-        meanwhile, would wait for none."""
+        """Its output is on as long as the heartbeat goes, and is off at once with its end. It is
+        not switched on before the node was sent one, nor, like a heartbeat, by what was seen too
+        long ago: the node, just started, would wait for none."""
         beating = any(self.beating)
         if self._output is None or not (beating or self._holds):
             return
-        if beating and not self._is_in_time(now_ns):
+        if beating and not (self._begun and self._is_in_time(now_ns)):
             return
         told = self._tell(0, self._output, _HELD if beating else _RELEASED)
         self._holds = beating or not told

@@ -83,6 +83,7 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         late=np.zeros(N, bool),
         off_bus=np.zeros(N),
         beating=np.ones(N, bool),
+        together=np.arange(N) // 2 == np.arange(N)[:, None] // 2,
     )
     if "mille" in given:
         given.setdefault("pulled", given["mille"] != 0)
@@ -275,17 +276,21 @@ class Watchdog:
             # Power comes with control, and a stop is of what was controlled.
             begins = enabled and not self._powered
             self._reset = self.resets and not (enabled or self._reset)
-            # A daemon takes a reset in FAULT alone. What follows from FAULT itself is the test's.
-            failed = self._reset and broken(self) not in (None, Requirement.COMMANDED)
-            first = [State.REFERENCING] if begins else [State.FAULT] if failed else []
-            for state in (*first, self.state):
+            states = [(self.state, self._reset)]
+            if begins:
+                states.insert(0, (State.REFERENCING, False))
+            elif self._reset and broken(self) not in (None, Requirement.COMMANDED):
+                # A daemon takes a reset in FAULT, which leads to STANDBY. What follows from FAULT
+                # itself is the test's.
+                states = [(State.FAULT, False), (State.STANDBY, True), (self.state, False)]
+            for place, (state, reset) in enumerate(states):
                 record = np.zeros(1, cycle_dtype(N))
                 record["state"]["state"] = state
-                if (self._reset and state == self.state) or self.stuck:
+                if reset or self.stuck:
                     record["state"]["operator"] = Operator.RESET
-                record["timing"]["tick"] = round(now_ms * 1000) + (state == self.state)
-                at_ms = now_ms - (state != self.state)
-                self.records.append((round(at_ms * MS), record[0]))
+                record["timing"]["tick"] = round(now_ms * 1000) + place
+                before_ms = 0.6 * (len(states) - 1 - place)
+                self.records.append((round((now_ms - before_ms) * MS), record[0]))
         self._powered = enabled
         before, self.now_ms = len(self.buses[0].sent), now_ms
         self.supervisor.step(round(now_ms * MS))

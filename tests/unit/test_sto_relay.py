@@ -16,6 +16,7 @@ from tonus.config.schema.faults import Loss
 from tonus.config.schema.lab import LabScript
 from tonus.config.schema.sto_relay import StoRelay
 from tonus.config.timeouts import node_timeout_ms
+from tonus.drivers.canopen.node import Node
 from tonus.drivers.canopen.sto_relay import RelayedFieldbus
 from tonus.drivers.errors import BringUpError, DriverError
 from tonus.drivers.fieldbus import BusEvent, Progress
@@ -473,6 +474,26 @@ async def test_each_reset_brings_the_relay_up_anew(bench: Bench) -> None:
     while not task.done():
         await bench.pass_ms(1)
     assert bench.object(0x1016, 1) == watch
+
+
+@played()
+async def test_a_relay_that_restarts_while_it_is_brought_up_is_not_used(bench: Bench) -> None:
+    """It has forgotten its watch, and would be started without one."""
+    await bench.held()
+    bench.beats = bench.holds = False
+    start = Node.start
+
+    async def booted(node: Node) -> None:
+        node.monitor.receive(b"\0")
+        await start(node)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Node, "start", booted)
+        task = asyncio.get_running_loop().create_task(bench.fieldbus.recover())
+        while not task.done():
+            await bench.pass_ms(1)
+    await bench.pass_ms(300)
+    assert bench.obstacles["sto relay"] == "restarted and lost its configuration; reset"
 
 
 def welded(bench: Bench) -> None:

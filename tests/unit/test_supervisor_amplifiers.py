@@ -106,5 +106,5 @@ def test_amplifiers_on_can_have_to_be_brought_up_too(
     list(beside.steps(400, failed))
     assert not beside.supervisor.beating
     boot(*silent)
-    list(beside.steps(3, failed))
+    list(beside.steps(3, disarmed))
     assert beside.supervisor.beating

@@ -209,6 +209,24 @@ def test_a_device_that_has_restarted_is_armed_by_no_daemon_in_order(
     assert recovered or found == Violation(Requirement.COMMANDED, NOWHERE, 0.0)
 
 
+@pytest.mark.parametrize("state", [State.OFF, State.REFERENCING, State.SAFE_STOP])
+@pytest.mark.parametrize("armed", [State.REFERENCING, State.ACTIVE])
+def test_nor_where_the_record_has_no_standby(
+    watchdog: Watchdog, state: State, armed: State
+) -> None:
+    """Of a state of control, power tells that it is armed: a daemon in order sees the restart as
+    soon, and may record that state for some ms more."""
+    watchdog.state = state
+    list(watchdog.steps(0, 310, enabled=False))
+    axis = watchdog.wiring.axes[5]
+    watchdog.step(310, enabled=False, beats=[(axis.number, 0)])
+    assert all(sent == BEAT for sent in watchdog.steps(312, 320, enabled=False))
+    watchdog.state = armed
+    sent = list(watchdog.steps(320, 330, enabled=True))
+    assert BEAT not in sent
+    assert watchdog.supervisor.violation == Violation(Requirement.COMMANDED, NOWHERE, 0.0)
+
+
 def test_devices_that_boot_before_there_is_a_record(watchdog: Watchdog) -> None:
     """In the bring-up."""
     list(watchdog.steps(0, 100, enabled=False, tick=False))
@@ -268,6 +286,7 @@ def test_nor_while_one_of_them_has_not_booted(watchdog: Watchdog, amplifier: boo
     beat = can.Message(arbitration_id=last[1], is_extended_id=False, data=b"\0")
     place = [channel for _, channel, _ in watchdog.wiring.channels].index(last[0])
     watchdog.buses[place].waiting.append(beat)
+    watchdog.state = State.STANDBY
     assert beginnings(watchdog, 1000, 1100)[:1] == [1000]
 
 

@@ -13,6 +13,7 @@ from tests.unit.supervisor_setup import (
     STRICT,
     FakeBus,
     Watchdog,
+    broken,
 )
 from tonus.config import Config, load
 from tonus.config.schema.bus import CanopenBus
@@ -85,6 +86,28 @@ def test_a_channel_whose_torques_come_late_gets_none(
     assert watchdog.supervisor.beating
 
 
+def test_the_last_channel_does_not_end_alone(
+    watchdog: Watchdog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would begin again without a reset, and nobody would have been told."""
+
+    def judge(_: Judge, seen: Observation) -> Violation | None:
+        first = int(seen.axes[seen.enabled][0])
+        return Violation(Requirement.COMMAND_LOGGED, first, 1.0, alone=True)
+
+    list(watchdog.steps(0, 310, enabled=False))
+    monkeypatch.setattr(Judge, "__call__", judge)
+    for now in range(310, 316, 2):
+        watchdog.step(now, enabled=True, everywhere=True)
+        assert (watchdog.supervisor.beating, broken(watchdog)) == (True, None)
+    watchdog.step(316, enabled=True, everywhere=True)
+    assert broken(watchdog) is Requirement.COMMAND_LOGGED
+    (last,) = [bus for bus in watchdog.buses if bus.sent[-1].arbitration_id == 0x0FE]
+    assert last.sent[-1].data[:2] == b"\x0a\xff"
+    watchdog.resets = False
+    assert not any(watchdog.steps(318, 1000, enabled=False))
+
+
 def test_a_supervisor_that_finds_the_robot_armed_stays_silent(watchdog: Watchdog) -> None:
     assert all(sent == [] for sent in watchdog.steps(0, 2000, enabled=True))
     assert not watchdog.supervisor.beating
@@ -151,8 +174,12 @@ def test_a_reset_that_the_daemon_does_not_take_is_none(watchdog: Watchdog) -> No
     assert not any(watchdog.steps(402, 1200, enabled=False))
     watchdog.state = State.FAULT
     assert watchdog.step(1200, enabled=False) != BEAT
+    watchdog.stuck = True
+    assert watchdog.step(1202, enabled=False) != BEAT, "it stays in FAULT"
+    watchdog.stuck = False
+    assert watchdog.step(1204, enabled=False) != BEAT
     watchdog.stuck, watchdog.state = True, State.STANDBY
-    assert watchdog.step(1202, enabled=False) == BEAT
+    assert watchdog.step(1206, enabled=False) == BEAT
 
 
 def test_a_reset_that_is_recorded_from_the_first_tick_on_is_nobodys(watchdog: Watchdog) -> None:
@@ -284,7 +311,9 @@ def test_a_drive_that_sends_heartbeats_and_no_measurements_is_what_it_was(
 ) -> None:
     """It may have its last torque still. One of two goes on so after the daemon is disarmed."""
     axis = watchdog.wiring.axes[0]
+    watchdog.state = State.FAULT
     list(watchdog.steps(0, 310, enabled=False, beats=[(0, BOOT_UP)]))
+    watchdog.state = State.SAFE_STOP
     assert watchdog.step(310, enabled=True) == BEAT
     watchdog.state = State.FAULT
     deaf, beats = {(axis.channel, axis.received)}, [(0, state)]
@@ -320,7 +349,9 @@ def test_a_silent_drive_that_is_off(
 ) -> None:
     """A heartbeat may still be 18 ms later than the last measurement of a drive that is pulled."""
     silent = watchdog.wiring.axes[0]
+    watchdog.state = State.FAULT
     list(watchdog.steps(0, 310, enabled=False, beats=[(0, BOOT_UP), (1, BOOT_UP)]))
+    watchdog.state = State.SAFE_STOP
     assert watchdog.step(310, enabled=True, beats=[(0, OPERATIONAL)]) == BEAT
     watchdog.state = State.FAULT
     deaf = {(silent.channel, silent.received)}

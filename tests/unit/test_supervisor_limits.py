@@ -92,18 +92,22 @@ def test_a_torque_that_is_not_logged_where_nothing_may_last(config: Config) -> N
 
 
 def test_torques_of_one_channel_that_come_late(config: Config) -> None:
-    """The channel's drives have to stop, not the others: those are sent what is recorded."""
+    """The channel's drives have to stop, not the others: those are sent what is recorded. Where
+    torques of several channels are late, or of the only one, all have to."""
     rows = np.arange(N)
     one, two, none = rows < 1, rows < 2, rows < 0
+    apart = (rows == 1) | (rows == 6)
     for unlogged, late, same, enabled, alone, where in (
         (two, two, none, ~none, True, 0),
         (two, ~none, none, ~none, True, 0),
-        (rows < 7, rows < 7, none, ~none, True, 0),
+        (apart, apart, none, ~none, False, 1),
+        (rows < 7, rows < 7, none, ~none, False, 0),
         (two, one, none, ~none, False, 1),
         (two, two, one, ~none, False, 0),
         (two, two, two & ~one, ~none, False, 1),
         (~none, ~none, none, ~none, False, 0),
         (two, two, none, two, False, 0),
+        (one, one, none, two, False, 0),
     ):
         look = {"unlogged": unlogged, "late": late, "enabled": enabled}
         look["same"] = np.where(same, 6, 5)

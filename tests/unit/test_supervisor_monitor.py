@@ -176,10 +176,10 @@ def test_what_one_waits_for_that_has_stopped_the_robot() -> None:
     watching.look(3 * TWICE)
     silent = "is not heard on can0, can1"
     (told,) = watching.image.obstacles.values()
-    assert told == f"{silent}; it has stopped the robot, and waits for a reset"
+    assert told == f"{silent}; it has stopped the robot: emergency stop, then reset"
     watching.single(0, 1)
     watching.look(3 * TWICE)
-    assert next(iter(watching.image.obstacles.values())).endswith("waits for a reset")
+    assert next(iter(watching.image.obstacles.values())).endswith("emergency stop, then reset")
     watching.beat(0, 1)
     watching.look(3 * TWICE)
     assert list(watching.image.obstacles.values()) == [silent]

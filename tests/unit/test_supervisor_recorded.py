@@ -544,14 +544,47 @@ def test_single_heartbeats_are_farther_apart_than_the_relays_node_waits(
     assert singles.min() >= 2 * max(timeout_ms, relay_ms)
 
 
-def test_the_relays_node_may_restart_at_rest(held: Held) -> None:
-    """The daemon starts it again, and its contacts are open without the output."""
+@pytest.mark.parametrize("recovered", [False, True])
+def test_a_relays_node_that_restarted_at_rest_is_brought_up_before_it_is_used(
+    held: Held, recovered: bool
+) -> None:
+    """It waits for no heartbeat any more, and would hold its output without one."""
     list(held.steps(160, disarmed))
     held.bus.waiting.append(
         can.Message(arbitration_id=0x700 + NODE, is_extended_id=False, data=b"\0")
     )
     list(held.steps(20, disarmed))
-    assert all(sent == [BEAT, HELD] for sent in held.steps(20))
+    if recovered:
+        list(held.steps(2, failed))
+        list(held.steps(20, disarmed))
+    sent = list(held.steps(20))
+    assert all(each == [BEAT, HELD] for each in sent) is recovered
+    violation = held.supervisor.violation
+    assert recovered or (violation and violation.requirement) is Requirement.COMMANDED
+
+
+def test_an_output_is_not_set_before_a_heartbeat_was_sent(
+    held: Held, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The node, just started, would wait for none."""
+    list(held.steps(150, disarmed))
+    send = held.bus.send
+
+    def refused(message: can.Message, timeout: float | None = None) -> None:
+        if message.arbitration_id == BEAT[0]:
+            raise can.CanError("no room")
+        send(message, timeout)
+
+    monkeypatch.setattr(held.bus, "send", refused)
+    assert all(sent == [] for sent in held.steps(20, disarmed))
+
+
+@pytest.mark.parametrize("tick", [1 << 63, (1 << 64) - 1])
+def test_a_tick_that_no_daemon_counts_to_is_no_record(held: Held, tick: int) -> None:
+    def far(record: Any) -> None:
+        record["timing"]["tick"] = tick
+
+    assert held.armed().stopped_for(far) == Requirement.TICK
 
 
 def test_a_drives_own_torque_while_it_is_to_be_off(held: Held) -> None:
