@@ -13,9 +13,8 @@ from tonus.runtime.supervisor.record import CONTROLLED, Claim
 class Changes:
     """Call it once a look (SUP-27)."""
 
-    def __init__(self, boots: Boots, quiet_s: float, *, restarts: bool) -> None:
-        """``restarts``: whether a device that restarts counts."""
-        self._boots, self._restarts = boots, restarts
+    def __init__(self, boots: Boots, quiet_s: float) -> None:
+        self._boots = boots
         self._quiet_ns = quiet_s * 1e9
         self._recorded = self._paused = False
         """there was a record before this look, not of FAULT; and none for ``quiet_s``"""
@@ -74,7 +73,7 @@ class Changes:
     def _note_restarts(self, claims: list[Claim], *, recovered: bool, powered: bool) -> None:
         """A device that restarts has lost what the bring-up made of it. The daemon answers with
         FAULT, if only after a stop; one that is armed again without that counts as changed."""
-        if self._recorded and self._restarts:
+        if self._recorded:
             self._restarted |= bool(self._boots.found)
         if recovered:
             self._restarted = self._forgetful = self._unpowered = False

@@ -129,7 +129,7 @@ class Supervisor:
             if relay is None
         }
         self._boots = Boots({key: frames[key] for key in sorted(beats)}, errors)
-        self._changes = Changes(self._boots, settings.quiet_s, restarts=True)
+        self._changes = Changes(self._boots, settings.quiet_s)
         self._powered = Powered(wiring.axes, self._heard, self._boots, settings.stale_ms)
 
     def step(self, now_ns: int) -> None:
