@@ -230,6 +230,7 @@ class ControlCycle:
         """Ask the stages what an ordinary tick needs no answer to, or not by itself, so that
         nothing is compiled in the tick of a fault. For a cycle that is thrown away."""
         self.sequence.rehearse(image)
+        self._cross_check.rehearse(image)
         self._allocation.rehearse(self._descent)
         rehearse_descent(self._controller)
 

@@ -136,6 +136,9 @@ class Isolation(Section):
     """in a row"""
     torque_descent_ticks: Count
     """in a row, in a descent or a passive stop, of a drum that turns"""
+    given_up_tension: Positive = 240.0
+    """N, the most that a cable without a usable cell may pull: what a drum's torque and motion say
+    beyond it is the drum's"""
     sample_doubt: Positive
     """s of uncertainty of the time of a sample, beyond which it is not compared with its torque"""
     unobserved_s: Positive

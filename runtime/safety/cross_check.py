@@ -53,6 +53,11 @@ class CrossCheck:
         ``skipped``: ticks between the two were missed."""
         self._before = (torque.copy(), following.copy(), reference, taking_up.copy(), skipped)
 
+    def rehearse(self, image: ProcessImage) -> None:
+        """What no tick asks before a cable is given up."""
+        failed = self._sequence.faults.failed
+        self._isolation.given_up.step(image, self._sensing, failed, np.zeros(len(failed)))
+
     def finish(self, image: ProcessImage) -> None:
         """Nothing where control has not come as far as `begin`."""
         if self._before is None:
@@ -72,11 +77,16 @@ class CrossCheck:
             enabled=sequence.enabled,
         )
         if failed.any():
-            cells, held = image.cells[: len(failed)], sequence.faults.held
+            faults = sequence.faults
+            watched = failed & ~taking_up & faults.drums_readable & faults.drums_obedient
+            if skipped or not sequence.enabled:
+                watched[:] = False
+            self._isolation.given_up.step(image, sensing, watched, torque)
+            cells, held = image.cells[: len(failed)], faults.held
             self._isolation.unwound(
                 cells["force"], cells["age"], sensing.tension, sensing.angle, held
             )
-            sequence.faults.freed |= self._isolation.freed(sensing.angle)
+            faults.freed |= self._isolation.freed(sensing.angle)
         regulating = sequence.regulating
         if not regulating and (sequence.passive_share < 0.0 or not sequence.referenced):
             return

@@ -39,6 +39,7 @@ from tonus.config.schema.robot import Robot
 from tonus.config.schema.safety import Isolation as Settings
 from tonus.config.schema.safety import Stop
 from tonus.runtime.safety.drum_observer import DrumObserver
+from tonus.runtime.safety.given_up_drums import GivenUpDrums
 from tonus.runtime.states import Fault, StopMode
 
 Array = NDArray[np.float64]
@@ -165,6 +166,7 @@ class Isolation:
     def __init__(self, robot: Robot, settings: Settings, stop: Stop, period: float) -> None:
         self._settings, self._taut = settings, stop.taut_tension
         self.drums = DrumObserver(robot, settings)
+        self.given_up = GivenUpDrums(robot, settings)
         self._stuck_ticks = np.maximum(_turned(robot, settings) / period, settings.torque_ticks)
         """(n,) in which a drum that stands all the time has contradicted its torque for certain"""
         self._share = 1.0 - math.exp(-period / settings.innovation_s)
@@ -207,6 +209,7 @@ class Isolation:
         self._shown[:] = self._stood_at[:] = np.nan
         self._quiet = True
         self.drums.reset()
+        self.given_up.reset()
 
     def step(
         self,
@@ -315,7 +318,9 @@ class Isolation:
             frozen = (self._repeated >= s.frozen_ticks) & ~failed | self._unmoved
             if frozen.any():
                 return Fault.CELL_FROZEN, int(frozen.argmax())
-        drums = self.drums
+        drums, given_up = self.drums, self.given_up.disobedient
+        if given_up >= 0:
+            return Fault.DRUM_TORQUE, given_up
         if drums.most_misled < s.torque_ticks:
             return Fault.NONE, -1
         stuck = np.minimum(drums.misled, drums.standing) >= self._stuck_ticks

@@ -35,7 +35,11 @@ class Noted:
 @pytest.fixture
 def parts() -> SimpleNamespace:
     faults = SimpleNamespace(
-        failed=np.zeros(N, bool), held=np.arange(N) == 6, freed=np.arange(N) == 1
+        failed=np.zeros(N, bool),
+        held=np.arange(N) == 6,
+        freed=np.arange(N) == 1,
+        drums_readable=np.arange(N) != 3,
+        drums_obedient=np.arange(N) != 4,
     )
     return SimpleNamespace(
         sensing=SimpleNamespace(
@@ -56,9 +60,12 @@ def parts() -> SimpleNamespace:
     )  # fmt: skip
 
 
-def finished(parts: SimpleNamespace, *taking_up: int) -> tuple[CrossCheck, Noted]:
+def finished(
+    parts: SimpleNamespace, *taking_up: int, skipped: bool = True
+) -> tuple[CrossCheck, Noted]:
     """A tick; what the drums were observed with."""
     drums = parts.isolation.drums = Noted()
+    parts.isolation.given_up = Noted()
     check = CrossCheck(
         parts.sensing,
         parts.sequence,
@@ -68,7 +75,7 @@ def finished(parts: SimpleNamespace, *taking_up: int) -> tuple[CrossCheck, Noted
         parts.witness,
     )
     slack = np.isin(np.arange(N), taking_up)
-    check.begin(np.arange(N) + 7.0, np.arange(N) + 8.0, np.arange(N) + 9.0, slack, skipped=True)
+    check.begin(np.arange(N) + 7.0, np.arange(N) + 8.0, np.arange(N) + 9.0, slack, skipped=skipped)
     check.finish(parts.image)
     return check, drums
 
@@ -83,6 +90,23 @@ def test_drums_of_given_up_cables_are_not_observed_but_where_they_took_up_slack(
     assert failed.nonzero()[0].tolist() == [2]
     assert (torque[0], following[0]) == (7.0, 8.0)
     assert named == {"skipped": True, "enabled": True}
+
+
+@pytest.mark.parametrize(
+    ("enabled", "skipped", "watched"),
+    [(True, False, [2, 6]), (False, False, []), (True, True, [])],
+)
+def test_drums_of_given_up_cables_are_watched_without_their_cells(
+    parts: SimpleNamespace, enabled: bool, skipped: bool, watched: list[int]
+) -> None:
+    """But for those that take up slack, are not readable, or have disobeyed already."""
+    parts.sequence.faults.failed[[2, 3, 4, 5, 6]] = True
+    parts.sequence.enabled = enabled
+    finished(parts, 5, skipped=skipped)
+    (image, sensing, mask, torque), _ = parts.isolation.given_up.called["step"]
+    assert (image, sensing) == (parts.image, parts.sensing)
+    assert mask.nonzero()[0].tolist() == watched
+    assert torque[0] == 7.0
 
 
 @pytest.mark.parametrize("failed", [[], [3], list(range(N))])
