@@ -22,6 +22,7 @@ from tonus.runtime.control.sensing import INTERVAL, RATE, Sensing
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
 # The rows of what is kept of the drums: constants, then the observer's state.
 _RADIUS, _MASS, _EXPLAINED, _UNEXPLAINED, _MEAN = range(5)
 _ROWS = _MEAN + 1
