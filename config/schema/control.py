@@ -361,6 +361,16 @@ class Control(Section):
             raise PlacedError(("filters", "force_cutoff_hz"), f"{text}; choose less than {half:g}")
         return self
 
+    @model_validator(mode="after")
+    def _carried(self) -> Control:
+        least, given = self.tension.max, self.isolation.given_up_tension
+        if given < least:
+            text = f"{given:g} N are less than control.tension.max, which a cable may carry"
+            raise PlacedError(
+                ("isolation", "given_up_tension"), f"{text}; choose at least {least:g}"
+            )
+        return self
+
 
 class Recording(Section):
     ring_s: Positive

@@ -577,6 +577,7 @@ def test_cells_whose_numbers_end_below_a_bound(digits: int, refused_: bool) -> N
     cell = {"tpdo": [0x71300110], "decimal_digits": digits}
     stated = ROBOT | {f"fieldbus.force_cell.{key}": value for key, value in cell.items()}
     stated |= {"control.tension.max": 300.0, "supervisor.tension_stopping": 340.0}
+    stated["control.isolation.given_up_tension"] = 360.0
     for path in ("config/can.yaml", "config/ethercat.yaml"):
         found = findings(*load(path, overrides=stated))
         assert ("fieldbus.force_cell" in {each.where for each in found}) == refused_

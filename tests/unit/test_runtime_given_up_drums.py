@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from loop import QUICK, ClosedLoop, configured
 
 from tonus.config import load
+from tonus.config.errors import ConfigError
 from tonus.drivers.process_image import AxisState, ProcessImage
 from tonus.runtime.safety.given_up_drums import GivenUpDrums
 from tonus.runtime.states import Fault, State, StopMode
@@ -172,6 +174,17 @@ def test_a_reset_forgets(added: float, found: bool) -> None:
     assert drums.watch.disobedient == -1
     assert drums.tick(1, 1000.0) == -1, "there is nothing to compare with"
     assert drums.tick(1, added - PULL) == (1 if found else -1)
+
+
+@pytest.mark.parametrize(("most", "refused"), [(240.0, False), (240.1, True)])
+def test_a_cable_may_carry_what_the_robot_states(most: float, refused: bool) -> None:
+    """A taut cable would count as a drum that disobeys."""
+    with (
+        nullcontext()
+        if not refused
+        else pytest.raises(ConfigError, match=r"choose at least 240\.1")
+    ):
+        load("config/direct.yaml", overrides={"control.tension.max": most})
 
 
 @pytest.mark.parametrize(("gain", "axis"), [(-0.6, 0), (-1.0, 6)])
