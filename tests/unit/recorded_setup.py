@@ -155,3 +155,7 @@ def disarmed(record: Any) -> None:
     record["state"]["operator"] = Operator.RESET
     record["drives"]["statusword"] = DISABLED
     record["drives"]["torque_command"] = record["drives"]["torque"] = 0.0
+
+
+def out_of_bounds(record: Any) -> None:
+    record["stiffness"]["k_eq"] = 1e5
