@@ -159,8 +159,10 @@ def test_signals_by_state(run: Run) -> None:
         tension.during(State.FAULT)
     with pytest.raises(ToolError, match="no state 'MOVING'"):
         tension.during("MOVING")
-    with pytest.raises(ToolError, match=r"no signal /tonus/tension\.colour"):
+    with pytest.raises(ToolError, match=r"^there is no signal /tonus/tension\.colour; it has "):
         run.signal("tension", "colour")
+    with pytest.raises(ToolError, match=rf"^{run.path}: there is no signal /elsewhere\.colour; "):
+        run.signal("/elsewhere", "colour")
 
 
 def first_ticks(out: Path, change: float = 0.0) -> Run:

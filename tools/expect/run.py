@@ -175,8 +175,9 @@ class Run:
         the log has no such signal."""
         name = full(topic)
         if not self.log.has(name, field):
-            hint = advice(name, field) or "docs/log.md lists them"
-            raise ToolError(f"{self.path}: has no signal {name}.{field}; {hint}")
+            hint = advice(name, field)
+            where, remedy = ("", hint) if hint else (f"{self.path}: ", "docs/log.md lists them")
+            raise ToolError(f"{where}there is no signal {name}.{field}; {remedy}")
         self.log.load([name, "/tonus/state"])
         times = self.log.times(name)
         last = np.searchsorted(self.log.times("/tonus/state"), times, side="right") - 1
