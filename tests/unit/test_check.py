@@ -515,3 +515,14 @@ def test_an_inertia_that_no_such_platform_has_is_seen() -> None:
 def test_a_workspace_without_a_turn_is_plausible() -> None:
     config, _ = load("config/can.yaml", overrides={"robot.workspace.tilt_deg": 0.0})
     assert all(each.ok for each in plausibility(config))
+
+
+def test_a_channel_that_two_parts_of_the_fieldbus_name() -> None:
+    bus = load("config/can.yaml")[0].fieldbus.model_dump(mode="json")
+    channels = bus.pop("channels")
+    parts = [{**bus, "channels": some} for some in (channels[:2], channels[2:])]
+    whole = {"fieldbus": {"kind": "several", "buses": parts}}
+    assert not [each for each in check(*load("config/can.yaml", overrides=whole)) if not each.ok]
+    channels[3]["name"] = "can0"
+    found = [each for each in check(*load("config/can.yaml", overrides=whole)) if not each.ok]
+    assert {each.text for each in found if each.rule == "channel names"} == {"can0 is given twice"}

@@ -50,6 +50,13 @@ def test_a_relay_that_opens_too_late(
     assert refused(**lab, **times) == ([] if ok else ["sto_relay.release_ms"])
 
 
+def test_a_relay_that_opens_later_than_power_may_last() -> None:
+    """However long a disarmed drive may have power: nothing else ends a wrong torque."""
+    times = {"supervisor__disarmed_ms": 75, "sto_relay__torque_off_ms": 25}
+    assert refused(lab=None, sto_relay__release_ms=25, **times) == []
+    assert refused(lab=None, sto_relay__release_ms=25.1, **times) == ["sto_relay.release_ms"]
+
+
 def test_without_a_relay_the_segment_is_out_of_reach() -> None:
     assert refused(lab=None, sto_relay=None) == ["supervisor.policy"]
     assert not wanted(load(PATH, overrides={"sto_relay": None})[0])

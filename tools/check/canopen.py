@@ -27,7 +27,7 @@ def check_canopen(config: Config, bus: CanopenBus) -> Iterator[Finding]:
     # One that holds a relay beats on the relay's channel alone.
     supervisor = config.supervisor if config.relay is None else None
     yield from _period(bus, period_us)
-    yield from _channel_names(bus)
+    yield _channel_names(config, bus)
     for channel in bus.channels:
         yield from _load(bus, channel, period_us, supervisor)
         yield from _identifiers(bus, channel, supervisor)
@@ -46,10 +46,11 @@ def _period(bus: CanopenBus, period_us: int) -> Iterator[Finding]:
     )
 
 
-def _channel_names(bus: CanopenBus) -> Iterator[Finding]:
-    twice = [name for name, count in Counter(c.name for c in bus.channels).items() if count > 1]
+def _channel_names(config: Config, bus: CanopenBus) -> Finding:
+    names = Counter(name for part in config.fieldbus.parts for name in part.can_channels)
+    twice = [name for name, count in names.items() if count > 1]
     text = f"{twice[0]} is given twice" if twice else f"{len(bus.channels)} channels"
-    yield Finding(
+    return Finding(
         "channel names", not twice, "fieldbus.channels", text, "give every channel its own name"
     )
 

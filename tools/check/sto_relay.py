@@ -12,6 +12,9 @@ from tonus.config.timeouts import least_node_timeout_ms, node_timeout_ms
 from tonus.tools.check.finding import Finding
 
 _RULE = _KEY = "sto_relay"
+_LONGEST_MS = 50.0
+"""that drives keep their torque after the output is off. R: with 100 ms 690 N in all reach 353 N,
+with 37 ms 198 N"""
 
 
 def check_relay(config: Config) -> Iterator[Finding]:
@@ -80,6 +83,7 @@ def _times(relay: StoRelay, supervisor: Supervisor) -> Iterator[Finding]:
     dead_ms = relay.timeout_ms + after_ms
     late_ms = supervisor.patience_ms + supervisor.period_ms
     still_ms = late_ms + after_ms
+    longest_ms = min(_LONGEST_MS, supervisor.disarmed_ms)
     yield Finding(
         _RULE,
         True,
@@ -91,10 +95,10 @@ def _times(relay: StoRelay, supervisor: Supervisor) -> Iterator[Finding]:
     )
     yield Finding(
         _RULE,
-        after_ms <= supervisor.disarmed_ms,
+        after_ms <= longest_ms,
         f"{_KEY}.release_ms",
         f"a drive has torque for {after_ms:g} ms after the output is off, {relay.release_ms:g} ms "
         f"until the contacts are open and {relay.torque_off_ms:g} ms (torque_off_ms) from there; "
-        f"supervisor.disarmed_ms lets it have {supervisor.disarmed_ms:g} ms",
+        f"it may for {longest_ms:g} ms, and no longer than supervisor.disarmed_ms",
         "choose a faster relay, or faster STO inputs",
     )
