@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tonus.config.schema.supervisor import Requirement
-from tonus.runtime.states import Operator, State
+from tonus.runtime.states import ARMED, Operator, State
 from tonus.runtime.supervisor.devices import Boots
 from tonus.runtime.supervisor.judge import NOWHERE, Violation
 from tonus.runtime.supervisor.observation import Observation
@@ -16,12 +16,12 @@ class Changes:
     def __init__(self, boots: Boots, quiet_s: float) -> None:
         self._boots = boots
         self._quiet_ns = quiet_s * 1e9
-        self._recorded = self._paused = False
-        """there was a record before this look, not of FAULT; and none for ``quiet_s``"""
+        self._recorded = False
+        """there was a record before this look, not of FAULT"""
         self._changed: Violation | None = None
         """since then, until the next record"""
         self._unreset = False
-        """it stopped the robot, and no reset was recorded since, nor the beginning of a daemon"""
+        """it stopped the robot, and no reset was recorded since"""
         self._resetting = True
         """in the newest record; one that is recorded in every tick is nobody's"""
         self._failed = False
@@ -45,13 +45,10 @@ class Changes:
     def __call__(self, seen: Observation, changed: Violation | None) -> Violation | None:
         """A download, or a command of the network (``changed``), between records that are not of
         FAULT, in which alone a daemon makes some: the device is no longer what the bring-up has
-        made of it. However long the record pauses, it counts once that goes on. A daemon that ends
-        makes some too, and the next one's record begins with OFF."""
+        made of it. However long the record pauses, it counts once that goes on."""
         newest, claims = seen.claim, seen.claims
         self._unbooted -= self._boots.found
         recovered = any(claim.state == State.FAULT for claim in claims)
-        begun = bool(claims) and self._paused and claims[0].state == State.OFF
-        recovered |= begun
         if recovered:
             self._foul = None
         for claim in claims:
@@ -59,7 +56,6 @@ class Changes:
             taken = reset and self._failed and claim.state == State.STANDBY
             self._unreset &= not (taken and not self._resetting)
             self._resetting, self._failed = reset, claim.state == State.FAULT
-        self._unreset &= not begun
         self._note_restarts(claims, recovered=recovered, powered=bool(seen.enabled.any()))
         found = self._changed if claims and not (recovered or self._foul) else None
         if claims:
@@ -67,7 +63,6 @@ class Changes:
         if self._recorded:
             self._changed = self._changed or changed
         self._recorded = newest is not None and newest.state != State.FAULT
-        self._paused = newest is not None and seen.now_ns - newest.at_ns > self._quiet_ns
         return found
 
     def _note_restarts(self, claims: list[Claim], *, recovered: bool, powered: bool) -> None:
@@ -79,8 +74,8 @@ class Changes:
             self._restarted = self._forgetful = self._unpowered = False
         for claim in claims:
             self._forgetful |= self._restarted and claim.state not in CONTROLLED
-            armed = self._forgetful or (self._unpowered and powered)
-            if armed and claim.state in CONTROLLED:
+            forgetful = self._forgetful and claim.state in CONTROLLED
+            if forgetful or (self._unpowered and powered and claim.state in ARMED):
                 self._changed = self._changed or Violation(Requirement.COMMANDED, NOWHERE, 0.0)
         self._unpowered |= self._restarted and not powered
 

@@ -57,18 +57,22 @@ class Powered:
         they are off"""
         self._led_before = self.led.copy()
         """which were so in the look before"""
+        self.lost = self.led.copy()
+        """drives that do not count any more, and had power when they answered last"""
 
     def settle(self, seen: Observation, led: Sequence[int], looked_ns: int) -> None:
         """Put into ``seen.enabled`` what counts. ``led``: axes that since the look before, at
         ``looked_ns``, were told so."""
         # A drive that is silent is what it was, unless daemon and all others are disarmed and it
         # sends no heartbeat either: then it was pulled, or has no power.
+        had_power = seen.enabled.copy()
         present = seen.measured_age < self._stale_ms
         state = None if seen.claim is None else seen.claim.state
         seen.enabled &= present | self._alive(seen) | (not present.any()) | (state in ARMED)
         if state not in ARMED:
             seen.enabled &= ~self._booted
             self.led &= ~self._booted
+        self.lost = had_power & ~seen.enabled
         # Nobody in order tells a drive to have power that was pulled.
         seen.enabled |= seen.told
         newly = np.isin(seen.axes, led)

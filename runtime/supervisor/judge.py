@@ -97,6 +97,8 @@ class Judge:
         # Longer than `_pulling_ns`, of the same requirement, whose time is forgotten more slowly.
         self._unpowered_ns = max(self._opposed_ns, self._pulling_ns + self._period_ns)
         self._timeout_ns = round(settings.timeout_ms * 1e6)
+        # An encoder that slips shows a change of motion for as long as the window is.
+        self._own_ns = round((settings.window_ms + 2 * settings.period_ms) * 1e6)
         # Apart from how long a descent may turn, which it may do meanwhile.
         self._thrown_ns = 2 * self._opposed_ns + self._period_ns
         self._brakes = config.relay is None
@@ -207,6 +209,14 @@ class Judge:
                 yield each, patience_ns
         yield from self._of_taut_cables(seen)
         if seen.claim is not None and seen.claim.state == State.SAFE_STOP:
+            # No cable reels in its drum, whatever its cell says: there the drive pulls by itself.
+            # When its torque acted within the window does not matter by the largest one.
+            own = seen.motion - seen.most_torque
+            own -= self._settings.unexplained_share * abs(seen.most_torque)
+            reeling = seen.enabled & ~seen.useless & (seen.rate > 0.0)
+            limit = self._settings.unexplained_force
+            for each in _at(Requirement.UNEXPLAINED, seen, own, limit, reeling):
+                yield each, self._own_ns
             # No stop of a daemon in order gets there; a cell that is broken does. Where most report
             # an error they may measure all the same, but not what no cable has.
             most = 2 * seen.defective.sum() >= len(seen.defective)
@@ -492,8 +502,11 @@ class Judge:
             # Each drum has a share of the passive tension, and a damping against its motion.
             reeling_in, paying_out = seen.torques[1] - self._passive_tension, -seen.torques[0]
             driving = np.where(seen.rate > 0.0, reeling_in, paying_out)
+            # Which way a drum turns whose drive has not answered for long is not known.
+            old = seen.measured_age > settings.patience_ms
+            driving = np.where(old, np.fmax(reeling_in, paying_out), driving)
             # A torque that no record has is SUP-10's: it may be one of before the stop, come late.
-            turning = seen.enabled & ~seen.unlogged & (abs(seen.rate) > 0.0)
+            turning = seen.enabled & ~seen.unlogged & (old | (abs(seen.rate) > 0.0))
             yield from _at(Requirement.BRAKED, seen, driving, settings.passive_torque, turning)
 
     def _always(self, seen: Observation, speeds: tuple[float, ...]) -> Iterator[Violation]:

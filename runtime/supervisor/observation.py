@@ -88,6 +88,10 @@ class Observation:
     """N of the torque's mean over the window that neither tension nor motion explain"""
     mean_torque: Floats
     """N, of the same window"""
+    motion: Floats
+    """N at the cable that the drum's change of motion and its friction take, likewise"""
+    most_torque: Floats
+    """N, the largest that was sent in that window"""
     incredible: NDArray[np.bool_]
     """its encoder reports a motion, in that window, that no motor can make"""
     swing: Floats
@@ -128,6 +132,8 @@ class _Sample:
     """of their frames (2, n)"""
     tension: Floats
     """N (n,)"""
+    most: Floats
+    """N, the largest torque since the look before (n,)"""
     rate: Floats
     """m/s since the answer before (n,); not a number where answers are missing"""
 
@@ -199,9 +205,10 @@ class Observer:
         # One that was sent before the newest SYNC acts until the next one, whatever waits for that.
         lately = [[*h.numbers, acts] for h, acts in zip(sent, mille.tolist(), strict=True)]
         torques = np.array([(min(each), max(each)) for each in lately]).T * self._newton
+        torques = np.sort(torques, axis=0)
         tension = np.array([_force(cell, heard, tared) for cell in cells])
-        self._sample(now_ns, received, sent, cells, heard, tension)
-        rate, unexplained, mean, incredible = self._moved(tared)
+        self._sample(now_ns, received, sent, cells, heard, tension, torques[1])
+        rate, unexplained, mean, motion, incredible = self._moved(tared)
         measured_age = _ages(now_ns, received)
         return Observation(
             now_ns,
@@ -217,7 +224,7 @@ class Observer:
             np.array([any(each) for each in lately], bool),
             abs(mille) >= self._limit,
             mille * self._newton,
-            np.sort(torques, axis=0),
+            torques,
             rate,
             self._travel(),
             self._mass * rate,
@@ -229,6 +236,8 @@ class Observer:
             _defective(self._contact, heard),
             unexplained,
             mean,
+            motion,
+            np.max([each.most for each in self._samples], axis=0),
             incredible,
             *self._since.spans(enabled, changed, tension, self._samples[-1].rate),
             claims,
@@ -292,6 +301,7 @@ class Observer:
         cells: list[Cell | None],
         heard: Listened,
         tension: Floats,
+        most: Floats,
     ) -> None:
         """Add this look to the window, and let go what is older."""
         length = np.array(
@@ -311,7 +321,9 @@ class Observer:
         places = np.array([each.count for each in received], np.int64)
         read_ns = np.array([each.at_ns for each in received], np.int64)
         rate = np.full(len(length), np.nan)
-        sample = _Sample(now_ns, length * self._metre, places, read_ns, sums, counts, tension, rate)
+        sample = _Sample(
+            now_ns, length * self._metre, places, read_ns, sums, counts, tension, most, rate
+        )
         samples = self._samples
         if samples:
             sample.rate = self._rate(samples[-1], sample)
@@ -320,23 +332,26 @@ class Observer:
         while len(samples) > 3 and now_ns - samples[1].at_ns >= window_ns:
             samples.popleft()
 
-    def _moved(self, tared: Floats | None) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+    def _moved(
+        self, tared: Floats | None
+    ) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.bool_]]:
         """Rates since the look before, of a drum whose answers are missing the last one for
         ``patience_ms`` and then 0; over the window, what of the mean torque neither the mean
-        tension nor the drum's change of motion explains, and that mean; and whose encoder reports a
-        motion that the motor's limit, the cable and ``unexplained_force`` together cannot make.
-        What is not explained is not known of that, nor where answers are missing."""
+        tension nor the drum's change of motion explains, that mean, and what the change takes; and
+        whose encoder reports a motion that the motor's limit, the cable and ``unexplained_force``
+        together cannot make. What is not explained, and what the change takes, is not known of
+        that, nor where answers are missing."""
         samples = self._samples
         nothing = np.full(len(self._axes), np.nan)
         if len(samples) < 3:
-            return nothing, nothing, nothing, np.zeros(len(self._axes), bool)
+            return nothing, nothing, nothing, nothing, np.zeros(len(self._axes), bool)
         first, second, before, last = samples[0], samples[1], samples[-2], samples[-1]
         self._rates = np.where(np.isnan(last.rate), self._rates, last.rate)
         recent = last.at_ns - last.read_ns <= self._settings.patience_ms * 1e6
         held = np.where(recent, self._rates, 0.0)
         rate = np.where(np.isnan(last.rate) & np.isfinite(last.length), held, last.rate)
         if last.at_ns - first.at_ns < self._settings.window_ms * 1e6:
-            return rate, nothing, nothing, np.zeros(len(self._axes), bool)
+            return rate, nothing, nothing, nothing, np.zeros(len(self._axes), bool)
         apart_s = (last.at_ns + before.at_ns - second.at_ns - first.at_ns) * 0.5e-9
         change = (last.rate - second.rate) / apart_s
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -348,7 +363,7 @@ class Observer:
         most = abs(self._limit * self._newton) + abs(force) + self._settings.unexplained_force
         incredible = abs(motion) > most
         motion[incredible] = np.nan
-        return rate, torque - force - motion, torque, incredible
+        return rate, torque - force - motion, torque, motion, incredible
 
     def _travel(self) -> Floats:
         """Where answers over the window are more, or fewer, than its ticks, those between two looks

@@ -38,8 +38,8 @@ class Supervisor:
 
     It is silent at first, and after a violation; the heartbeat begins when no drive has been
     enabled for ``quiet_s`` and everything arrives that it judges by, after a violation not before
-    the operator's reset is recorded, or a daemon that has begun anew. So its restart, or a mistake
-    of its own that has passed, gives an armed robot nothing back. A channel on which no device
+    the operator's reset is recorded. So its restart, or a mistake of its own that has passed, gives
+    an armed robot nothing back. A channel on which no device
     answers, or torques come late, gets no heartbeat any more.
 
     With a relay in the circuit of the STO inputs it judges what the daemon records of the drives,
@@ -168,6 +168,9 @@ class Supervisor:
             self._voice.tell(again)
         if self._voice.beat(now_ns):
             self._quiet_ns = None
+            if seen.enabled.any() and not self.beating:
+                since_ms = self._voice.timeout_ns * 1e-6
+                self._fall_silent(Violation(Requirement.LATE, NOWHERE, since_ms))
         self._voice.hold_relay(now_ns)
         self._looked_ns = now_ns
 
@@ -249,7 +252,8 @@ class Supervisor:
 
     def _sees(self, seen: Observation) -> bool:
         """Whether it would see that a drive is enabled: without frames, only by a record that goes
-        on, in which some drive answers, and which is not of a controlled robot without drives."""
+        on, in which some drive answers and none has fallen silent with power, and which is not of a
+        controlled robot without drives."""
         if self._replayed is None:
             return True
         settings = self.settings
@@ -257,6 +261,7 @@ class Supervisor:
             seen.claim is not None
             and seen.now_ns - seen.claim.at_ns <= settings.patience_ms * 1e6
             and bool(seen.measured_age.min() <= settings.quiet_s * 1e3)
+            and not self._powered.lost.any()
             and seen.now_ns - self._agreed_ns <= settings.disarmed_ms * 1e6
         )
 
@@ -269,16 +274,17 @@ class Supervisor:
     def _fall_silent_where_deaf(self, now_ns: int, armed: bool) -> None:
         """While nothing is enabled the daemon may begin anew, which takes no answers; while a drive
         is, its answers alone count, and that no channel answers is SUP-14 to judge."""
-        newest_ns = [
-            max((each.at_ns for each in (drives if armed else devices)), default=now_ns)
-            for drives, devices in self._answers
-        ]
+        newest_ns = {
+            place: max(each.at_ns for each in heard)
+            for place, (drives, devices) in enumerate(self._answers)
+            if (heard := drives if armed else devices)
+        }
         end_ns, longest_ms = now_ns, self.settings.quiet_s * 1e3
         if armed:
             # A look before SUP-14 would stop the drives of the other channels too.
-            end_ns = max(newest_ns)
+            end_ns = max(newest_ns.values())
             longest_ms = self.settings.stale_ms - self.settings.period_ms
-        for place, answered_ns in enumerate(newest_ns):
+        for place, answered_ns in newest_ns.items():
             self._voice.beating[place] &= end_ns - answered_ns <= longest_ms * 1e6
 
     def close(self) -> None:

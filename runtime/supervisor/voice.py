@@ -82,14 +82,12 @@ class Voice:
 
     def fall_silent(self, found: Violation, *, everywhere: bool) -> None:
         """On every channel. ``everywhere``: it is told where no heartbeat goes too."""
-        for place, beating in enumerate(self.beating):
-            if beating or everywhere:
-                self._send(place, _EMERGENCY + self._settings.node_id, emergency(found))
+        self.tell(found, [beating or everywhere for beating in self.beating])
         self.end()
 
-    def tell(self, found: Violation) -> None:
-        """On every channel."""
-        for place in range(len(self._buses)):
+    def tell(self, found: Violation, where: Sequence[bool] | None = None) -> None:
+        """On every channel, or on those of ``where``."""
+        for place in np.flatnonzero([True] * len(self._buses) if where is None else where).tolist():
             self._send(place, _EMERGENCY + self._settings.node_id, emergency(found))
 
     def begin_watches(self, now_ns: int, powered: Sequence[bool], *, quiet: bool) -> None:

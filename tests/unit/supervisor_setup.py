@@ -74,6 +74,8 @@ def seen(at_ms: float = 100.0, said: Claim | None = None, **given: Any) -> Obser
         contact_defective=False,
         unexplained=np.zeros(N),
         mean_torque=np.full(N, 45.0),
+        motion=np.zeros(N),
+        most_torque=np.full(N, 45.0),
         incredible=np.zeros(N, bool),
         swing=np.full(N, 0.2),
         jolt=np.zeros(N),

@@ -7,13 +7,11 @@ import struct
 from collections.abc import Iterator
 
 import can
-import numpy as np
 import pytest
 
-from tests.unit.supervisor_setup import STRICT, N, Watchdog, broken
+from tests.unit.supervisor_setup import STRICT, Watchdog, broken
 from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
-from tonus.runtime.signals import cycle_dtype
 from tonus.runtime.states import State
 from tonus.runtime.supervisor.judge import NOWHERE, Violation
 
@@ -144,25 +142,12 @@ def test_a_download_in_which_a_drive_is_brought_back(
     assert all(sent == BEAT for sent in watchdog.steps(310, 330, enabled=False))
 
 
-def test_a_download_at_the_end_of_a_daemon_and_the_beginning_of_the_next(
-    watchdog: Watchdog,
-) -> None:
-    """No record is behind the first, and that of the second begins with OFF."""
-    watchdog.state = State.STANDBY
-    list(watchdog.steps(0, 310, enabled=False))
-    for now_ms in range(310, 612, 2):
-        written(watchdog, RAMP)
-        assert watchdog.step(now_ms, enabled=False, tick=False) == BEAT
-    watchdog.state = State.OFF
-    assert all(sent == BEAT for sent in watchdog.steps(612, 640, enabled=False))
-
-
 @pytest.mark.parametrize("pause_ms", [2, 12, 200, 1000])
 @pytest.mark.parametrize("into_ms", [0, 2, 8, 180])
 def test_a_download_while_the_record_pauses(
     watchdog: Watchdog, pause_ms: int, into_ms: int
 ) -> None:
-    """It counts once that goes on, but not as another daemon's."""
+    """It counts once that goes on."""
     watchdog.state = State.STANDBY
     list(watchdog.steps(0, 310, enabled=False))
     for now in range(310, 310 + pause_ms, 2):
@@ -304,32 +289,16 @@ def test_what_others_did_is_told_until_the_daemon_knows(watchdog: Watchdog) -> N
     assert not any(watchdog.steps(1000, 2000, enabled=False))
 
 
-@pytest.mark.parametrize(("pause_ms", "begins"), [(300, False), (302, True)])
-@pytest.mark.parametrize("another", [True, False])
-def test_another_daemon_brings_the_devices_up(
-    watchdog: Watchdog, pause_ms: int, begins: bool, another: bool
-) -> None:
-    """One whose record begins after a pause of more than quiet_s, with OFF."""
+@pytest.mark.parametrize("state", [State.OFF, State.STANDBY])
+def test_a_record_that_pauses_is_no_bring_up(watchdog: Watchdog, state: State) -> None:
+    """Also one that goes on with OFF, as that of another daemon begins: each has its own
+    supervisor."""
     changed(watchdog)
-    end = 312 + pause_ms
-    beats = beginnings(watchdog, 314, end + 2, tick=False)
-    watchdog.state = State.OFF if another else State.STANDBY
+    beats = beginnings(watchdog, 314, 700, tick=False)
+    watchdog.state = state
     watchdog.boot()
-    beats += beginnings(watchdog, end + 2, 1000)
-    assert beats[:1] == ([end + 2] if begins and another else [])
-
-
-def test_another_daemon_whose_first_records_come_in_one_look(watchdog: Watchdog) -> None:
-    changed(watchdog)
-    beats = beginnings(watchdog, 314, 616, tick=False)
-    record = np.zeros(1, cycle_dtype(N))
-    record["state"]["state"] = State.OFF
-    record["timing"]["tick"] = 615_000
-    watchdog.records.append((615 * MS, record[0]))
-    watchdog.state = State.STANDBY
-    watchdog.boot()
-    beats += beginnings(watchdog, 616, 1000)
-    assert beats[:1] == [616]
+    beats += beginnings(watchdog, 700, 1400)
+    assert beats == []
 
 
 def test_a_download_while_it_is_silent_is_told_too(watchdog: Watchdog) -> None:
@@ -492,3 +461,20 @@ def test_an_answer_of_before_power_beside_the_process_data(
     sent = list(made.steps(silent_ms, 100, enabled=False, deaf=deaf))
     assert (BEAT in sent) is watched
     made.supervisor.close()
+
+
+def test_power_in_a_stop_after_a_device_has_restarted(watchdog: Watchdog) -> None:
+    """A stop gives none that was gone: the device may have forgotten what ends it."""
+    watchdog.resets = False
+    watchdog.state = State.STANDBY
+    list(watchdog.steps(0, 310, enabled=False))
+    watchdog.state = State.SAFE_STOP
+    assert all(sent == BEAT for sent in watchdog.steps(310, 330, enabled=True))
+    number = watchdog.wiring.axes[5].number
+    for now in range(330, 430, 2):
+        beats = [(number, 0)] if now == 340 else []
+        assert watchdog.step(now, enabled=False, beats=beats) == BEAT
+    watchdog._powered = True  # without a record of REFERENCING
+    sent = list(watchdog.steps(430, 436, enabled=True))
+    assert BEAT not in sent[1:]
+    assert watchdog.supervisor.violation == Violation(Requirement.COMMANDED, NOWHERE, 0.0)

@@ -462,3 +462,20 @@ def test_power_in_bursts_before_it_has_begun(
     sent = [made.step(now, enabled=now % every < 20, deaf=deaf) for now in range(0, 1000, 2)]
     assert (BEAT in sent) is watched
     made.supervisor.close()
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_heartbeats_that_go_out_nowhere(config: Config, armed: bool) -> None:
+    """The drives have lost them, and no channel is another's: they come back after a reset only."""
+    watchdog = Watchdog(config, EchoBus)
+    watchdog.resets = False
+    for now in range(0, 400, 2):
+        watchdog.step(now, enabled=False)
+        let_out(watchdog)
+    list(watchdog.steps(400, 440, enabled=armed, everywhere=True))
+    assert not watchdog.supervisor.beating
+    assert broken(watchdog) is (Requirement.LATE if armed else None)
+    let_out(watchdog)
+    sent = list(watchdog.steps(440, 900, enabled=False))
+    assert (BEAT in sent) is not armed
+    watchdog.supervisor.close()

@@ -251,8 +251,10 @@ def test_a_record_that_ends_after_one_drive_has_been_silent_for_long(held: Held)
     assert held.stopped_for(silent) is Requirement.TICK
 
 
-def test_a_silent_drive_of_which_no_heartbeat_is_read_is_off(held: Held) -> None:
-    """Once the daemon and all others are disarmed: it was pulled, or has no power."""
+@pytest.mark.parametrize("had_power", [True, False])
+def test_a_silent_drive_of_a_disarmed_robot(held: Held, had_power: bool) -> None:
+    """It was pulled, or has no power; or keeps its torque, if it had power: no heartbeat is read,
+    and without the relay no other drive loses anything."""
     count = 0
 
     def pulled(record: Any) -> None:
@@ -264,7 +266,15 @@ def test_a_silent_drive_of_which_no_heartbeat_is_read_is_off(held: Held) -> None
         record["drives"]["statusword"][1] = ENABLED
 
     held.armed()
-    assert all(sent == [BEAT, HELD] for sent in held.steps(100, pulled))
+    list(held.steps(0 if had_power else 1, disarmed))
+    sent = list(held.steps(100, pulled))
+    kept = 9 if had_power else 100  # the look after 20 ms
+    assert sent[:kept] == [[BEAT, HELD]] * kept
+    assert sent[kept : kept + 1] == [[RELEASED]] * had_power
+    assert held.supervisor.violation is None
+    assert held.supervisor.beating is not had_power
+    list(held.steps(160, disarmed))
+    assert held.step(disarmed) == [BEAT, HELD], "it has answered"
 
 
 def test_the_same_record_again_is_none(held: Held) -> None:

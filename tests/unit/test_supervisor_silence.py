@@ -231,3 +231,19 @@ def test_which_records_are_new(watchdog: Watchdog) -> None:
         )
     ]
     assert [each.tick for each in risen(2 * MS, later)] == [4, 7, 8]
+
+
+def test_a_channel_of_cells_alone_is_no_other_drive(config: Config) -> None:
+    """Where no drive answers any more all channels end for it, told, and until a reset."""
+    bus = config.fieldbus.model_dump(mode="json")
+    contact = bus["channels"][3]["force_cells"].pop()
+    bus["channels"].append({"name": "can4", "force_cells": [contact]})
+    watchdog = Watchdog(load("config/can.yaml", overrides=STRICT | {"fieldbus": bus})[0])
+    watchdog.resets = False
+    list(watchdog.steps(0, 320, enabled=False))
+    deaf = {(axis.channel, axis.received) for axis in watchdog.wiring.axes}
+    list(watchdog.steps(320, 330, enabled=True, everywhere=True))
+    list(watchdog.steps(330, 370, enabled=True, everywhere=True, deaf=deaf))
+    assert broken(watchdog) is Requirement.STALE
+    assert not any(watchdog.steps(370, 1000, enabled=False))
+    watchdog.supervisor.close()

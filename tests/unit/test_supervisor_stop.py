@@ -306,6 +306,25 @@ def test_a_torque_that_drives_its_drum_in_a_passive_stop(
     assert judged(config, *disabled) == [None, None]
 
 
+@pytest.mark.parametrize("rate", [0.01, -0.01, 0.0])
+@pytest.mark.parametrize(("age_ms", "torque"), [(5.1, 17.1), (5.1, -5.1), (5.0, 17.1), (5.1, 17.0)])
+def test_which_way_a_drum_turns_that_has_not_answered_for_long(
+    config: Config, age_ms: float, torque: float, rate: float
+) -> None:
+    """Is not known: neither direction may be driven."""
+
+    def look(at_ms: float) -> Any:
+        said = claim(State.SAFE_STOP, at_ms, stop_mode=StopMode.PASSIVE)
+        turning = {"torque": at(3, torque, 12.0), "rate": at(3, rate)}
+        return seen(at_ms, said, measured_age=at(3, age_ms), **turning)
+
+    found = judged(config, look(100.0), look(105.0))[1]
+    known = age_ms == 5.0
+    driven = torque == 17.1 and rate > 0.0 if known else torque != 17.0
+    assert (found is not None) is driven
+    assert found is None or found.requirement is Requirement.BRAKED
+
+
 @pytest.mark.parametrize(("of", "bursts"), [(5, 3), (15, 4), (30, 5), (66, None)])
 def test_bursts_in_a_passive_stop(config: Config, of: int, bursts: int | None) -> None:
     """In one look of so many: its drum keeps the speed of each."""
@@ -531,3 +550,41 @@ def test_a_torque_of_before_on_a_channel_that_is_gone(
     }
     verdict = lasting(config, 5.0, State.SAFE_STOP, **given)
     assert (verdict is not None and verdict.requirement is Requirement.COMMAND_LOGGED) is found
+
+
+# --- a drive that pulls by itself ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("motion", "torque", "rate", "found"),
+    [
+        (80.1, 0.0, 0.01, True),
+        (80.0, 0.0, 0.01, False),
+        (205.1, 100.0, 0.01, True),  # 80 N, and a quarter of what it is sent
+        (205.0, 100.0, 0.01, False),
+        (5.1, -100.0, 0.01, True),
+        (5.0, -100.0, 0.01, False),
+        (690.0, 0.0, 0.0, False),
+        (690.0, 0.0, -0.01, False),
+        (np.nan, 0.0, 0.01, False),
+    ],
+)
+@pytest.mark.parametrize("mode", [StopMode.ON_PATH, StopMode.DESCENT, StopMode.PASSIVE])
+def test_a_drum_that_reels_in_by_more_than_its_torque(
+    config: Config, motion: float, torque: float, rate: float, found: bool, mode: StopMode
+) -> None:
+    """In a stop, for longer than an encoder that slips shows it: the window, and two looks."""
+
+    def look(at_ms: float, state: State = State.SAFE_STOP, **given: Any) -> Any:
+        turning = {"motion": at(3, motion), "most_torque": at(3, torque), "rate": at(3, rate)}
+        said = claim(state, at_ms, stop_mode=mode)
+        return seen(at_ms, said, torque=np.zeros(N), **turning, **given)
+
+    verdict = judged(config, look(100.0), look(119.9), look(120.0))
+    assert verdict[:2] == [None, None]
+    assert (verdict[2] is not None) is found
+    if verdict[2] is not None:
+        assert (verdict[2].requirement, verdict[2].where) == (Requirement.UNEXPLAINED, 3)
+    for given in ({"enabled": np.arange(N) != 3}, {"useless": np.arange(N) == 3}):
+        last = judged(config, look(100.0, **given), look(120.0, **given))[1]
+        assert last is None or last.requirement is not Requirement.UNEXPLAINED

@@ -189,22 +189,6 @@ def test_a_look_that_is_late_and_finds_a_download(watchdog: Watchdog) -> None:
     assert beats(watchdog, 332, 800) == []
 
 
-@pytest.mark.parametrize(("pause_ns", "begins"), [(2_000_000_000, False), (2_000_000_001, True)])
-def test_the_pause_after_which_a_record_is_of_another_daemon(pause_ns: int, begins: bool) -> None:
-    """To the nanosecond, from the last record on."""
-    made = Watchdog(load("config/can.yaml", overrides=STRICT | {"supervisor.quiet_s": 2.0})[0])
-    made.state = State.STANDBY
-    list(made.steps(0, 20, enabled=False))
-    written(made, RAMP)
-    made.step(20, enabled=False)
-    assert len(made.step(22, enabled=False)) == 1
-    made.step((22_000_000 + pause_ns) * 1e-6, enabled=False, tick=False)
-    made.state = State.OFF
-    made.boot()
-    assert (beats(made, 2024, 4200) != []) is begins
-    made.supervisor.close()
-
-
 @pytest.mark.parametrize("code", [0x8110, 0x8210])
 def test_an_amplifier_that_reports_an_error_of_the_bus(watchdog: Watchdog, code: int) -> None:
     """What it measures is not wrong for it, nor right again."""
