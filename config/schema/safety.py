@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import model_validator
+from typing import Annotated
+
+from pydantic import Field, model_validator
 
 from tonus.config.schema.base import Count, Fraction, NonNegative, Positive, Section
 
@@ -27,6 +29,9 @@ class Stop(Section):
     """times the estimator's drift of a load in a descent, so that it ends soon with the load"""
     sink: Fraction
     """share of its weight by which the platform is let sink, once its path goes down"""
+    fewest_doubted: Annotated[int, Field(ge=5)] = 7
+    """cables that a descent needs once one was excluded by a contradiction, which may have named
+    the wrong one: with six no length contradicts another one"""
     landed: Positive
     """m above the cradle that counts as landed"""
     landing_s: NonNegative

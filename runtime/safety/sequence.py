@@ -24,9 +24,6 @@ from tonus.runtime.states import ARMED, TRANSITIONS, Event, Fault, Operator, Sta
 
 FEWEST = 5
 """cables with which a descent is planned; with fewer the pose is not known for long"""
-FEWEST_DOUBTED = 7
-"""the same once a cable was excluded by a contradiction, which may have named the wrong one: with
-six no length contradicts another one, and a wrong one adds energy (docs/stop.md)"""
 MOVING = (State.PRETENSION, State.HOLD, State.ACTIVE, State.SAFE_STOP)
 _REGULAR = (State.HOLD, State.ACTIVE)
 _ENABLING = (State.REFERENCING, State.PRETENSION, State.HOLD, State.ACTIVE)
@@ -194,7 +191,7 @@ class Sequence:
         faults = self.faults
         lost = int(faults.failed.sum())
         blind = any(faults.has(cause) for cause in PASSIVE) or faults.at(Fault.LENGTH_DRIFT, -1)
-        fewest = FEWEST_DOUBTED if faults.contradicted else FEWEST
+        fewest = self._control.stop.fewest_doubted if faults.contradicted else FEWEST
         known = self.referenced and not blind and len(faults.failed) - lost >= fewest
         if not known or self._hangs or self._is_held() or self._is_unsupported(lost):
             wanted = StopMode.PASSIVE

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from statue import CABLES, CONFIG, CONTROL, Statue
+from statue import CABLES, CONFIG, CONTROL, SCENARIO, Statue
 
 from tonus.drivers.process_image import AxisCommand, ProcessImage
 from tonus.runtime.control.controllers.base import Controller
+from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.safety.faults import Faults
 from tonus.runtime.safety.sequence import FEWEST
 from tonus.runtime.states import Fault, Operator, State, StopMode
@@ -111,9 +112,17 @@ def test_with_too_few_cables_left_it_is_passive() -> None:
     assert mode(statue) is StopMode.PASSIVE
 
 
-def test_after_a_contradiction_it_is_passive_with_fewer_than_seven() -> None:
-    """An encoder that jumps, and then a cell that reports its own defect."""
-    statue = Statue().until(State.HOLD)
+@pytest.mark.parametrize(
+    ("fewest", "stop"), [(7, StopMode.PASSIVE), (6, StopMode.DESCENT), (5, StopMode.DESCENT)]
+)
+def test_after_a_contradiction_it_is_passive_with_fewer_than_seven(
+    fewest: int, stop: StopMode
+) -> None:
+    """Or than is configured. An encoder that jumps, then a cell that reports its own defect."""
+    doubted = CONTROL.stop.model_copy(update={"fewest_doubted": fewest})
+    control = CONTROL.model_copy(update={"stop": doubted})
+    cycle = ControlCycle(CONFIG.robot, control, CONFIG.tracker, SCENARIO.reference)
+    statue = Statue(cycle).until(State.HOLD)
 
     def slip(image: ProcessImage) -> None:
         image.axes["angle"][2] += 0.25
@@ -122,7 +131,7 @@ def test_after_a_contradiction_it_is_passive_with_fewer_than_seven() -> None:
     assert statue.cycle.sequence.faults.contradicted
     assert (mode(statue), given_up(statue)) == (StopMode.DESCENT, [2])
     go_on(statue, defective(5))
-    assert (mode(statue), given_up(statue)) == (StopMode.PASSIVE, [2, 5])
+    assert (mode(statue), given_up(statue)) == (stop, [2, 5])
 
 
 def test_before_the_cables_are_referenced_it_is_passive() -> None:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import sys
 
-from tonus.runtime.safety.sequence import FEWEST, FEWEST_DOUBTED
+from tonus.config.schema.safety import Stop
+from tonus.runtime.safety.sequence import FEWEST
 from tonus.runtime.states import (
     ARMED,
     MEANING,
@@ -30,9 +31,10 @@ One table (`runtime/states.py`) defines what every event does in every state; th
 from it (`python -m tonus.tools.report.states`). A tick handles at most one event; a fault comes
 before a command. *Armed* states, in which drives are enabled, have a thick border.
 """
+_FEWEST_DOUBTED = Stop.model_fields["fewest_doubted"].default
 _ASSUMES = {
     StopMode.ON_PATH: "all cables, a known pose",
-    StopMode.DESCENT: f"{FEWEST} cables, {FEWEST_DOUBTED} after a contradiction; a known pose",
+    StopMode.DESCENT: f"{FEWEST} cables, {_FEWEST_DOUBTED} after a contradiction; a known pose",
     StopMode.PASSIVE: "each drum's own encoder; also before the cables are referenced",
 }
 
