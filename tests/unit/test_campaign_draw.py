@@ -14,6 +14,7 @@ from tonus.config.faults import KINDS
 from tonus.config.loader import load_study
 from tonus.config.schema.campaign import BusName, Study
 from tonus.tools.campaign import regression
+from tonus.tools.campaign.campaign import carry_out
 from tonus.tools.campaign.coverage import Pairs
 from tonus.tools.campaign.draw import begins, episodes, grouped, undisturbed
 from tonus.tools.campaign.episode import Episode
@@ -256,3 +257,18 @@ def test_a_regression_comes_back_from_its_files(tmp_path: Path) -> None:
     assert (found.broke, found.setup) == ("speed", DRAWN[5].setup)
     assert found.scenario == DRAWN[5].scenario
     assert path.read_text().startswith("# Broke speed")
+
+
+def test_what_the_check_refuses_is_not_played(tmp_path: Path) -> None:
+    """Before anything is written: its episodes would tell of that, and not of their faults."""
+    study = STUDY.model_copy(
+        update={
+            "configs": {"direct": ("config/six.yaml",)},
+            "controllers": ("pd",),
+            "scenarios": ("hold",),
+        }
+    )
+    refused = r"study faults: config/six\.yaml with pd in hold: .* floors 6 dB.* leave it out of"
+    with pytest.raises(ToolError, match=refused):
+        carry_out(study, 1, ["direct"], 1, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

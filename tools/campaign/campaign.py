@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from tonus.config.loader import load_scenario
 from tonus.config.schema.campaign import BusName, Study
 from tonus.runtime.timing import clock
 from tonus.tools.campaign.allowance import Allowance, for_torn_cables
@@ -14,6 +15,8 @@ from tonus.tools.campaign.episode import Episode
 from tonus.tools.campaign.journal import Journal, fingerprint
 from tonus.tools.campaign.judge import Row
 from tonus.tools.campaign.players import play
+from tonus.tools.check.rules import check
+from tonus.tools.errors import ToolError
 from tonus.tools.warm_up import warm_up
 
 
@@ -66,10 +69,12 @@ def carry_out(
     allowance: Allowance = for_torn_cables,
 ) -> Campaign:
     """Play ``count`` episodes, or the one number ``only``. On Ctrl-C what has been recorded stays,
-    and the same call with ``resume`` goes on from there. Raises `ConfigError` and `ToolError`."""
+    and the same call with ``resume`` goes on from there. Raises `ConfigError` and `ToolError`, also
+    for what `tonus check` refuses: its episodes would tell of that and not of their faults."""
     drawn = episodes(study, seed, buses, count if only is None else only + 1)
     if only is not None:
         drawn = drawn[only:]
+    _need_accepted(study, drawn)
     with Journal(out, fingerprint(study, seed, buses), resume=resume) as journal:
         wanted = {episode.index for episode in drawn}
         rows = {index: row for index, row in journal.rows.items() if index in wanted}
@@ -88,6 +93,23 @@ def carry_out(
             interrupted = True
     passed = clock.wall_seconds() - began
     return Campaign(drawn, [rows[index] for index in sorted(rows)], passed, kept, interrupted)
+
+
+def _need_accepted(study: Study, drawn: Sequence[Episode]) -> None:
+    names = {load_scenario(name).reference: name for name in study.scenarios}
+    accepted: set[str] = set()
+    for group in grouped(study, drawn):
+        setup, scenario = group.episodes[0].setup, group.undisturbed
+        named = f"{setup.overrides['control.controller']} in {names[scenario.reference]}"
+        key = f"{setup.config} {named}"
+        if key in accepted:
+            continue
+        accepted.add(key)
+        for finding in check(setup.settle(), scenario):
+            if not finding.ok:
+                problem = f"{setup.config} with {named}: {finding.where}: {finding.text}"
+                remedy = f"{finding.remedy}, or leave it out of the study"
+                raise ToolError(f"study {study.name}: {problem}; {remedy}")
 
 
 def played(
