@@ -39,8 +39,8 @@ class Supervisor:
     It is silent at first, and after a violation; the heartbeat begins when no drive has been
     enabled for ``quiet_s`` and everything arrives that it judges by, after a violation not before
     the operator's reset is recorded. So its restart, or a mistake of its own that has passed, gives
-    an armed robot nothing back. A channel on which no device
-    answers, or torques come late, gets no heartbeat any more.
+    an armed robot nothing back. A channel on which no device answers, or torques come late, gets no
+    heartbeat any more.
 
     With a relay in the circuit of the STO inputs it judges what the daemon records of the drives,
     and the heartbeat and the relay's output are what it holds.
@@ -169,8 +169,9 @@ class Supervisor:
         if self._voice.beat(now_ns):
             self._quiet_ns = None
             if seen.enabled.any() and not self.beating:
-                since_ms = self._voice.timeout_ns * 1e-6
-                self._fall_silent(Violation(Requirement.LATE, NOWHERE, since_ms))
+                late = Violation(Requirement.LATE, NOWHERE, self._voice.timeout_ns * 1e-6)
+                self._fall_silent(late)
+                self._voice.tell(late)
         self._voice.hold_relay(now_ns)
         self._looked_ns = now_ns
 

@@ -388,13 +388,15 @@ def test_one_that_looks_too_late_itself(config: Config) -> None:
 
 
 def test_looks_that_are_too_slow_for_any_heartbeat(config: Config) -> None:
-    """Drives have lost it by then; it does not go on where one is enabled."""
+    """Drives have lost it by then, which is told; it does not go on where one is enabled."""
     late = [0]
     made = Watchdog(config, clock=lambda: round(made.now_ms * MS) + late[0])
     list(made.steps(0, 310, enabled=False))
     list(made.steps(310, 330, enabled=True))
     late[0] = 3 * MS
-    assert all(sent == [] for sent in made.steps(330, 370, enabled=True))
+    sent = [each for each in made.steps(330, 370, enabled=True) if each]
+    assert [identifier for ((identifier, _),) in sent] == [0x0FE]
+    assert broken(made) is Requirement.LATE
     late[0] = 0
     assert all(sent == [] for sent in made.steps(370, 400, enabled=True))
     assert not made.supervisor.beating

@@ -475,6 +475,8 @@ def test_heartbeats_that_go_out_nowhere(config: Config, armed: bool) -> None:
     list(watchdog.steps(400, 440, enabled=armed, everywhere=True))
     assert not watchdog.supervisor.beating
     assert broken(watchdog) is (Requirement.LATE if armed else None)
+    told = [[m.arbitration_id for m in bus.sent].count(0x0FE) for bus in watchdog.buses]
+    assert told == [int(armed)] * len(watchdog.buses)
     let_out(watchdog)
     sent = list(watchdog.steps(440, 900, enabled=False))
     assert (BEAT in sent) is not armed
