@@ -96,3 +96,10 @@ def test_the_check_says_what_a_suspended_robot_cannot_do() -> None:
     told = CliRunner().invoke(tonus, ["check", "config/six.yaml"])
     assert told.exit_code == 0, told.output
     assert "self-stress   none: gravity is the pretension" in told.output
+
+
+@pytest.mark.parametrize(("name", "none_left"), [("seven", True), ("direct", False)])
+def test_the_check_says_what_a_lost_cable_leaves(name: str, none_left: bool) -> None:
+    told = CliRunner().invoke(tonus, ["check", f"config/{name}.yaml"])
+    assert told.exit_code == 0, told.output
+    assert ("none once a cable is lost" in told.output) is none_left

@@ -37,6 +37,8 @@ _AFTER_ACTIVE_S = 0.5
 _DELAY_PERIODS = 3.0
 """from a drum's mean rate to the middle of its torque"""
 DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
+_FREEDOM = 6
+"""degrees of a rigid body: with one cable more there is one self-stress"""
 
 
 def mechanics(config: Config, scenario: Scenario) -> Iterator[Finding]:
@@ -106,6 +108,8 @@ def _self_stress(robot: Robot, at: Poses) -> Finding:
             f"at {100 * closed.mean():.1f} % of {len(ratio)} poses; without it, as at "
             f"{at.describe(worst)}, gravity is the pretension"
         )
+    if closed.any() and robot.cables == _FREEDOM + 1:
+        text += "; none once a cable is lost, and a stop may let the platform topple (docs/stop.md)"
     return Finding("self-stress", True, "robot.geometry", text, "move the anchors further apart")
 
 
