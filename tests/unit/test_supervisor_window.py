@@ -120,6 +120,32 @@ def test_a_strong_acceleration_is_explained(stage: Stage) -> None:
     assert np.abs(found.unexplained).max() < 3.0
 
 
+def test_what_a_drums_change_of_motion_takes(stage: Stage) -> None:
+    """Whatever it is sent, and its cell says."""
+    acceleration, axis = 8.0, stage.wiring.axes[0]
+    for k in range(40):
+        t = k * 1e-3
+        stage.tick((BASE + k) * MS, newton=-20.0, metre=0.5 * acceleration * t * t, force=300.0)
+        if k % 2 == 0:
+            found = stage.observe((BASE + k) * MS, stage.heard, [claim(at_ms=BASE + k)])
+    takes = axis.mass * acceleration + axis.damping * acceleration * t
+    assert found.motion == pytest.approx(takes, abs=3.0)
+    assert found.most_torque == pytest.approx(-20.0, abs=0.3)
+
+
+def test_the_largest_torque_of_the_window(config: Config, stage: Stage) -> None:
+    """Also of a single tick between two looks, until the window is past it."""
+    length, at = window_ms(config), BASE + 41
+    most = {}
+    for k in range(BASE, at + 2 * length):
+        stage.tick(k * MS, newton=90.0 if k == at else 45.0, metre=0.0, force=45.0)
+        if (k - BASE) % 2 == 0:
+            most[k] = stage.observe(k * MS, stage.heard, [claim(at_ms=k)]).most_torque
+    for k, found in most.items():
+        beside = k < at or k > at + length + 2
+        assert found == pytest.approx(45.0 if beside else 90.0, abs=0.3), k - at
+
+
 # --- records -------------------------------------------------------------------------------------
 
 
