@@ -33,7 +33,7 @@ Handler = Callable[[bytes], None]
 Clock = Callable[[], int]
 
 _SYNC = ((SYNC, b""),)
-_NO_FRAMES = np.zeros(0, RAW_FRAME)
+NO_FRAMES = np.zeros(0, RAW_FRAME)
 _EMPTY_BITS = FRAME_BITS + INTERFRAME_BITS
 
 
@@ -86,7 +86,7 @@ class Channel:
         self._tap = tap
         self._events = events
         per_period = config.bitrate * period_us // 1_000_000
-        self._frames_per_drain = config.master.drain_periods * (1 + per_period // _EMPTY_BITS)
+        self.frames_per_drain = config.master.drain_periods * (1 + per_period // _EMPTY_BITS)
         self._bit_ns = 1_000_000_000 // config.bitrate
         self._free_ns = 0
         """when all that was sent, and the answers to the last SYNC, have been on the wire"""
@@ -180,15 +180,23 @@ class Channel:
         """What has arrived, by our clock."""
         now = self._clock()
         try:
-            frames = self._frames.receive_frames(self._frames_per_drain)
+            frames = self._frames.receive_frames(self.frames_per_drain)
         except (can.CanError, OSError) as error:
-            self._deaf = True
-            self._events.begin("bus_deaf", self.name, f"cannot receive: {error}")
-            return _NO_FRAMES
+            self.cannot_receive(error)
+            return NO_FRAMES
         self._heard_again()
         if len(frames) and not self._stamps.exact:
             frames = self._stamped(frames, now)
         return frames
+
+    def cannot_receive(self, error: Exception) -> None:
+        self._deaf = True
+        self._events.begin("bus_deaf", self.name, f"cannot receive: {error}")
+
+    def has_taken(self) -> None:
+        """`take`, done for all channels in one call, by our clock."""
+        self._stamps.exact = True
+        self._heard_again()
 
     def _heard_again(self) -> None:
         if self._deaf:
@@ -200,7 +208,7 @@ class Channel:
         foreign, self._foreign_frames = self._foreign_frames, 0
         if self._deaf:
             return
-        if count >= self._frames_per_drain:
+        if count >= self.frames_per_drain:
             foreign += self._flood_frames
         if foreign >= self._flood_frames:
             self._floods += 1

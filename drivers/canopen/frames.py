@@ -56,8 +56,13 @@ class JoinedFrames(Protocol):
     """Several buses that nearly always take frames in one call."""
 
     def send_joined(self, frames: NDArray[np.void], sent_ns: int) -> bool:
-        """`Frames.send_frame` of each of ``frames`` (n,) of `RAW_FRAME`, on the bus that its
-        channel counts. False: nothing was done, and each has to be sent by itself."""
+        """`Frames.send_frame` of each of ``frames`` (n,) of `RAW_FRAME`, which have the time
+        ``sent_ns``, on the bus that its channel counts. False: nothing was done, and each has to be
+        sent by itself."""
+
+    def receive_joined(self, limit: int) -> NDArray[np.void] | None:
+        """`Frames.receive_frames` of all, by our clock; the frames of each channel oldest first.
+        None: nothing was done, and each bus has to be asked by itself."""
 
 
 @runtime_checkable

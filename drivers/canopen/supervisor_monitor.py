@@ -41,6 +41,8 @@ class _Heard:
     """tick of the last one that did"""
     obeyed: bool = False
     """there was a moment since then in which none of the drives was enabled"""
+    told: bool = False
+    """that it has not begun though drives are enabled"""
     anybody: bool = False
     """sent a heartbeat of its number, in whatever state"""
 
@@ -131,6 +133,7 @@ class SupervisorMonitor:
 
     def look(self, tick: int) -> None:
         """Once a tick."""
+        silent = []
         for heard in self._heard:
             if heard.fresh:
                 heard.fresh = False
@@ -141,25 +144,26 @@ class SupervisorMonitor:
                 heard.beating, heard.lost = False, True
                 text = f"no heartbeat for more than {self._patience} ticks"
                 self._events.begin("supervisor_lost", heard.channel, text)
-            elif not (heard.beating or heard.lost) and self._image.enabling:
+            elif not (heard.beating or heard.lost or heard.told) and self._image.enabling:
+                heard.told = True
                 text = "the drives are enabled, and the supervisor has not begun"
                 self._events.begin("unsupervised", heard.channel, text)
-        self.ignored = any(self._is_ignored(heard, tick) for heard in self._heard)
+            # A single heartbeat begins a watch, and holds nothing.
+            if heard.held_at is None or tick - heard.held_at > self._patience:
+                silent.append(heard)
+        self.ignored = any(self._is_ignored(heard, tick) for heard in silent)
         self.doubt |= self.ignored
-        obstacle = self._obstacle(tick)
+        obstacle = self._obstacle([heard.channel for heard in silent])
         if obstacle:
             self._image.obstacles[self._item] = obstacle
-        else:
+        elif self._image.obstacles:
             self._image.obstacles.pop(self._item, None)
 
-    def _holds(self, heard: _Heard, tick: int) -> bool:
-        """Its heartbeats follow each other in time."""
-        return heard.held_at is not None and tick - heard.held_at <= self._patience
-
     def _is_ignored(self, heard: _Heard, tick: int) -> bool:
-        """A drive says that it is enabled, later than it may be. Those that are enabled after a
-        loss, where the policy allows it, wait for nobody: their watch has not begun."""
-        if heard.held_at is None or self._holds(heard, tick):
+        """Of one whose heartbeats do not follow each other in time: a drive says that it is
+        enabled, later than it may be. Those that are enabled after a loss, where the policy allows
+        it, wait for nobody: their watch has not begun."""
+        if heard.held_at is None:
             return False
         axis = self._image.axis
         enabled = axis.state[heard.axes] == AxisState.OPERATION_ENABLED
@@ -171,8 +175,8 @@ class SupervisorMonitor:
     def _required(self) -> bool:
         return self._settings is not None and self._settings.policy == "require"
 
-    def _obstacle(self, tick: int) -> str:
-        """To arming; "" for none."""
+    def _obstacle(self, silent: list[str]) -> str:
+        """To arming; "" for none. ``silent``: channels that are not held."""
         if self.doubt:
             return (
                 "a device did not stop without its heartbeat, or another master may have written "
@@ -183,8 +187,6 @@ class SupervisorMonitor:
         if self._out_of_reach:
             drives = ", ".join(self._out_of_reach)
             return f"cannot stop {drives}: no second heartbeat consumer"
-        # A single heartbeat begins a watch, and holds nothing.
-        silent = [heard.channel for heard in self._heard if not self._holds(heard, tick)]
         if not silent:
             return ""
         remedy = "; it has stopped the robot: emergency stop, then reset" if self._stopped else ""

@@ -22,6 +22,9 @@ class JoinedBuses:
         self._table: WireTable | None = None
         self._rows: Integers = np.zeros(len(ports), np.int64)
 
+    def receive_joined(self, limit: int) -> None:
+        """Each has to be asked by itself."""
+
     def send_joined(self, frames: NDArray[np.void], sent_ns: int) -> bool:
         """Queue data frames of 11-bit identifiers, (n,) of `FRAMES`, each by the port that its
         channel counts. False: nothing was done, and each has to be sent by itself."""

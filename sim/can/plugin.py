@@ -12,6 +12,7 @@ Who is pressed for time does without messages: `TonusBus.receive_frames` and `To
 
 from __future__ import annotations
 
+import secrets
 import select
 import socket
 from collections import deque
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from tonus.config.places import runtime_dir
 from tonus.sim.can import packet, registry
+from tonus.sim.can.carried import CarriedBuses
 from tonus.sim.can.cyclic import LabCyclicTask, Modifier
 from tonus.sim.can.joined import JoinedBuses
 from tonus.sim.can.wire import error_frames
@@ -43,6 +45,8 @@ from tonus.sim.can.wire.inbox import FRAME, FRAMES, RawFrame
 _SEND_BUFFER = 16384
 """Bytes a socket holds of frames the lab has not taken yet: some forty, the host counts its own
 overhead with each. Like a controller's queue it must not hide a lab that has fallen behind."""
+_MOST_CARRIED = 255
+"""connections by one carrier: their number is a byte"""
 
 
 class TonusBus(can.BusABC):
@@ -315,9 +319,12 @@ class SocketBus(TonusBus):
         self._rest = b""
         """frames beyond the limit of a `receive_frames`"""
         self._state = ErrorState.ACTIVE
+        self._carried: CarriedBuses | None = None
+        """asked for"""
+        self._way, self._number = self._socket, 0
+        """of what is sent, and what its frames have for a channel"""
         if self._echo or self._gather_ms:
-            wishes = bytes((self._echo, self._gather_ms))
-            self._socket.send(FRAME.pack(0, packet.WISHES, len(wishes), 0, wishes))
+            self._socket.send(packet.Wishes(self._echo, self._gather_ms).packed())
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """A timestamp in ``msg``, s on the lab's clock, is when it enters its queue: how late the
@@ -327,22 +334,26 @@ class SocketBus(TonusBus):
         """
         identifier = _checked(msg)
         sent_ns = round(max(msg.timestamp, 0.0) * 1e9)
-        data = FRAME.pack(sent_ns, identifier, msg.dlc, 0, bytes(msg.data))
+        data = self._packed(sent_ns, identifier, msg.dlc, bytes(msg.data))
         if timeout is not None and timeout > 0:
-            select.select([], [self._socket], [], timeout)
-        self._send(data)
+            select.select([], [self._way], [], timeout)
+        self.send_packed(data)
 
     def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
-        self._send(FRAME.pack(sent_ns, identifier, len(data), 0, data))
+        self.send_packed(self._packed(sent_ns, identifier, len(data), data))
 
     def send_frames(self, frames: Sequence[tuple[int, bytes]], sent_ns: int) -> None:
         """Data frames with their identifiers, in one packet."""
-        pack = FRAME.pack
-        self._send(b"".join([pack(sent_ns, each, len(data), 0, data) for each, data in frames]))
+        pack = self._packed
+        self.send_packed(b"".join([pack(sent_ns, each, len(data), data) for each, data in frames]))
 
-    def _send(self, data: bytes) -> None:
+    def _packed(self, sent_ns: int, identifier: int, dlc: int, data: bytes) -> bytes:
+        return packet.ADDRESSED.pack(sent_ns, identifier, dlc, 0, self._number, data)
+
+    def send_packed(self, data: bytes | memoryview) -> None:
+        """A packet. Raises `can.CanOperationError`."""
         try:
-            self._socket.send(data)
+            self._way.send(data)
         except BlockingIOError as error:
             raise can.CanOperationError(
                 f"the transmit queue of channel {self._name} is full"
@@ -363,14 +374,49 @@ class SocketBus(TonusBus):
             frame = self._batch.popleft()
             if not self._batch and self._held:
                 self._let_go()
-            self._notice(frame)
+            self.notice(frame)
             message = _message(*frame, self._name)
             if self._wanted(message):
                 return message, True
             timeout = 0 if timeout is not None else None
         return None, True
 
+    def join(self, buses: Sequence[can.BusABC]) -> CarriedBuses | None:
+        """``buses`` in other processes, itself the first, as one, when their lab has agreed: from
+        then on frames come in through that alone. None where one of them wants anything special,
+        or cannot ask."""
+        plain = [bus for bus in buses if isinstance(bus, SocketBus) and bus._is_plain]
+        if len(plain) != len(buses) or not 1 < len(plain) <= _MOST_CARRIED or plain[0] is not self:
+            return None
+        carried = CarriedBuses(plain)
+        shared = secrets.token_bytes(4)
+        try:
+            for number, bus in enumerate(plain):
+                bus.send_packed(packet.Wishes(False, 0, len(plain), number, shared).packed())
+        except can.CanOperationError:
+            return None  # the lab never hears of all
+        for bus in plain:
+            bus._carried = carried
+        return carried
+
+    @property
+    def _is_plain(self) -> bool:
+        special = self._filters is not None or self._echo or self._gather_ms or self._carried
+        return self._error_frames and not special
+
+    def carry(self, carrier: SocketBus, number: int) -> None:
+        """Send by ``carrier`` from now on, as its connection ``number``."""
+        self._way, self._number = carrier._socket, number
+
     def _take(self, limit: int) -> NDArray[np.void]:
+        data = self.take_packed(limit)
+        if packet.flagged(data):
+            for frame in packet.decode(data):
+                self.notice(frame)
+        return np.frombuffer(data, FRAMES)
+
+    def take_packed(self, limit: int) -> bytes:
+        """`receive_frames`, as they come; error frames are for `notice`."""
         if self._held:
             self._let_go()
         data, self._rest = self._rest, b""
@@ -381,19 +427,20 @@ class SocketBus(TonusBus):
         # To ask is cheaper than to be refused: an exception costs more than a system call.
         while len(data) < most and self._ask(0):
             try:
-                data += self._receive(0)
+                received = self._receive(0)
             except can.CanOperationError:
                 if not data:  # what came before it is not lost, and the error is met again
                     raise
                 break
+            if self._carried is not None and received == packet.AGREED:
+                self._carried.agreed = True
+                break
+            data += received
         if len(data) > most:
             data, self._rest = data[:most], data[most:]
-        if packet.flagged(data):
-            for frame in packet.decode(data):
-                self._notice(frame)
-        return np.frombuffer(data, FRAMES)
+        return data
 
-    def _notice(self, frame: RawFrame) -> None:
+    def notice(self, frame: RawFrame) -> None:
         """Keep in mind what an error frame tells of the controller."""
         _, identifier, _, _, data = frame
         if identifier & ERROR:

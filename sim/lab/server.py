@@ -12,28 +12,20 @@ import select
 import socket
 from collections.abc import Callable
 from contextlib import suppress
-from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from tonus.config.places import LAB_DOOR
 from tonus.config.schema.bus import CanopenBus, EthercatBus
 from tonus.config.schema.root import Config
 from tonus.sim.can.bridge import Bridge
-from tonus.sim.can.packet import (
-    FRAMES_PER_PACKET,
-    PACKET_BYTES,
-    WISHES,
-    decode,
-    socket_path,
-    sound,
-)
+from tonus.sim.can.packet import PACKET_BYTES, WISHES, Wishes, socket_path, sound
 from tonus.sim.can.wire.channel import Channel
 from tonus.sim.can.wire.frame import Frame
-from tonus.sim.can.wire.port import Port
 from tonus.sim.errors import LabError
 from tonus.sim.ethercat.port import SegmentPort
 from tonus.sim.ethercat.veth import close_pair, open_pair
+from tonus.sim.lab.client import Client, Sent, SentTogether, apart, rehearse, sent_ns
 from tonus.sim.lab.door import Door
 from tonus.sim.lab.door_socket import DoorSocket, remove_stale
 from tonus.sim.lab.engine import Lab
@@ -45,28 +37,6 @@ work that has gathered stays small."""
 _BACKLOG = 16
 OUR_INTERFACE = "tonus"
 """A channel of any other python-can interface is bridged to it, where a node is emulated on it."""
-
-
-class _Client:
-    def __init__(self, connection: socket.socket, channel: Channel) -> None:
-        self.connection = connection
-        self.port: Port = channel.attach(listens=True)
-        self.port.reports = True
-        self.waiting: list[_Sent] = []
-        """frames that have been read and found no room"""
-        self.gather_ns = 0
-        self.sent_ns = 0
-
-
-class _Sent(NamedTuple):
-    sent_ns: int
-    client: _Client
-    identifier: int
-    dlc: int
-    data: bytes
-
-
-_sent_ns = attrgetter("sent_ns")
 
 
 class _Server:
@@ -90,9 +60,9 @@ class _Server:
         self._listeners: dict[int, tuple[socket.socket, Path, Channel]] = {}
         self._knocks = select.poll()
         self._senders = select.poll()
-        self._clients: list[_Client] = []
-        self._stalled: list[_Client] = []
-        self._left: list[_Client] = []
+        self._clients: list[Client] = []
+        self._stalled: list[Client] = []
+        self._left: list[Client] = []
         self._bridges: list[Bridge] = []
         self._door: DoorSocket | None = None
         self._tracker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -210,21 +180,21 @@ class _Server:
                 while True:
                     connection, _ = listener.accept()
                     connection.setblocking(False)
-                    client = _Client(connection, channel)
+                    client = Client(connection, channel)
                     self._clients.append(client)
                     self._senders.register(connection, select.POLLIN)
                     self._loop.add_reader(connection, self._receive, client)
 
-    def _leave(self, client: _Client) -> None:
+    def _leave(self, client: Client) -> None:
         self._loop.remove_reader(client.connection)
         self._senders.unregister(client.connection)
         client.connection.close()
-        client.port.channel.detach(client.port)
+        client.leave()
         self._clients.remove(client)
         if client in self._stalled:
             self._stalled.remove(client)
 
-    def _receive(self, client: _Client) -> None:
+    def _receive(self, client: Client) -> None:
         """Take what a client has sent. A frame that tells when it was sent enters its queue then,
         unless the lab is past that: how late it is read must not show on the bus. The lab is left
         there, since another channel's frame may be of the same time."""
@@ -235,9 +205,9 @@ class _Server:
         self._queue(frames)
         self._arm()
 
-    def _read_all(self, but: _Client | None = None) -> list[_Sent]:
+    def _read_all(self, but: Client | None = None) -> list[Sent | SentTogether]:
         self._accept()
-        frames: list[_Sent] = []
+        frames: list[Sent | SentTogether] = []
         # One call for all: most have sent nothing, and to be refused by each costs more.
         ready = {descriptor for descriptor, _ in self._senders.poll(0)}
         for client in tuple(self._clients):
@@ -247,59 +217,69 @@ class _Server:
                 frames += self._read(client)
         return frames
 
-    def _read(self, client: _Client) -> list[_Sent]:
+    def _read(self, client: Client) -> list[Sent | SentTogether]:
         """What a client has sent, as far as its queue has room; the rest waits in its socket, where
         its own next send will find it full."""
-        port = client.port
-        frames, client.waiting = client.waiting, []
-        if port.room <= len(frames):
+        frames = client.take_waiting()
+        if client.room <= len(frames):
             self._lab.advance(self._clock())
-        room = port.room
+        room, last_ns = client.room - len(frames), max(map(sent_ns, frames), default=0)
         try:
-            while room > len(frames):
+            while room > 0:
                 packet = client.connection.recv(PACKET_BYTES)
                 now_ns = self._clock()
                 if not packet:
-                    self._left.append(client)
+                    if client.carrier is not client:
+                        frames += self._read(client.carrier)  # what it has sent stays sent
+                    self._has_left(client)
                     return frames
-                for sent_ns, identifier, dlc, _, data in decode(packet):
-                    sent = min(sent_ns or now_ns, now_ns)
-                    if frames:  # a client's own keep their order
-                        sent = max(sent, frames[-1].sent_ns)
-                    frames.append(_Sent(sent, client, identifier, dlc, data))
+                for sent in client.sent(packet, now_ns, last_ns):
+                    frames.append(sent)
+                    room -= 1 if isinstance(sent, Sent) else sent.most
+                    last_ns = sent.sent_ns
         except BlockingIOError:
             return frames
         except OSError:
-            self._left.append(client)
+            self._has_left(client)
             return frames
         self._loop.remove_reader(client.connection)
         self._stalled.append(client)
         return frames
 
-    def _queue(self, frames: list[_Sent]) -> None:
+    def _has_left(self, client: Client) -> None:
+        if client not in self._left:
+            self._left.append(client)
+
+    def _queue(self, frames: list[Sent | SentTogether]) -> None:
         """Let the lab have frames, each at its time."""
         lab = self._lab
-        for sent in sorted(frames, key=_sent_ns):
+        for sent in sorted(frames, key=sent_ns):
             lab.simulate(sent.sent_ns)
-            port = sent.client.port
-            if sent.identifier == WISHES:
-                port.channel.hand_out()  # what has ended before
-                port.echo = sent.data[:1] == b"\1"
-                sent.client.gather_ns = 1_000_000 * int.from_bytes(sent.data[1:2], "little")
-            elif not sound(sent.identifier, sent.dlc):
-                self.unsound_frames += 1
-            elif port.room > 0:
-                frame = Frame(sent.identifier, sent.data, sent.dlc)
-                port.channel.send(port, frame, lab.now_ns)
-            else:
-                sent.client.waiting.append(sent)
+            if isinstance(sent, Sent):
+                self._queue_one(sent)
+                continue
+            joined = sent.client.joined
+            if joined is None or not joined.send_joined(sent.frames, lab.now_ns):
+                for each in apart(sent):
+                    self._queue_one(each)
         left, self._left = self._left, []
         for client in left:
-            if client.port.waiting:
+            if client.port.waiting or client.carrier in self._stalled:
                 # Its socket is found closed again when they are sent: closing takes nothing back.
                 self._loop.remove_reader(client.connection)
             else:
                 self._leave(client)
+
+    def _queue_one(self, sent: Sent) -> None:
+        port, now_ns = sent.client.port, self._lab.now_ns
+        if sent.identifier == WISHES:
+            sent.client.wish(Wishes.of(sent.data), self._clients, self._lab)
+        elif not sound(sent.identifier, sent.dlc):
+            self.unsound_frames += 1
+        elif port.room > 0:
+            port.channel.send(port, Frame(sent.identifier, sent.data, sent.dlc), now_ns)
+        else:
+            sent.client.waiting.append(sent)
 
     def _fail(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """An error in a callback ends the serving; the loop would only log it."""
@@ -321,7 +301,9 @@ class _Server:
         for port in self._ports:
             port.receive_all()  # what came meanwhile has waited enough
         for client in tuple(self._clients):
-            if client.port.received and now_ns - client.sent_ns >= client.gather_ns:
+            if client.carrier is not client or not client.received:
+                continue
+            if now_ns - client.sent_ns >= client.gather_ns:
                 client.sent_ns = now_ns
                 self._send(client)
         for bridge in self._bridges:
@@ -334,28 +316,25 @@ class _Server:
                 continue
         stalled, self._stalled = self._stalled, []
         for client in stalled:
-            if client.port.room > 0:
+            if client.room > 0:
                 self._loop.add_reader(client.connection, self._receive, client)
                 self._queue(self._read(client))
             else:
                 self._stalled.append(client)
         self._arm()
 
-    def _send(self, client: _Client) -> None:
-        received = client.port.received
-        assert received is not None
-        while received:
-            batch = received.take(FRAMES_PER_PACKET)
-            try:
-                client.connection.send(batch.tobytes())
-            except BlockingIOError:
-                # As a controller's receive buffer that nobody empties.
-                received.missed += len(batch)
-            except OSError:
-                received.clear()
-                if not client.port.waiting:
-                    self._leave(client)
-                return
+    def _send(self, client: Client) -> None:
+        data = client.take()
+        try:
+            while data:
+                client.connection.send(data[:PACKET_BYTES])
+                data = data[PACKET_BYTES:]
+        except BlockingIOError:
+            # As a controller's receive buffer that nobody empties.
+            client.missed(data)
+        except OSError:
+            if not client.port.waiting:
+                self._leave(client)
 
     def _arm(self) -> None:
         lab = self._lab
@@ -382,6 +361,7 @@ async def serve(
     add to it for UTC, by which the kernel stamps frames of EtherCAT. Raises `LabError`.
     """
     lab.measure_latency()
+    rehearse()
     server = _Server(lab, config, runtime_dir, utc)
     try:
         await server.run(ready)

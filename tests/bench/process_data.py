@@ -7,8 +7,9 @@ import os
 import socket
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 from unittest.mock import patch
 
 import can
@@ -19,7 +20,8 @@ from tests.bench.measure import Figure, microseconds
 from tonus.config import load
 from tonus.config.schema.bus import CanopenBus
 from tonus.drivers.canopen.channel import Channel
-from tonus.drivers.canopen.channels import Channels
+from tonus.drivers.canopen.channels import Batch, Channels
+from tonus.drivers.canopen.identifiers import RPDO1, TPDO1
 from tonus.drivers.canopen.reception import Reception
 from tonus.drivers.events import EventLog
 from tonus.drivers.exchange import Exchange
@@ -28,9 +30,8 @@ from tonus.runtime.timing.clock import Stopwatch
 from tonus.sim.can import packet
 
 ROUNDS = 3000
-ANSWERS = (0x182, 0x188, 0x192, 0x198, 0x199)
-"""Two drives, two cells and the contact cell: the fullest channel."""
-SET_POINTS = (0x202, 0x208)
+PACKETS = ((0, 2), (2, 4), (4, 5))
+"""of a channel's answers: what ends within `lab.bus.coalesce_us` comes in one packet"""
 _ENABLED = 0x237
 
 
@@ -49,7 +50,7 @@ class _NoTap:
 
 
 def process_data() -> list[Figure]:
-    """One channel's frames through the lab's socket, and the exchange's conversions."""
+    """A tick's frames through the lab's sockets, and the exchange's conversions."""
     config, _ = load("config/can.yaml")
     bus = config.fieldbus
     assert isinstance(bus, CanopenBus)
@@ -66,53 +67,105 @@ def process_data() -> list[Figure]:
     exchange.cell_tick[:] = [0] * len(exchange.cell_tick)
     exchange.statuswords[:] = [_ENABLED] * len(exchange.statuswords)
     image.commands["command"], image.commands["torque"] = AxisCommand.ENABLE, 1.0
-    taken, sent = _channel(bus)
-    note = "the SYNC and three more channels come on top"
+    carried, each = _ticks(bus, exchange, carried=True), _ticks(bus, exchange, carried=False)
+    peer = "a connection a channel"
     return [
-        Figure("take five answers from a channel", taken, "us", note=note),
-        Figure("send two set-points on a channel", sent, "us"),
+        Figure("send a SYNC on four channels of the lab", carried.sync, "us", peer, each.sync),
+        Figure("take a tick's 17 answers from them", carried.taken, "us", peer, each.taken),
+        Figure("send eight set-points on them", carried.sent, "us", peer, each.sent),
         Figure("process image from raw values", microseconds(lambda: exchange.fill(1)), "us"),
         Figure("raw values from commands", microseconds(exchange.commands), "us"),
     ]
 
 
-def _channel(bus: CanopenBus) -> tuple[float, float]:
-    """Medians of processor time, us."""
-    with _socket_pair() as (ours, lab):
-        clock = Stopwatch(running=True).processor_ns
-        reception, tap = Reception(1, bus.master.late_ticks), _NoTap()
-        channel = Channel(0, ours, bus, 1000, 3, clock, tap, EventLog(), reception)
-        wire = Channels((channel,), clock, tap, reception)
-        channel.handlers.update(dict.fromkeys(ANSWERS, lambda _: None))
-        taken, sent = np.zeros(ROUNDS), np.zeros(ROUNDS)
-        for n in range(ROUNDS):
-            frames = [packet.FRAME.pack(1, identifier, 8, 0, bytes(8)) for identifier in ANSWERS]
-            lab.send(b"".join(frames))
-            began = clock()
+class _Tick(NamedTuple):
+    """us"""
+
+    sync: float
+    taken: float
+    sent: float
+
+
+def _ticks(bus: CanopenBus, exchange: Exchange, *, carried: bool) -> _Tick:
+    """Medians of processor time."""
+    clock, tap = Stopwatch(running=True).processor_ns, _NoTap()
+    reception = Reception(len(bus.channels), bus.master.late_ticks)
+    nodes = [[each.node_id for each in (*spec.drives, *spec.force_cells)] for spec in bus.channels]
+    with _sockets([spec.name for spec in bus.channels]) as (buses, lab):
+        channels = [
+            Channel(n, ours, bus, 1000, 3, clock, tap, EventLog(), reception)
+            for n, ours in enumerate(buses)
+        ]
+        for number, of_channel in enumerate(nodes):
+            for node in of_channel:
+                reception.add(number, TPDO1 + node, 8, [], exchange)
+        wire = Channels(channels, clock, tap, reception)
+        if carried:
+            lab[0].send(packet.AGREED)
             wire.drain()
-            drained = clock()
-            for identifier in SET_POINTS:
-                channel.send(identifier, bytes(4))
-            taken[n], sent[n] = (drained - began) * 1e-3, (clock() - drained) * 1e-3
-            for _ in SET_POINTS:
-                lab.recv(packet.PACKET_BYTES)
-        return float(np.median(taken)), float(np.median(sent))
+        drives = [
+            (n, RPDO1 + d.node_id, 4) for n, spec in enumerate(bus.channels) for d in spec.drives
+        ]
+        batch = Batch(drives)
+        times = np.zeros((ROUNDS, 3))
+        for n in range(ROUNDS):
+            began = clock()
+            wire.sync(n)
+            synced = clock()
+            for first, last in PACKETS:
+                of_channels = [of_channel[first:last] for of_channel in nodes]
+                _answer(lab, of_channels, clock(), carried=carried)
+            came = clock()
+            wire.drain()
+            taken = clock()
+            batch.fill([bytes(4)] * len(drives))
+            wire.send(batch)
+            times[n] = synced - began, taken - came, clock() - taken
+            for end in lab:
+                _empty(end)
+        return _Tick(*np.median(times * 1e-3, axis=0).tolist())
+
+
+def _answer(
+    lab: list[socket.socket], nodes: list[list[int]], stamp_ns: int, *, carried: bool
+) -> None:
+    """One packet with what all channels have, or one from each."""
+    packets = [
+        b"".join(
+            packet.ADDRESSED.pack(stamp_ns, TPDO1 + node, 8, 0, number, bytes(8)) for node in each
+        )
+        for number, each in enumerate(nodes)
+    ]
+    if carried:
+        lab[0].send(b"".join(packets))
+    else:
+        for end, data in zip(lab, packets, strict=True):
+            if data:
+                end.send(data)
+
+
+def _empty(end: socket.socket) -> None:
+    with suppress(BlockingIOError):
+        while end.recv(packet.PACKET_BYTES):
+            pass
 
 
 @contextmanager
-def _socket_pair() -> Iterator[tuple[can.BusABC, socket.socket]]:
-    """A bus as the daemon opens it, and the lab's end of its socket."""
+def _sockets(names: list[str]) -> Iterator[tuple[list[can.BusABC], list[socket.socket]]]:
+    """Buses as the daemon opens them, and the lab's ends of their sockets."""
     with (
         tempfile.TemporaryDirectory() as folder,
         patch.dict(os.environ, {"TONUS_RUNTIME_DIR": folder}),
-        socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener,
+        ExitStack() as stack,
     ):
-        listener.bind(str(packet.socket_path(Path(folder), "can0")))
-        listener.listen(1)
-        ours = can.Bus(interface="tonus", channel="can0")
-        lab, _ = listener.accept()
-        try:
-            yield ours, lab
-        finally:
-            ours.shutdown()
-            lab.close()
+        buses, ends = [], []
+        for name in names:
+            listener = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+            listener.bind(str(packet.socket_path(Path(folder), name)))
+            listener.listen(1)
+            buses.append(can.Bus(interface="tonus", channel=name))
+            stack.callback(buses[-1].shutdown)
+            end, _ = listener.accept()
+            end.setblocking(False)
+            ends.append(stack.enter_context(end))
+        yield buses, ends

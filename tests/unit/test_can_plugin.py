@@ -4,29 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
 from lab_bench import Bench
+from unit.served_lab import drain, message, served, until
 
-from tonus.config import load
 from tonus.config.schema.faults import FAULT
 from tonus.sim.can import packet
 from tonus.sim.can.plugin import LocalBus, SocketBus
 from tonus.sim.lab.engine import Lab
-from tonus.sim.lab.server import serve
-
-
-def message(identifier: int, data: bytes = b"", **over: Any) -> can.Message:
-    return can.Message(arbitration_id=identifier, data=data, **{"is_extended_id": False, **over})
-
-
-def drain(bus: can.BusABC) -> list[can.Message]:
-    return list(iter(lambda: bus.recv(timeout=0), None))
 
 
 def test_every_kind_of_frame_arrives_as_it_was_sent() -> None:
@@ -143,36 +132,6 @@ def test_a_modifier_counts_in_a_cyclic_message() -> None:
 
 
 # -- behind a socket ---------------------------------------------------------------------------
-
-
-def served(
-    directory: Path, monkeypatch: pytest.MonkeyPatch, use: Callable[[Lab], Awaitable[None]]
-) -> None:
-    """A lab and its user on one loop, in real time for as long as ``use`` takes."""
-    monkeypatch.setenv("TONUS_RUNTIME_DIR", str(directory))
-    config, scenario = load("config/can.yaml", overrides={"tracker.port": 49_777})
-
-    async def main() -> None:
-        loop = asyncio.get_running_loop()
-
-        def clock() -> int:
-            return int(loop.time() * 1e9)
-
-        lab = Lab(config, scenario.lab, seed=1, clock=clock, start_ns=clock())
-        ready = asyncio.Event()
-        serving = loop.create_task(serve(lab, config, directory, ready.set))
-        await ready.wait()
-        try:
-            await asyncio.wait_for(use(lab), 20)
-        finally:
-            serving.cancel()
-
-    asyncio.run(main())
-
-
-async def until(found: Callable[[], bool]) -> None:
-    while not found():
-        await asyncio.sleep(0.002)
 
 
 def test_a_notifier_on_a_loop_hears_all_in_order(
@@ -292,8 +251,8 @@ def test_a_lab_that_is_periods_late_puts_every_frame_on_the_wire_in_its_time(
 
         def all_heard() -> bool:
             for number, bus in enumerate(listeners):
-                for message in drain(bus):
-                    found[number, message.arbitration_id] = round(message.timestamp * 1e9)
+                for heard in drain(bus):
+                    found[number, heard.arbitration_id] = round(heard.timestamp * 1e9)
             return len(found) == len(sent)
 
         await until(all_heard)

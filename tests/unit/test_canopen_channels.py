@@ -3,7 +3,7 @@ what comes in on them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import count
 
 import can
@@ -238,3 +238,115 @@ class _Deaf:
 
     def receive_frames(self, limit: int) -> None:
         raise can.CanOperationError("no such device")
+
+
+class _Together(_InSoftware):
+    """A bus whose like are received from in one call."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.arrived: NDArray[np.void] | Exception | None = None
+        self.refusal: Exception | None = None
+
+    def join(self, buses: Sequence[can.BusABC]) -> _Together:
+        del buses
+        return self
+
+    def receive_joined(self, limit: int) -> NDArray[np.void] | None:
+        del limit
+        if isinstance(self.arrived, Exception):
+            raise self.arrived
+        return self.arrived
+
+    def send_joined(self, frames: NDArray[np.void], sent_ns: int) -> bool:
+        if self.refusal is not None:
+            raise self.refusal
+        assert (frames["stamp_ns"] == sent_ns).all()
+        return True
+
+
+class _Joined:
+    """Four channels on them."""
+
+    def __init__(self) -> None:
+        config, _ = load("config/can.yaml")
+        assert isinstance(config.fieldbus, CanopenBus)
+        self.fieldbus, self.tap, self.events = config.fieldbus, Tap(), EventLog()
+        self.buses = [_Together() for _ in range(4)]
+        reception, clock = Reception(4, 8), count(10_000_000, 1000).__next__
+        self.channels = [
+            Channel(n, bus, self.fieldbus, 1000, 3, clock, self.tap, self.events, reception)
+            for n, bus in enumerate(self.buses)
+        ]
+        self.together = Channels(self.channels, clock, self.tap, reception)
+
+    def receive(self, *counts: int) -> None:
+        """So many frames of nobody on each channel."""
+        rows = [
+            (9_000_000, 0x7A0, 1, 0, number, number)
+            for number, of_channel in enumerate(counts)
+            for _ in range(of_channel)
+        ]
+        self.buses[0].arrived = np.array(rows, RAW_FRAME)
+        self.together.drain()
+
+    def told(self) -> list[tuple[str, str]]:
+        return [(event.name, event.where) for event in self.events.take()]
+
+
+@pytest.fixture
+def joined() -> Iterator[_Joined]:
+    made = _Joined()
+    yield made
+    for bus in made.buses:
+        bus.shutdown()
+
+
+def test_frames_that_come_in_one_call_are_each_of_its_channel(joined: _Joined) -> None:
+    handled: list[tuple[int, bytes]] = []
+    for number, channel in enumerate(joined.channels):
+        channel.handlers[0x7A0] = lambda data, number=number: handled.append((number, data))  # type: ignore[misc]
+    joined.receive(2, 0, 1, 0)
+    assert handled == [(0, b"\0"), (0, b"\0"), (2, b"\2")]
+    assert [entry[:3] for entry in joined.tap.seen] == [
+        (9_000_000, number, 0x7A0) for number in (0, 0, 2)
+    ]
+    joined.together.sync(1)
+    # Their stamps are by our clock: an answer is told from what was there before its SYNC.
+    assert {channel.syncs.bit_ns for channel in joined.channels} == {1000}
+    handled.clear()
+    joined.receive()
+    joined.buses[0].arrived = None  # each is asked by itself, and has nothing
+    joined.together.drain()
+    assert handled == []
+    assert joined.told() == []
+
+
+def test_a_flood_is_found_on_its_channel_among_all(joined: _Joined) -> None:
+    master = joined.fieldbus.master
+    for channel in joined.channels:
+        channel.handlers[0x7A0] = lambda _: None
+    most = joined.channels[0].frames_per_drain
+    for _ in range(master.flood_ticks):
+        joined.receive(1, most - 1, most, 0)
+    assert joined.told() == [("bus_flooded", joined.channels[2].name)]
+
+
+def test_a_lab_that_is_gone_is_deaf_on_every_channel_once(joined: _Joined) -> None:
+    names = [channel.name for channel in joined.channels]
+    for _ in range(3):
+        joined.buses[0].arrived = can.CanOperationError("the lab has closed channel can0")
+        joined.together.drain()
+    assert joined.told() == [("bus_deaf", name) for name in names]
+    joined.receive(0, 0, 0, 0)
+    joined.buses[0].arrived = can.CanOperationError("again")
+    joined.together.drain()
+    assert joined.told() == [("bus_deaf", name) for name in names]
+
+
+def test_what_cannot_go_together_goes_by_itself(joined: _Joined) -> None:
+    joined.together.sync(1)
+    assert [bus.sent_ns for bus in joined.buses] == [[]] * 4
+    joined.buses[0].refusal = can.CanOperationError("the transmit queue of channel can0 is full")
+    joined.together.sync(2)
+    assert [len(bus.sent_ns) for bus in joined.buses] == [1] * 4
