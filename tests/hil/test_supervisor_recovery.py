@@ -58,7 +58,10 @@ def ordered(monkeypatch: pytest.MonkeyPatch, orders: Listed[Order]) -> None:
     monkeypatch.setattr(Operated, "next", told_then_ordered)
 
 
-@pytest.mark.parametrize(("policy", "reset_s"), [("use", 0.7), ("require", 0.718)])
+@pytest.mark.parametrize(
+    ("policy", "reset_s"),
+    [pytest.param("use", 0.7, marks=pytest.mark.wide), ("require", 0.718)],
+)
 def test_arming_after_an_emergency_stop(
     monkeypatch: pytest.MonkeyPatch, policy: str, reset_s: float
 ) -> None:
@@ -136,11 +139,10 @@ class Written(Noted):
 @pytest.mark.parametrize(
     ("requests", "stopped"),
     [
-        (((3, _RAMP, 0, 1),), 8),
-        (((3, 0x1016, 2, 0), (3, _RAMP, 0, 1)), 7),
-        (((_AMPLIFIER, _SCALE, 1, 0x43160000),), 8),
+        pytest.param(((3, _RAMP, 0, 1),), 8, id="ramp", marks=pytest.mark.wide),
+        pytest.param(((3, 0x1016, 2, 0), (3, _RAMP, 0, 1)), 7, id="heartbeat consumer and ramp"),
+        pytest.param(((_AMPLIFIER, _SCALE, 1, 0x43160000),), 8, id="scale of the contact cell"),
     ],
-    ids=["ramp", "heartbeat consumer and ramp", "scale of the contact cell"],
 )
 def test_a_device_that_another_master_writes_to_in_standby(
     monkeypatch: pytest.MonkeyPatch, requests: Any, stopped: int

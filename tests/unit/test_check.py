@@ -31,7 +31,7 @@ from tonus.tools.check.feasibility import (
 )
 from tonus.tools.check.mechanics import DIRECTIONS
 from tonus.tools.check.plausibility import plausibility
-from tonus.tools.check.rules import Finding, check
+from tonus.tools.check.rules import Finding, check, check_parts
 from tonus.tools.cli.check import check as command
 from tonus.tools.margins.tension_loop import tension_loop_margins
 
@@ -77,6 +77,7 @@ def test_what_is_shipped_passes(name: str) -> None:
     config, scenario = load(f"config/{name}.yaml")
     findings = check(config, scenario)
     assert [finding for finding in findings if not finding.ok] == []
+    assert {each.rule for each in check_parts(config, scenario)} < {each.rule for each in findings}
 
 
 @pytest.mark.parametrize("name", sorted(file.stem for file in (HERE / "scenarios").glob("*.yaml")))

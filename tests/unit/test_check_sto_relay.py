@@ -9,7 +9,7 @@ import pytest
 
 from tonus.config import ConfigError, load
 from tonus.tools.check.finding import Finding
-from tonus.tools.check.rules import check
+from tonus.tools.check.rules import check_parts
 from tonus.tools.errors import ToolError
 from tonus.tools.run.supervision import require_reach, wanted, without_relay
 
@@ -17,7 +17,7 @@ PATH = "config/ethercat.yaml"
 
 
 def findings(path: str = PATH, overrides: dict[str, Any] | None = None) -> list[Finding]:
-    found = check(*load(path, overrides=overrides))
+    found = check_parts(*load(path, overrides=overrides))
     return [each for each in found if each.rule in ("sto_relay", "supervisor")]
 
 

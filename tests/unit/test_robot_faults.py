@@ -16,7 +16,7 @@ from tonus.config.schema.scenario import Scenario
 from tonus.sim.devices.tracker import DATAGRAM, VALID
 from tonus.sim.errors import LabError
 from tonus.sim.lab.door import Door
-from tonus.tools.check.rules import check
+from tonus.tools.check.rules import check_parts
 
 CONTACT = load("config/can.yaml", scenario="contact")[1].lab
 DIRECT = "config/direct.yaml"
@@ -182,7 +182,9 @@ def test_what_the_robot_does_not_have_is_refused(fault: dict[str, Any], words: s
         config, hold = load(DIRECT, scenario="hold")
         data = hold.model_dump() | {"lab": {"faults": [fault]}}
         (found,) = [
-            each for each in check(config, Scenario.model_validate(data)) if each.rule == "faults"
+            each
+            for each in check_parts(config, Scenario.model_validate(data))
+            if each.rule == "faults"
         ]
         assert not found.ok
         sound = {**fault, "axis": 7} if "axis" in fault else {**fault, "cell": 8}
@@ -193,7 +195,9 @@ def test_what_the_robot_does_not_have_is_refused(fault: dict[str, Any], words: s
             config = load(DIRECT, overrides=BRAKED)[0]
         data["lab"]["faults"] = [sound]
         (found,) = [
-            each for each in check(config, Scenario.model_validate(data)) if each.rule == "faults"
+            each
+            for each in check_parts(config, Scenario.model_validate(data))
+            if each.rule == "faults"
         ]
         assert found.ok
 

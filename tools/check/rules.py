@@ -20,7 +20,7 @@ from tonus.tools.check.sto_relay import check_relay
 from tonus.tools.check.supervisor import check_supervisor
 from tonus.tools.fieldbus.registry import fieldbus_kind
 
-__all__ = ["Finding", "check", "check_catalogue"]
+__all__ = ["Finding", "check", "check_catalogue", "check_parts"]
 
 
 def check(config: Config, scenario: Scenario, *, timed: bool = False) -> list[Finding]:
@@ -29,15 +29,21 @@ def check(config: Config, scenario: Scenario, *, timed: bool = False) -> list[Fi
     findings: list[Finding] = list(plausibility(config))
     if not all(finding.ok for finding in findings):
         return findings  # whatever would be computed from them would mislead
-    for bus in config.fieldbus.parts:
-        findings += fieldbus_kind(bus).check(config, bus)
-    findings += check_supervisor(config)
-    findings += check_relay(config)
-    findings += check_data_sheets(config)
-    findings += check_losses(config)
-    findings += _faults(config, scenario)
+    findings += check_parts(config, scenario)
     findings += mechanics(config, scenario)
     return findings + list(check_controller(config, timed=timed))
+
+
+def check_parts(config: Config, scenario: Scenario) -> Iterator[Finding]:
+    """Those of `check` that are not about the robot's mechanics and the controller: quick. The
+    configuration has to be plausible."""
+    for bus in config.fieldbus.parts:
+        yield from fieldbus_kind(bus).check(config, bus)
+    yield from check_supervisor(config)
+    yield from check_relay(config)
+    yield from check_data_sheets(config)
+    yield from check_losses(config)
+    yield from _faults(config, scenario)
 
 
 def check_catalogue(
