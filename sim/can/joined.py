@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonus.sim.can.registry import Advancing
+from tonus.sim.can.wire.inbox import FRAMES
 from tonus.sim.can.wire.port import Port
 from tonus.sim.can.wire.regular import Integers, WireTable
 
@@ -18,12 +19,24 @@ class JoinedBuses:
     def __init__(self, lab: Advancing, ports: Sequence[Port]) -> None:
         self._lab = lab
         self._ports = ports
+        self._inboxes = [port.received for port in ports if port.received is not None]
+        self._channels = np.arange(len(ports), dtype=np.uint16)
         self._numbers = np.array([port.number for port in ports], np.int64)
         self._table: WireTable | None = None
         self._rows: Integers = np.zeros(len(ports), np.int64)
 
-    def receive_joined(self, limit: int) -> None:
-        """Each has to be asked by itself."""
+    def receive_joined(self, limit: int) -> NDArray[np.void] | None:
+        """What has arrived, (n,) of `FRAMES`, channel by channel. None where one has more than its
+        share of ``limit``: each bus has to be asked by itself."""
+        lab = self._lab
+        lab.advance(lab.clock())
+        counts = [len(inbox) for inbox in self._inboxes]
+        if max(counts) * len(counts) > limit:
+            return None
+        taken = [inbox.take(count).data for inbox, count in zip(self._inboxes, counts, strict=True)]
+        frames = np.frombuffer(bytearray().join(taken), FRAMES)
+        frames["channel"] = self._channels.repeat(counts)
+        return frames
 
     def send_joined(self, frames: NDArray[np.void], sent_ns: int) -> bool:
         """Queue data frames of 11-bit identifiers, (n,) of `FRAMES`, each by the port that its

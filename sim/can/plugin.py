@@ -93,7 +93,7 @@ class TonusBus(can.BusABC):
         """Everything that has arrived, without waiting, oldest first, ``limit`` frames at most:
         (n,) of `FRAMES`."""
         frames = self._take(limit)
-        if self._filters is None and self._error_frames:
+        if self._takes_all:
             return frames
         wanted = [
             self._wanted(_message(*frame, self._name)) for frame in packet.decode(frames.tobytes())
@@ -107,6 +107,10 @@ class TonusBus(can.BusABC):
     def send_frame(self, identifier: int, data: bytes, sent_ns: int = 0) -> None:
         """A data frame with an 11-bit identifier; otherwise as `send` of a message."""
         raise NotImplementedError
+
+    @property
+    def _takes_all(self) -> bool:
+        return self._filters is None and self._error_frames
 
     def _wanted(self, message: can.Message) -> bool:
         if message.is_error_frame:
@@ -203,8 +207,10 @@ class LocalBus(TonusBus):
             self._send(identifier, data, len(data))
 
     def join(self, buses: Sequence[can.BusABC]) -> JoinedBuses | None:
-        """Buses on the channels of this lab, itself among them, as one; None for others."""
-        ports = [bus._port for bus in buses if isinstance(bus, LocalBus) and bus._lab is self._lab]
+        """Buses on the channels of this lab, itself among them, as one; None where one of them is
+        another, or does not receive everything."""
+        plain = [bus for bus in buses if isinstance(bus, LocalBus) and bus._takes_all]
+        ports = [bus._port for bus in plain if bus._lab is self._lab]
         return JoinedBuses(self._lab, ports) if len(ports) == len(buses) else None
 
     def _send(self, identifier: int, data: bytes, dlc: int) -> None:
@@ -401,8 +407,7 @@ class SocketBus(TonusBus):
 
     @property
     def _is_plain(self) -> bool:
-        special = self._filters is not None or self._echo or self._gather_ms or self._carried
-        return self._error_frames and not special
+        return self._takes_all and not (self._echo or self._gather_ms or self._carried)
 
     def carry(self, carrier: SocketBus, number: int) -> None:
         """Send by ``carrier`` from now on, as its connection ``number``."""

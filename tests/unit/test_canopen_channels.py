@@ -29,7 +29,8 @@ _DATA = [b"\1\2\3\4", b"\5\6\7\x88", b"\x99\xff", bytes(range(8))]
 class _Bench:
     """Four channels of a lab whose wires are in compiled code, or not."""
 
-    def __init__(self, *, regular: bool) -> None:
+    def __init__(self, *, regular: bool, apart: bool = False) -> None:
+        """``apart``: buses that cannot be joined."""
         config, scenario = load("config/can.yaml")
         assert isinstance(config.fieldbus, CanopenBus)
         self.now = 0
@@ -41,7 +42,7 @@ class _Bench:
         try:
             names = [each.name for each in config.fieldbus.channels]
             self.listeners = [can.Bus(interface="tonus", channel=name) for name in names]
-            buses = [can.Bus(interface="tonus", channel=name) for name in names]
+            buses = [can.Bus(name, "tonus", error_frames=not apart) for name in names]
         finally:
             self.lab.close()
         self.wait(50)
@@ -192,8 +193,9 @@ class _Foreigner:
         self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
 
 
-def test_what_comes_in_is_recorded_and_handled_channel_by_channel() -> None:
-    bench = _Bench(regular=True)
+@pytest.mark.parametrize("apart", [False, True])
+def test_what_comes_in_is_recorded_and_handled_channel_by_channel(apart: bool) -> None:
+    bench = _Bench(regular=True, apart=apart)
     bench.together.drain()
     bench.tap.seen.clear()
     handled: list[tuple[int, bytes]] = []
@@ -215,7 +217,7 @@ def test_what_comes_in_is_recorded_and_handled_channel_by_channel() -> None:
 
 
 def test_a_channel_that_cannot_be_received_from_keeps_no_other_back() -> None:
-    bench = _Bench(regular=True)
+    bench = _Bench(regular=True, apart=True)
     bench.together.drain()
     bench.events.take()
     handled: list[bytes] = []
