@@ -13,6 +13,7 @@ from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import Requirement, Supervisor
 from tonus.runtime.states import ARMED, Operator, State, StopMode
 from tonus.runtime.supervisor.observation import Observation
+from tonus.runtime.supervisor.platform_speed import PlatformSpeed
 from tonus.runtime.supervisor.record import CONTROLLED, Claim, Floats
 
 NOWHERE = -1
@@ -90,9 +91,7 @@ class Judge:
         # Twice what the daemon itself takes for a fault, for twice as long.
         self._astray = 2.0 * control.isolation.tension_error
         self._astray_ns = round(2e9 * control.isolation.tension_error_s)
-        self._rows = _rows(config, settings.spread)
-        self._inverted: dict[bytes, Floats] = {}
-        """of these rows, by the cables that tell"""
+        self._speed = PlatformSpeed(config)
         self._period_ns = round(settings.period_ms * 1e6)
         # Longer than `_pulling_ns`, of the same requirement, whose time is forgotten more slowly.
         self._unpowered_ns = max(self._opposed_ns, self._pulling_ns + self._period_ns)
@@ -178,10 +177,10 @@ class Judge:
         self._held = held
 
     def _broken(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
-        speeds = self._speeds(seen, seen.rate)
+        speeds = self._speed(seen, seen.rate)
         if np.isfinite(seen.travel).any():
             travel = np.where(np.isfinite(seen.travel), seen.travel, seen.rate)
-            speeds = tuple(np.fmax(speeds, self._speeds(seen, travel)).tolist())
+            speeds = tuple(np.fmax(speeds, self._speed(seen, travel)).tolist())
         for each in (
             *self._daemon(seen),
             *self._bus(seen),
@@ -247,16 +246,31 @@ class Judge:
         yield (math.inf, settings.rotation_in_descent), 2 * self._opposed_ns
 
     def _of_taut_cables(self, seen: Observation) -> Iterator[tuple[Violation, int]]:
-        """SUP-8 in a stop that is not passive: drums of slack cables stand while the platform
-        moves. By the others alone a right stop is as fast for some ms, where a cable is cut."""
-        claim = seen.claim
-        if claim is None or claim.state != State.SAFE_STOP or claim.stop_mode == StopMode.PASSIVE:
+        """SUP-8 while controlled, and in a stop that is not passive, by the drums of taut cables
+        alone: those of slack ones stand, or turn with the others, while the platform moves. With
+        what the cables stretch by it is the platform's speed where it swings on them while the
+        drums hardly turn; and without, where slack cables are allowed. A right stop is as fast for
+        some ms, where a cable is cut."""
+        stretching, claim, settings = self._speed.stretching(seen), seen.claim, self._settings
+        if claim is None:
             return
         taut = ~(seen.tension < self._slack)
-        on_path = claim.stop_mode == StopMode.ON_PATH
-        limit = self._settings.speed_on_path if on_path else self._settings.speed_in_descent
-        for each in _faster(self._speeds(seen, seen.rate, taut), (limit, math.inf)):
-            yield each, self._thrown_ns
+        if claim.state in CONTROLLED:
+            most, turning = self._most_speed, settings.rotation
+            patience_ns, drums_ns = self._opposed_ns, self._pulling_ns
+        elif claim.state == State.SAFE_STOP and claim.stop_mode != StopMode.PASSIVE:
+            most, turning = settings.speed_in_descent, math.inf
+            if claim.stop_mode == StopMode.ON_PATH:
+                most = settings.speed_on_path
+            patience_ns = drums_ns = self._thrown_ns
+        else:
+            return
+        swinging = self._speed(seen, seen.rate, taut, stretching)
+        for each in _faster(swinging, (most, turning)):
+            yield each, patience_ns
+        if claim.state not in _STIFF:
+            for each in _faster(self._speed(seen, seen.rate, taut), (most, math.inf)):
+                yield each, drums_ns
 
     def _is_disarmed(self, claim: Claim) -> bool:
         """A stop is of what was controlled: power that begins with it has no measured bound."""
@@ -520,28 +534,6 @@ class Judge:
             yield Violation(Requirement.CONTACT, NOWHERE, seen.contact)
         yield from _faster(speeds, (settings.speed_stopping, settings.rotation_stopping))
 
-    def _speeds(
-        self, seen: Observation, rates: Floats, telling: NDArray[np.bool_] | None = None
-    ) -> tuple[float, ...]:
-        """The least speed and turning rate that any of the poses tried needs to give the drums
-        these ``rates``, m/s and rad/s; not a number where a rate is not known. ``telling``: which
-        drums count; else all but those without power whose cable is slack, which turn by
-        themselves. None counts whose encoder reports what no motor can make."""
-        if len(rates) != self._rows.shape[1]:
-            return math.nan, math.nan  # some of the axes are on another bus
-        if telling is None:
-            telling = seen.enabled | ~(seen.tension < self._slack)
-        told = np.empty(len(rates), bool)
-        told[seen.axes] = telling & ~seen.incredible
-        rate = np.empty(len(rates))
-        rate[seen.axes] = rates
-        key = told.tobytes()
-        if key not in self._inverted:
-            self._inverted[key] = np.linalg.pinv(self._rows[:, told]).astype(np.float64)
-        twists = (self._inverted[key] @ rate[told]).reshape(-1, 2, 3)
-        speeds: list[float] = np.sqrt((twists**2).sum(axis=2).min(axis=0)).tolist()
-        return tuple(speeds)
-
 
 def _is_on_path(claim: Claim) -> bool:
     return claim.state == State.SAFE_STOP and claim.stop_mode == StopMode.ON_PATH
@@ -564,20 +556,3 @@ def _at(
     beyond = where if limit is None else where & (values > limit)
     for row in np.asarray(beyond).nonzero()[0].tolist():
         yield Violation(requirement, int(seen.axes[row]), float(values[row]))
-
-
-def _rows(config: Config, spread: float) -> Floats:
-    """From the platform's velocity and angular velocity (6,) to the rates of the cables (n,),
-    reeling in, at each of 27 poses round the workspace's middle: the structure matrix, transposed
-    (27, n, 6)."""
-    geometry = config.robot.geometry
-    frame, platform = np.array(geometry.frame), np.array(geometry.platform)
-    space = config.robot.workspace
-    middle = np.array([sum(space.x), sum(space.y), sum(space.z)]) / 2.0
-    steps = np.array(np.meshgrid(*[(-spread, 0.0, spread)] * 3)).reshape(3, -1).T
-    found = []
-    for position in middle + steps:
-        along = frame - position - platform
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
-        found.append(np.hstack([along, np.cross(platform, along)]))
-    return np.array(found)

@@ -24,6 +24,7 @@ from tonus.config import Config, load
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import State, StopMode
 from tonus.runtime.supervisor.judge import Judge
+from tonus.runtime.supervisor.platform_speed import PlatformSpeed
 
 
 @pytest.fixture(scope="module")
@@ -276,3 +277,93 @@ def test_no_taut_cable_tells_nothing(config: Config) -> None:
     ]
     verdict = judged(config, *looks)[-1]
     assert verdict is None or verdict.requirement is not Requirement.SPEED
+
+
+def _cables(config: Config) -> tuple[Any, Any]:
+    """From the platform's motion (6,) in the middle to the rates of the cables, and m/N of each."""
+    geometry, space = config.robot.geometry, config.robot.workspace
+    middle = np.array([sum(each) / 2.0 for each in (space.x, space.y, space.z)])
+    platform = np.array(geometry.platform)
+    along = np.array(geometry.frame) - middle - platform
+    lengths = np.linalg.norm(along, axis=1)
+    along /= lengths[:, None]
+    rows = np.hstack([along, np.cross(platform, along)])
+    return rows, lengths / config.robot.axial_stiffness
+
+
+def _first(verdicts: list[Any]) -> int | None:
+    """ms until the first that is of the speed; looks are 2 ms apart."""
+    found = [each is not None and each.requirement is Requirement.SPEED for each in verdicts]
+    return 2 * found.index(True) if any(found) else None
+
+
+def _swinging(config: Config, state: State, speed: Any, given: dict[str, Any]) -> list[Any]:
+    """Drums that stand, and tensions of a platform that moves at ``speed`` (6,) on its cables: the
+    verdict of each look."""
+    rows, compliance = _cables(config)
+    # A cable that the platform moves away from is stretched.
+    rate = -(rows @ np.asarray(speed)) / compliance
+    looks = []
+    for at_ms in np.arange(100.0, 160.0, 2.0):
+        tension = 200.0 + rate * (at_ms - 100.0) * 1e-3
+        said = claim(state, at_ms, tension=tension, reference=tension, **given)
+        looks.append(seen(at_ms, said, tension=tension, torque=tension, mean_torque=tension))
+    return judged(config, *looks)
+
+
+@pytest.mark.parametrize(
+    ("state", "mode", "speed", "after_ms"),
+    [
+        (State.ACTIVE, StopMode.NONE, (0.0, 0.0, 0.27, 0.0, 0.0, 0.0), None),
+        (State.ACTIVE, StopMode.NONE, (0.0, 0.0, 0.30, 0.0, 0.0, 0.0), 22),
+        (State.HOLD, StopMode.NONE, (0.30, 0.0, 0.0, 0.0, 0.0, 0.0), 22),
+        (State.REFERENCING, StopMode.NONE, (0.0, 0.30, 0.0, 0.0, 0.0, 0.0), 22),
+        (State.ACTIVE, StopMode.NONE, (0.0, 0.0, 0.0, 0.0, 0.0, 1.4), None),
+        (State.ACTIVE, StopMode.NONE, (0.0, 0.0, 0.0, 0.0, 0.0, 1.7), 22),
+        (State.SAFE_STOP, StopMode.ON_PATH, (0.0, 0.0, 0.48, 0.0, 0.0, 0.0), None),
+        (State.SAFE_STOP, StopMode.ON_PATH, (0.0, 0.0, 0.0, 0.0, 0.0, 3.0), None),
+        (State.SAFE_STOP, StopMode.DESCENT, (0.0, 0.0, 0.75, 0.0, 0.0, 0.0), None),
+        (State.SAFE_STOP, StopMode.DESCENT, (0.0, 0.0, 0.90, 0.0, 0.0, 0.0), 44),
+        (State.SAFE_STOP, StopMode.PASSIVE, (0.0, 0.0, 0.90, 0.0, 0.0, 0.0), None),
+    ],
+)
+def test_a_platform_that_moves_on_its_cables_while_the_drums_stand(
+    config: Config, state: State, mode: StopMode, speed: Any, after_ms: int | None
+) -> None:
+    """The first change is known in the second look."""
+    assert _first(_swinging(config, state, speed, {"stop_mode": mode})) == after_ms
+
+
+def test_what_cables_stretch_by_is_of_the_looks_before(config: Config) -> None:
+    """After a pause, while nothing was judged, and where a tension is not known, it is nothing."""
+    speed, (_, compliance) = PlatformSpeed(config), _cables(config)
+
+    def stretching(at_ms: float, newton: Any) -> Any:
+        return speed.stretching(seen(at_ms, tension=np.broadcast_to(newton, N).astype(float)))
+
+    assert not stretching(100.0, 40.0).any(), "the first"
+    assert stretching(102.0, 50.0) == pytest.approx(5000.0 * compliance)
+    assert stretching(104.0, 50.0) == pytest.approx(2500.0 * compliance)
+    assert not stretching(106.0, 50.0).any()
+    assert not stretching(200.0, 90.0).any(), "a pause"
+    assert not stretching(202.0, 90.0).any(), "it is within two looks still"
+    assert stretching(204.0, at(2, 94.0, 90.0)) == pytest.approx(at(2, 1000.0) * compliance)
+    assert stretching(206.0, at(3, np.nan, 90.0)) == pytest.approx(0.0 * compliance)
+
+
+@pytest.mark.parametrize(
+    ("state", "after_ms"),
+    [(State.REFERENCING, 6), (State.PRETENSION, 6), (State.HOLD, None), (State.ACTIVE, None)],
+)
+def test_drums_of_slack_cables_that_turn_with_the_others(
+    config: Config, state: State, after_ms: int | None
+) -> None:
+    """By all drums the platform stands. Where no cable may be slack, a slack one is found."""
+    tension = np.where(np.arange(N) < 4, 45.0, 2.0)
+    looks = []
+    for at_ms in np.arange(100.0, 120.0, 2.0):
+        said = claim(state, at_ms, tension=tension, reference=tension)
+        looks.append(seen(at_ms, said, tension=tension, rate=np.full(N, 0.6)))
+    assert _first(judged(config, *looks)) == after_ms
+    still = [replace(look, rate=np.full(N, 0.1)) for look in looks]
+    assert _first(judged(config, *still)) is None
