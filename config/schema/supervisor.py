@@ -122,7 +122,7 @@ SMALLEST = {
 """What a robot has to state at least, in the keys' units, frames and ticks. All R: between what a
 robot in order was seen to reach (config/supervisor.yaml) and what is shipped."""
 SMALLEST_SHARES = {
-    "unexplained_force": 1.0,
+    "unexplained_force": 1.5,
     "opposed_force": 1.0,
     "logged_tension": 0.15,
     "opposed_long_force": 0.3,

@@ -82,6 +82,8 @@ class Node:
         self.configured = False
         self.started = False
         """meant to be operational: what it does of itself is news"""
+        self._boots = 0
+        """boot-ups when it was reset last"""
         self._master = master
         self._poll_s = master.poll_us * 1e-6
         self.sdo = SdoClient(
@@ -103,6 +105,7 @@ class Node:
         self.started = False
         repeated = self.sdo.repeated
         await self._boot(reset)
+        self._boots = self.monitor.boots
         revision = await self._identify(self.role.device.identity)
         if self.role.drive:
             await self._clear_fault(progress)
@@ -118,13 +121,16 @@ class Node:
         progress(f"{self.where} {self.role.title}: {told}configured{late}")
 
     async def start(self) -> None:
-        """Raises `NodeError` unless a heartbeat says OPERATIONAL in time."""
+        """Raises `NodeError` unless a heartbeat says OPERATIONAL in time, of a node that has not
+        restarted since it was configured."""
         self.command(Command.START)
         if not await self._until(
             lambda: self.monitor.state is NmtState.OPERATIONAL, self._master.boot_timeout_ms
         ):
             state = "silent" if self.monitor.state is None else self.monitor.state.words
             raise NodeError(f"started but {state} {self._master.boot_timeout_ms} ms later")
+        if self.monitor.boots != self._boots:
+            raise NodeError("restarted while it was brought up, and lost its configuration")
         self.started = True
 
     async def release(self) -> None:
@@ -208,6 +214,7 @@ class Node:
         progress(f"{self.where} {self.role.title}: has a fault, {text}{before}")
         if self.role.errors.reset(code) is Reset.DEVICE_RESET:
             await self._boot(Command.RESET_NODE)
+            self._boots = self.monitor.boots
         loop = asyncio.get_running_loop()
         end = loop.time() + self._master.boot_timeout_ms * 1e-3
         while await self.error_code():

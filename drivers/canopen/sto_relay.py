@@ -74,6 +74,9 @@ class RelayedFieldbus:
         self._supervisor = SupervisorMonitor(supervisor, period_us, self.image, self._events)
         silent_ms = node_timeout_ms(relay, relay.master, config.tolerance)
         self._silent_ticks = max(1, silent_ms * 1000 // period_us)
+        # A tick may come right before a heartbeat, and the one before right behind.
+        self._watch_ticks = max(1, relay.timeout_ms * 1000 // period_us - 1)
+        """silence of the supervisor after which the node's watch may have stopped it"""
         watch = Watch("supervisor", supervisor.node_id, relay.timeout_ms)
         # By time too: a single frame of its inputs may be lost.
         cyclic = Setting(0x1800, 5, relay.heartbeat_ms, 2, "longest time between two TPDOs")
@@ -98,6 +101,8 @@ class RelayedFieldbus:
         self._reported = False
         self._restarted = self._silent = self._unproven = False
         """`_unproven`: its contacts have not been seen open since the supervisor fell silent"""
+        self._stopped = False
+        """its watch may have stopped it since it was heard to be operational"""
         self._heard_at = self._reported_at = self._held_at = self._started_at = 0
 
     # -- bring-up and end ------------------------------------------------------------------------
@@ -134,10 +139,10 @@ class RelayedFieldbus:
                 "its mirror contact does not report an open circuit while its output is off: a "
                 "contact is welded, or the wire to its input is broken"
             )
-        await node.start()
-        if node.monitor.boots != boots:
-            self._restarted = True
-            raise NodeError("restarted while it was brought up; reset")
+        try:
+            await node.start()
+        finally:
+            self._restarted |= node.monitor.boots != boots
         self._restarted = self._silent = self._unproven = self._supervisor.doubt = False
 
     def _begin(self) -> Node:
@@ -236,10 +241,12 @@ class RelayedFieldbus:
         if node.monitor.heard:
             node.monitor.heard = False
             self._heard_at = tick
+            self._stopped &= node.monitor.state is not NmtState.OPERATIONAL
         elif tick - self._heard_at > self._silent_ticks and not self._silent:
             self._silent = True
             text = f"{node.role.title}: no heartbeat for more than {self._silent_ticks} ticks"
             self._events.begin("heartbeat_lost", node.where, text)
+        self._stopped |= self._supervisor.silence(tick) >= self._watch_ticks
         # Whether its output would end with the heartbeat of the supervisor nobody knows.
         self.image.unguarded = self._silent
         if self._reported:
@@ -271,14 +278,18 @@ class RelayedFieldbus:
             self._events.begin("sto_relay_open", node.where, text)
 
     def _restart(self, tick: int, node: Node) -> None:
-        """A node whose configuration is in place only waits to be started, and its output for the
-        supervisor. Never while a drive is to be enabled."""
+        """A node that its watch has stopped only waits to be started, and its output for the
+        supervisor. One that nothing has stopped has restarted, unnoticed, and may wait for no
+        heartbeat. Never while a drive is to be enabled."""
         self._events.end("sto_relay_open", node.where)
         stopped = node.monitor.state is NmtState.PRE_OPERATIONAL and node.started
         due = tick - self._started_at >= _RESTART_TICKS
         if stopped and due and not (self._restarted or self._silent):
-            self._started_at = tick
-            node.command(Command.START)
+            if self._stopped:
+                self._started_at = tick
+                node.command(Command.START)
+            else:
+                self._has_restarted(node)
 
     def _problem(self, node: Node, tick: int) -> str:
         if self._restarted:
@@ -310,9 +321,12 @@ class RelayedFieldbus:
             self._events.counted("heartbeat_back", node.where, text)
             self._silent = False
         if state is NmtState.BOOT_UP and node.started:
-            self._restarted, self._released = True, None
-            text = f"{node.role.title} restarted and lost its configuration"
-            self._events.counted("boot_up", node.where, text)
+            self._has_restarted(node)
+
+    def _has_restarted(self, node: Node) -> None:
+        self._restarted, self._released = True, None
+        text = f"{node.role.title} restarted and lost its configuration"
+        self._events.counted("boot_up", node.where, text)
 
     def _on_inputs(self, data: bytes) -> None:
         if len(data) == 1:

@@ -126,6 +126,11 @@ class SupervisorMonitor:
         """On each channel."""
         return all(heard.beating for heard in self._heard)
 
+    def silence(self, tick: int) -> int:
+        """Ticks since its last heartbeat, where it has been silent for longest; 0 before the first,
+        with which a watch begins."""
+        return max((tick - heard.tick for heard in self._heard if heard.tick), default=0)
+
     @property
     def _item(self) -> str:
         """Of its own: a robot may have several fieldbuses on CAN."""

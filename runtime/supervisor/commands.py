@@ -36,6 +36,8 @@ class Told(NamedTuple):
     node: int
     requests: Heard
     commands: Heard
+    started: bool
+    """by the daemon at rest, as a relay's node is"""
 
 
 class Own:
@@ -82,7 +84,7 @@ class Commands:
         in order writes: it resets faults"""
         self.changed: Violation | None = None
         """among what was found last, a download to anything but the controlword, or a command of
-        the network but to start, as the daemon starts a relay's node at rest"""
+        the network, but to start what the daemon starts at rest"""
 
     def __call__(self) -> Violation | None:
         """An NMT command, or a download but to switch the power off, by a stranger or by the
@@ -104,7 +106,7 @@ class Commands:
                 code, node = word & 0xFF, word >> 8 & 0xFF
                 if node in (_EVERY_NODE, each.node):
                     found = Violation(Requirement.COMMANDED, each.where, code)
-                    if code != _START:
+                    if not (code == _START and each.started):
                         self.changed = found
         for each in self._told:
             each.requests.numbers.clear()

@@ -118,10 +118,14 @@ class Supervisor:
             self._answers = [([frames[node]],) * 2]
             devices.append((NOWHERE, relay.channel, REQUEST + relay.node_id))
             beats.add(node)
+        started = None if relay is None else devices[-1]
         told = [
-            Told(where, request - REQUEST, frames[name, request], frames[name, NMT])
+            Told(
+                where, request - REQUEST, frames[name, request], frames[name, NMT],
+                (where, name, request) == started,
+            )
             for where, name, request in devices
-        ]
+        ]  # fmt: skip
         self._commands = Commands(told, self._voice.own)
         errors = {
             (cell.channel, cell.heartbeat): frames[cell.channel, cell.emergency]
@@ -218,7 +222,13 @@ class Supervisor:
         enabling = state == State.REFERENCING and not seen.mille.any()
         if armed or enabling or state not in CONTROLLED:
             self._agreed_ns = now_ns
+        before = self.beating
         self._fall_silent_where_deaf(now_ns, armed)
+        if armed and before and not self.beating:
+            # Drives that get no heartbeat may answer still: that no other channel does is SUP-14.
+            deaf = Violation(Requirement.STALE, NOWHERE, float(seen.measured_age.min()))
+            self._fall_silent(deaf)
+            self._voice.tell(deaf)
         silent = bool(seen.measured_age.min() > self.settings.quiet_s * 1e3)
         if (silent or not armed) and not self._sees(seen):
             self._voice.end()

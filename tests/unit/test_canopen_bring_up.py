@@ -13,6 +13,7 @@ from fake_can import FakeNode, Robot, in_virtual_time, u32
 from tonus.config import load
 from tonus.config.schema.bus import CanopenBus
 from tonus.drivers.canopen.master import CanopenFieldbus
+from tonus.drivers.canopen.node import Node
 from tonus.drivers.errors import BringUpError, DriverError
 from tonus.drivers.process_image import AxisCommand, ProcessImage
 
@@ -109,6 +110,23 @@ def test_a_node_that_does_not_start_is_named() -> None:
     text = failure(robot)
     assert "can3/8" in text
     assert "started but boot-up" in text
+
+
+def test_a_node_that_restarts_before_it_is_started_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It has lost its configuration; what it has stored may hold all but its watches. Until
+    2026-11-29 eight such drives kept 684 N after daemon and supervisor had ended."""
+    start = Node.start
+
+    async def restarted(node: Node) -> None:
+        if node.node_id == 3:
+            node.monitor.receive(b"\0")
+        await start(node)
+
+    monkeypatch.setattr(Node, "start", restarted)
+    reason = "restarted while it was brought up, and lost its configuration"
+    assert f"can1/3 (drive of axis 2): {reason}" in failure(Robot())
 
 
 def test_a_silent_server_times_out_and_is_told_so() -> None:

@@ -19,6 +19,7 @@ from tonus.tools.errors import ToolError
 from tonus.tools.run.supervision import require_reach, wanted
 
 ROBOT: dict[str, Any] = {"lab": None}
+_ABORT = "options.abort_connection"
 
 
 def findings(config: Config, scenario: Any) -> list[Finding]:
@@ -287,7 +288,7 @@ def test_bounds_that_a_robot_in_order_may_reach() -> None:
         ("speed_on_path", 0.4, config, {}),
         ("speed_in_descent", 0.7, config, {}),
         ("rotation_in_descent", 4.5, config, {}),
-        ("unexplained_force", 45.0, config, {}),
+        ("unexplained_force", 67.5, config, {}),
         ("opposed_force", 45.0, config, {}),
         ("logged_tension", 6.75, config, {}),
         ("opposed_long_force", 13.5, config, {}),
@@ -443,26 +444,47 @@ def test_drives_that_do_nothing_when_the_heartbeat_ends() -> None:
 
 
 @pytest.mark.parametrize(
-    ("errors", "refuses", "tells"),
+    ("errors", "refused_", "tells"),
     [
-        ([{"code": 0x8130, "text": "lost", "reaction": "warning"}], True, True),
-        ([{"code": 0x8100, "last": 0x81FF, "text": "bus", "reaction": "warning"}], True, True),
-        ([{"code": 0x8131, "text": "other", "reaction": "warning"}], False, True),
-        ([{"code": 0x8129, "text": "other", "reaction": "warning"}], False, True),
-        ([{"code": 0x8130, "text": "lost", "reset": "communication_reset"}], False, False),
-        ([{"code": 0x8130, "text": "lost", "reaction": "power_off"}], False, True),
+        ([{"code": 0x8130, "text": "lost", "reaction": "warning"}], "errors", True),
+        ([{"code": 0x8100, "last": 0x81FF, "text": "bus", "reaction": "warning"}], "errors", True),
+        ([{"code": 0x8131, "text": "other", "reaction": "warning"}], _ABORT, True),
+        ([{"code": 0x8129, "text": "other", "reaction": "warning"}], _ABORT, True),
+        ([{"code": 0x8130, "text": "lost", "reset": "communication_reset"}], "", False),
+        ([{"code": 0x8130, "text": "lost", "reaction": "power_off"}], "", True),
+        ([{"code": 0x8130, "text": "lost", "reaction": "abort_connection"}], _ABORT, True),
     ],
 )
 def test_what_drives_make_of_a_heartbeat_that_ended(
-    errors: list[dict[str, Any]], refuses: bool, tells: bool
+    errors: list[dict[str, Any]], refused_: str, tells: bool
 ) -> None:
-    """That they only warn is refused, and that a fault reset brings them back is told."""
+    """That they only warn is refused, and so are those that an ordinary controlword enables again,
+    since they are not in FAULT; that a fault reset brings them back is told."""
     stated = {f"{_DRIVE}.errors": errors}
     found = findings(*load("config/can.yaml", overrides=ROBOT | stated))
-    assert [each.where for each in found] == [f"{_DRIVE}.errors"] * refuses
+    assert [each.where for each in found] == [f"{_DRIVE}.{refused_}"] * bool(refused_)
     texts = told("config/can.yaml", **(ROBOT | stated))
     assert ("a fault reset alone enables" in texts.get(f"{_DRIVE}.errors", "")) is tells
     assert f"{_DRIVE}.errors" not in told("config/can.yaml", **stated), "a lab"
+    assert findings(*load("config/can.yaml", overrides=stated)) == [], "a lab"
+
+
+@pytest.mark.parametrize(("code", "count"), [(1, 0), (2, 1), (3, 1)])
+def test_a_plain_drive_that_is_not_in_fault(code: int, count: int) -> None:
+    """With 2 its power is off, and with 3 it brakes and stays in quick stop: 690 N on all axes held
+    946 N to the end, as long as the daemon went on."""
+    drive = load("config/can.yaml")[0].fieldbus.drive.model_dump()  # type: ignore[union-attr]
+    errors = [
+        {**each, "reset": "fault_reset"} if each["code"] == 0x8130 else each
+        for each in drive["errors"]
+    ]
+    stated = {
+        f"{_DRIVE}.errors": errors,
+        f"{_DRIVE}.{_ABORT}": code,
+        f"{_DRIVE}.supported_options.abort_connection": [1, 2, 3],
+    }
+    found = findings(*load("config/can.yaml", overrides=ROBOT | stated))
+    assert [each.where for each in found] == [f"{_DRIVE}.{_ABORT}"] * count
 
 
 def test_drives_that_act_by_more_than_the_supervisor_reads() -> None:

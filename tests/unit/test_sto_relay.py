@@ -390,8 +390,16 @@ async def test_a_relay_whose_node_is_silent(bench: Bench) -> None:
     bench.lab.replug(bench.relay.channel, bench.relay.node_id)
     await bench.pass_ms(300)
     assert "heartbeat_back" in bench.names()
-    assert bench.obstacles == {}
     assert not bench.segment.image.unguarded
+    # Unplugged it lost the supervisor, and is not operational; but it may have restarted as well.
+    assert bench.obstacles["sto relay"] == "restarted and lost its configuration; reset"
+    bench.holds = bench.beats = False
+    task = asyncio.get_running_loop().create_task(bench.fieldbus.recover())
+    while not task.done():
+        await bench.pass_ms(1)
+    bench.holds = bench.beats = True
+    await bench.pass_ms(60)
+    assert bench.obstacles == {}
 
 
 @played(**{"supervisor.policy": "use", "tolerance.jitter_ms": 20})
@@ -460,6 +468,27 @@ async def test_a_relay_that_restarted_waits_for_a_reset(bench: Bench) -> None:
     await bench.pass_ms(60)
     assert bench.closed
     assert bench.obstacles == {}
+
+
+@played()
+async def test_a_relay_that_restarted_unnoticed_is_not_started(bench: Bench) -> None:
+    """What it has stored is its configuration but for the watch, and its boot-up is lost. Until
+    2026-11-29 it was taken for one that its watch had stopped: the output outlived the supervisor,
+    and 683 N with it."""
+    await bench.held()
+    watch = bench.node.objects.find(0x1016, 1)
+    kept, watch.value = watch.value, 0
+    bench.node.objects.save()
+    watch.value = kept
+    bench.lab.inject(Loss(channel=bench.relay.channel, identifier=HEARTBEAT, frames=1))
+    bench.lab.nodes[bench.relay.channel, bench.relay.node_id].power_cycle()
+    await bench.pass_ms(300)
+    assert bench.object(0x1016, 1) == 0
+    assert bench.obstacles["sto relay"] == "restarted and lost its configuration; reset"
+    assert not bench.closed
+    bench.holds = bench.beats = False
+    await bench.pass_ms(60)
+    assert "sto_relay_stuck" not in bench.names()
 
 
 @played()

@@ -540,3 +540,26 @@ def test_on_each_channel_it_listens_to_the_devices_of_that_channel(config: Confi
         commands = {each.identifier for each in watched if each.command}
         requests = {0x600 + node for node in (*drives, *cells)}
         assert commands == {0x000, *syncs, *requests}, "may be longer"
+
+
+def test_the_last_channels_do_not_end_alone_though_drives_without_a_heartbeat_answer(
+    watchdog: Watchdog,
+) -> None:
+    """Two adapters of two channels each: one is silent for a while, and then the other. Until
+    2026-11-29 the last heartbeats ended untold, and came back without a reset."""
+    watchdog.resets = False
+    names = [name for _, name, _ in watchdog.wiring.channels]
+    first, second = (on(watchdog, a) | on(watchdog, b) for a, b in (names[:2], names[2:]))
+    list(watchdog.steps(0, 310, enabled=False))
+    list(watchdog.steps(310, 330, enabled=True, everywhere=True))
+    list(watchdog.steps(330, 360, enabled=True, everywhere=True, deaf=first))
+    list(watchdog.steps(360, 380, enabled=True, everywhere=True))
+    assert broken(watchdog) is None
+    assert watchdog.supervisor.beating
+    list(watchdog.steps(380, 410, enabled=True, everywhere=True, deaf=second))
+    assert broken(watchdog) is Requirement.STALE
+    for bus in watchdog.buses:
+        told = [bytes(each.data) for each in bus.sent if each.arbitration_id == 0x0FE]
+        assert [struct.unpack("<HBBf", each)[0] for each in told] == [0xFF0E]
+    list(watchdog.steps(410, 2000, enabled=False))
+    assert not watchdog.supervisor.beating

@@ -249,3 +249,13 @@ def test_an_output_is_not_set_before_a_heartbeat_was_sent(
 
     monkeypatch.setattr(held.bus, "send", refused)
     assert all(sent == [] for sent in held.steps(20, disarmed))
+
+
+def test_the_relays_node_may_be_started_at_rest(held: Held) -> None:
+    """By the daemon, after its watch has stopped it. It is not what a reset by NMT makes of it."""
+    list(held.steps(160, disarmed))
+    for command, goes_on in ((b"\1", True), (b"\x81", False)):
+        data = command + bytes([NODE])
+        held.bus.waiting.append(can.Message(arbitration_id=0, is_extended_id=False, data=data))
+        sent = list(held.steps(20, disarmed))
+        assert (sent[-1] == [BEAT, HELD]) is goes_on

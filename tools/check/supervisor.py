@@ -432,6 +432,17 @@ def _stays_in_fault(key: str, profile: DriveProfile) -> Iterator[Finding]:
     anew only from the next heartbeat on (CiA 301)."""
     error = _heartbeat_error(profile)
     if error is None or error.reset == "fault_reset":
+        by_option = error is None or error.reaction == "abort_connection"
+        code = profile.options.abort_connection
+        if by_option and code not in (None, _NOTHING, _FAULT_REACTION):
+            yield Finding(
+                "supervisor",
+                False,
+                f"{key}.options.abort_connection",
+                f"{profile.name} is not in FAULT after it lost the supervisor (0x6007 is "
+                f"{code}): an ordinary controlword enables it again",
+                f"set it to {_FAULT_REACTION}, or use a drive that has to be reset by NMT",
+            )
         yield Finding(
             "supervisor",
             True,
