@@ -71,6 +71,7 @@ LARGEST = {
     "disarmed_ms": 100.0,
     "stopping_ms": 120.0,
     "stop_s": 80.0,
+    "quiet_s": 0.5,
     "window_ms": 50.0,
     "opposed_ms": 50.0,
     "frozen_frames": 20.0,
