@@ -476,6 +476,11 @@ async def test_a_relay_that_restarted_unnoticed_is_not_started(bench: Bench) -> 
     2026-11-29 it was taken for one that its watch had stopped: the output outlived the supervisor,
     and 683 N with it."""
     await bench.held()
+    bench.holds = bench.beats = False
+    await bench.pass_ms(30)
+    bench.holds = bench.beats = True
+    await bench.pass_ms(60)
+    assert bench.closed, "its watch had stopped it, and it was started"
     watch = bench.node.objects.find(0x1016, 1)
     kept, watch.value = watch.value, 0
     bench.node.objects.save()
