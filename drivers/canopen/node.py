@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -83,7 +84,7 @@ class Node:
         self.started = False
         """meant to be operational: what it does of itself is news"""
         self._boots = 0
-        """boot-ups when it was reset last"""
+        """boot-ups before it was configured last"""
         self._master = master
         self._poll_s = master.poll_us * 1e-6
         self.sdo = SdoClient(
@@ -105,10 +106,11 @@ class Node:
         self.started = False
         repeated = self.sdo.repeated
         await self._boot(reset)
-        self._boots = self.monitor.boots
         revision = await self._identify(self.role.device.identity)
         if self.role.drive:
             await self._clear_fault(progress)
+        # What it has answered since it was reset came behind all its boot-ups of before.
+        self._boots = self.monitor.boots
         await apply(self.sdo, self.role.settings)
         if self.role.finish is not None:
             await self.role.finish(self.sdo)
@@ -188,6 +190,8 @@ class Node:
             return int.from_bytes(await self.sdo.read(0x1018, subindex), "little")
 
         if wanted is None:
+            with contextlib.suppress(SdoAbortError):  # which is an answer too
+                await self.sdo.read(0x1000, 0)
             return None
         for subindex, name, value in ((1, "vendor", wanted.vendor), (2, "product", wanted.product)):
             found = await number(subindex)
@@ -214,7 +218,6 @@ class Node:
         progress(f"{self.where} {self.role.title}: has a fault, {text}{before}")
         if self.role.errors.reset(code) is Reset.DEVICE_RESET:
             await self._boot(Command.RESET_NODE)
-            self._boots = self.monitor.boots
         loop = asyncio.get_running_loop()
         end = loop.time() + self._master.boot_timeout_ms * 1e-3
         while await self.error_code():
