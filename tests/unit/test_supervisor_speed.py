@@ -352,6 +352,10 @@ def test_drums_that_stretch_their_cables_move_nothing(config: Config) -> None:
 
 def test_what_cables_stretch_by_is_of_the_looks_before(config: Config) -> None:
     """After a pause, while nothing was judged, and where a tension is not known, it is nothing."""
+    space = config.robot.workspace
+    moved = {key: tuple(end + 0.12 for end in getattr(space, key)) for key in ("x", "y", "z")}
+    there = config.robot.model_copy(update={"workspace": space.model_copy(update=moved)})
+    config = config.model_copy(update={"robot": there})
     speed, (_, compliance) = PlatformSpeed(config), _cables(config)
 
     def stretching(at_ms: float, newton: Any) -> Any:
@@ -365,6 +369,17 @@ def test_what_cables_stretch_by_is_of_the_looks_before(config: Config) -> None:
     assert not stretching(122.0, 90.0).any(), "it is within two looks still"
     assert stretching(124.0, at(2, 94.0, 90.0)) == pytest.approx(at(2, 1000.0) * compliance)
     assert stretching(126.0, at(3, np.nan, 90.0)) == pytest.approx(0.0 * compliance)
+    stretching(130.0, 90.0)
+    stretching(134.0, 90.0)
+    assert stretching(138.0, 98.0) == pytest.approx(1000.0 * compliance), "twice as long"
+
+
+def test_a_drum_without_power_counts_from_the_slack_bound_on(config: Config) -> None:
+    speed, slack = PlatformSpeed(config), config.control.tension.slack
+    others = at(2, 0.0, 1.0) > 0.0
+    for tension, turns in ((slack, True), (0.99 * slack, False)):
+        look = seen(100.0, enabled=others, tension=at(2, tension, 45.0))
+        assert (speed(look, at(2, -9.0))[0] > 0.1) is turns
 
 
 @pytest.mark.parametrize(
