@@ -229,7 +229,7 @@ class _Server:
                 packet = client.connection.recv(PACKET_BYTES)
                 now_ns = self._clock()
                 if not packet:
-                    if client.carrier is not client:
+                    if client.carrier is not client and client.carrier not in self._stalled:
                         frames += self._read(client.carrier)  # what it has sent stays sent
                     self._has_left(client)
                     return frames
@@ -314,13 +314,12 @@ class _Server:
             except OSError:
                 # Nobody listens, or the way is full: a datagram may get lost.
                 continue
-        stalled, self._stalled = self._stalled, []
-        for client in stalled:
-            if client.room > 0:
+        for client in tuple(self._stalled):
+            # It may have left since: one that leaves has its carrier read too.
+            if client in self._stalled and client.room > 0:
+                self._stalled.remove(client)
                 self._loop.add_reader(client.connection, self._receive, client)
                 self._queue(self._read(client))
-            else:
-                self._stalled.append(client)
         self._arm()
 
     def _send(self, client: Client) -> None:

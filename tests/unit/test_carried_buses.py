@@ -265,6 +265,42 @@ def test_the_lab_has_each_frame_in_its_order_when_a_queue_is_full(
     served(tmp_path, monkeypatch, use)
 
 
+@pytest.mark.parametrize("first", [0, 2])
+def test_what_waits_for_a_full_queue_stays_sent_too(
+    first: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All connections are closed while the carrier's packets wait for room; the lab goes on."""
+
+    async def use(lab: Lab) -> None:
+        carried = _Carried()
+        await carried.agreed()
+        now, sent = lab.clock(), 0
+        with suppress(can.CanOperationError):
+            while sent < 1000:
+                batch = [(channel, 0x100 + sent % 64, b"") for channel in (1, 1, 1, 2)]
+                assert carried.joined.send_joined(_frames(now, *batch), now)
+                sent += 1
+        for bus in carried.buses[first:] + carried.buses[:first]:
+            bus.shutdown()
+        heard = [0, 0]
+
+        def all_heard() -> bool:
+            for place, number in enumerate((1, 2)):
+                found = [one.arbitration_id for one in drain(carried.plain[number])]
+                heard[place] += len([each for each in found if 0x100 <= each < 0x140])
+            return heard == [3 * sent, sent]
+
+        await until(all_heard)
+        await until(lambda: all(_hosts(lab, name) == 1 for name in _NAMES))
+        carried.plain[0].send_frame(0x123, b"")
+        done = lab.channels["can0"].frames
+        await until(lambda: lab.channels["can0"].frames > done)
+        for bus in carried.plain:
+            bus.shutdown()
+
+    served(tmp_path, monkeypatch, use)
+
+
 def test_frames_that_no_controller_sends_are_thrown_away(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
