@@ -21,18 +21,14 @@ class CarriedBuses:
 
     def __init__(self, buses: Sequence[SocketBus]) -> None:
         self._buses = buses
-        self._agreed = False
+        self.agreed = False
+        """by the lab"""
         self._before = True
         """what came in on each connection by itself may not have been taken yet"""
 
-    @property
-    def agreed(self) -> bool:
-        """Whether the lab has."""
-        return self._agreed
-
-    @agreed.setter
-    def agreed(self, agreed: bool) -> None:
-        self._agreed = agreed
+    def agree(self) -> None:
+        """All is sent by the carrier from now on."""
+        self.agreed = True
         for number, bus in enumerate(self._buses):
             bus.carry(self._buses[0], number)
 
@@ -41,7 +37,7 @@ class CarriedBuses:
         channel counts; all have the time ``sent_ns``. False: nothing was done, and each has to be
         sent by itself. Raises `can.CanOperationError`."""
         del sent_ns
-        if not self._agreed:
+        if not self.agreed:
             return False
         self._buses[0].send_packed(frames.data)
         return True
@@ -49,7 +45,7 @@ class CarriedBuses:
     def receive_joined(self, limit: int) -> NDArray[np.void] | None:
         """What has arrived, (n,) of `FRAMES`, in the order of time on each channel; ``limit``
         frames at most. None: each bus has to be asked by itself. Raises `can.CanOperationError`."""
-        if not self._agreed:
+        if not self.agreed:
             return None
         data = bytearray(self._buses[0].take_packed(limit))
         if self._before:

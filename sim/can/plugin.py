@@ -438,7 +438,7 @@ class SocketBus(TonusBus):
                     raise
                 break
             if self._carried is not None and received == packet.AGREED:
-                self._carried.agreed = True
+                self._carried.agree()
                 break
             data += received
         if len(data) > most:
