@@ -6,17 +6,18 @@ what the daemon read of its answer; in that form it is judged like what is read 
 
 from __future__ import annotations
 
-from collections import deque
 from itertools import count
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from tonus.config.schema.root import Config
 from tonus.config.schema.sto_relay import StoRelay
 from tonus.runtime.supervisor.listener import OPERATION_ENABLED, STATE, Heard
 from tonus.runtime.supervisor.observation import Listened
-from tonus.runtime.supervisor.record import Answers, Claim, Floats
+from tonus.runtime.supervisor.record import Claim, Floats
 from tonus.runtime.supervisor.wiring import Axis, Cell, Value, Wiring, limit_of
 
 _CHANNEL = ""
@@ -37,6 +38,8 @@ _DELAY_TICKS = 6
 and as many lost frames as stop nothing"""
 _RISE_TICKS = 2
 """by which the drive's current follows"""
+_LATELY = _DELAY_TICKS + _RISE_TICKS
+_ALL = slice(None)
 
 
 class RecordedWiring(Wiring):
@@ -89,7 +92,8 @@ class Replayed:
         """N m (n,); a torque is recorded as control has it, and sent within the motor's limit"""
         self._sampled = np.full(len(wiring.axes), _BEFORE)
         self._measured = np.full(len(wiring.cells), _BEFORE)
-        self._commanded: deque[Floats] = deque(maxlen=_DELAY_TICKS + _RISE_TICKS)
+        self._commanded = np.empty((0, len(wiring.axes)))
+        """N m (`_LATELY` or fewer, n), the newest last"""
         brakes = [train.brake for train in config.robot.drive_trains]
         self._opening_ns = np.array([brake.opening_ms * 1e6 if brake else 0.0 for brake in brakes])
         self._opening_ns[self._opening_ns > 0.0] += _DELAY_TICKS * config.control.rates.period_ns
@@ -115,87 +119,101 @@ class Replayed:
 
     def take(self, claims: list[Claim]) -> None:
         """Claims with their answers, in their order."""
-        found = np.full(len(self._axes), -1.0)
-        for claim in claims:
-            if claim.answers is not None:
-                self._take(claim, claim.answers, found)
-        # One that answers seldom has the torque that it answered last.
-        self.astray = np.where(found < 0.0, self.astray, found)
-
-    def _take(self, claim: Claim, answers: Answers, found: Floats) -> None:
-        heard, at_ns = self.heard, claim.at_ns
-        sent = np.clip(_finite(claim.torque), -self._most, self._most)
+        answers = [claim.answers for claim in claims if claim.answers is not None]
+        if not answers:
+            return
+        ticks = np.array([claim.tick for claim in claims])[:, None]
+        at_ns = np.array([claim.at_ns for claim in claims])
+        torque = np.array([claim.torque for claim in claims])
+        angle = np.array([claim.angle for claim in claims])
+        sent = np.clip(_finite(torque), -self._most, self._most)
         wanted = np.rint(sent * self._mille).astype(np.int64)
-        length = np.rint(_finite(claim.angle) * self._radius / _METRE).astype(np.int64)
-        sampled = _anew(claim.tick, answers.age, self._sampled)
-        for axis, mille, position, word, new in zip(
-            self._axes,
-            wanted.tolist(),
-            length.tolist(),
-            answers.statusword.tolist(),
-            sampled.tolist(),
-            strict=True,
-        ):
-            heard[_CHANNEL, axis.sent].take([mille], at_ns)
-            if new:
-                heard[_CHANNEL, axis.received].take([position << 16 | word], at_ns)
+        length = np.rint(_finite(angle) * self._radius / _METRE).astype(np.int64)
+        word = np.array([each.statusword for each in answers])
+        sampled = _anew(ticks, np.array([each.age for each in answers]), self._sampled)
+        answered = length << 16 | word
+        for row, axis in enumerate(self._axes):
+            self._hear(axis.sent, wanted[:, row], at_ns)
+            self._hear(axis.received, answered[:, row], at_ns, sampled[:, row])
         with np.errstate(over="ignore"):  # infinite, which is beyond every bound as well
-            force = answers.force.astype(np.float32).view(np.uint32)
-        measured = _anew(claim.tick, answers.force_age, self._measured)
-        for cell, word, status, new in zip(
-            self._cells,
-            force.tolist(),
-            answers.force_status.tolist(),
-            measured.tolist(),
-            strict=True,
-        ):
-            if new:
-                heard[_CHANNEL, cell.received].take([word], at_ns)
-                heard[_CHANNEL, cell.emergency].take([status], at_ns)
-        self._compare(claim, sent, answers, sampled, found)
+            force = np.array([each.force for each in answers], np.float32).view(np.uint32)
+        status = np.array([each.force_status for each in answers])
+        measured = _anew(ticks, np.array([each.force_age for each in answers]), self._measured)
+        for row, cell in enumerate(self._cells):
+            self._hear(cell.received, force[:, row], at_ns, measured[:, row])
+            self._hear(cell.emergency, status[:, row], at_ns, measured[:, row])
+        answer = np.array([each.torque for each in answers])
+        known = np.isfinite(answer) & np.isfinite(angle)
+        unknown = ~np.isfinite(torque) | (sampled & ~known)
+        self._compare(at_ns[:, None], sent, word, _finite(answer), sampled, unknown)
+
+    def _hear(
+        self,
+        identifier: int,
+        words: NDArray[Any],
+        at_ns: NDArray[np.int64],
+        new: NDArray[np.bool_] | slice = _ALL,
+    ) -> None:
+        """``words`` (m,) of the records, those that are ``new``."""
+        taken = words[new].tolist()
+        if taken:
+            self.heard[_CHANNEL, identifier].take(taken, int(at_ns[new][-1]))
 
     def _compare(
         self,
-        claim: Claim,
+        at_ns: NDArray[np.int64],
         sent: Floats,
-        answers: Answers,
+        word: NDArray[np.uint16],
+        torque: Floats,
         sampled: NDArray[np.bool_],
-        found: Floats,
+        unknown: NDArray[np.bool_],
     ) -> None:
-        """The drive's own torque with the least and the largest that it was ``sent`` (n,) N m
-        lately, where it was sampled anew: a drive that is silent has its last one in the record.
-        ``found`` (n,): what is `astray`, at most, and negative where nothing was compared."""
-        enabled = answers.statusword & STATE == OPERATION_ENABLED
-        self._enabled_ns[enabled] = claim.at_ns
-        closed = ~enabled & (claim.at_ns - self._enabled_ns >= self._closing_ns)
-        self._off_ns[closed] = claim.at_ns
-        np.maximum(found, 0.0, out=found, where=~enabled)
-        commanded = self._commanded
-        if len(commanded) == commanded.maxlen:
-            lately = np.array(commanded)
-            low, high = lately.min(axis=0), lately.max(axis=0)
+        """The drive's own ``torque`` with the least and the largest that it was ``sent``, both N m
+        (m, n), before that record, where it was sampled anew: a drive that is silent has its last
+        one in the record. What is ``unknown`` is beyond every bound."""
+        enabled = word & STATE == OPERATION_ENABLED
+        enabled_ns = _latest(self._enabled_ns, at_ns, enabled)
+        closed = ~enabled & (at_ns - enabled_ns >= self._closing_ns)
+        off_ns = _latest(self._off_ns, at_ns, closed)
+        self._enabled_ns, self._off_ns = enabled_ns[-1], off_ns[-1]
+        found = np.where(enabled, -1.0, 0.0)
+        commanded = np.concatenate([self._commanded, sent])
+        self._commanded = commanded[-_LATELY:]
+        first = max(len(sent) - len(commanded) + _LATELY, 0)  # that has so many before it
+        if first < len(sent):
+            lately = sliding_window_view(commanded[:-1], _LATELY, axis=0)
+            low, high = lately.min(axis=-1), lately.max(axis=-1)
             # A limit of the drive's own takes torque away; it adds none, and none that is opposed.
-            limited = answers.statusword & _AT_A_LIMIT != 0
-            low[limited] = np.minimum(low[limited], 0.0)
-            high[limited] = np.maximum(high[limited], 0.0)
-            torque = _finite(answers.torque)
-            beyond = np.maximum(torque - high, low - torque)
-            compared = enabled & sampled & (claim.at_ns - self._off_ns > self._opening_ns)
+            limited = word[first:] & _AT_A_LIMIT != 0
+            low = np.where(limited, np.minimum(low, 0.0), low)
+            high = np.where(limited, np.maximum(high, 0.0), high)
+            beyond = np.maximum(torque[first:] - high, low - torque[first:])
             by = np.maximum(beyond / self._radius, 0.0)
-            np.maximum(found, by, out=found, where=compared)
-        # What is no number is beyond every bound.
-        known = np.isfinite(answers.torque) & np.isfinite(claim.angle)
-        found[~np.isfinite(claim.torque) | (sampled & ~known)] = np.inf
-        commanded.append(sent)
+            compared = (enabled & sampled & (at_ns - off_ns > self._opening_ns))[first:]
+            found[first:] = np.where(compared, by, found[first:])
+        found[unknown] = np.inf
+        most = found.max(axis=0)
+        # One that answers seldom has the torque that it answered last.
+        self.astray = np.where(most < 0.0, self.astray, most)
 
 
-def _anew(tick: int, age: NDArray[np.uint16], before: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which measurements are of a later tick than those before, which are then brought up. Times
-    would not tell: ticks that a distributed clock paces are not equally far apart."""
-    taken = tick - age.astype(np.int64)
-    new: NDArray[np.bool_] = (taken > before) & (age != _NEVER)
-    before[new] = taken[new]
+def _anew(
+    ticks: NDArray[np.int64], age: NDArray[np.uint16], before: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Which measurements (m, n) are of a later tick than those before (n,), which are then brought
+    up. Times would not tell: ticks that a distributed clock paces are not equally far apart."""
+    taken = np.where(age == _NEVER, _BEFORE, ticks - age)
+    newest = np.maximum.accumulate(np.concatenate([before[None], taken]))
+    before[:] = newest[-1]
+    new: NDArray[np.bool_] = taken > newest[:-1]
     return new
+
+
+def _latest(before: Floats, at_ns: NDArray[np.int64], where: NDArray[np.bool_]) -> Floats:
+    """When it was so last, by each record (m, n)."""
+    found = np.concatenate([before[None], np.where(where, at_ns, -np.inf)])
+    latest: Floats = np.maximum.accumulate(found)[1:]
+    return latest
 
 
 def _finite(values: Floats) -> Floats:
