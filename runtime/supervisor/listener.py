@@ -168,12 +168,14 @@ class Errors(Heard):
 class _Command:
     """What one device is told under one identifier, until it acts."""
 
-    __slots__ = ("acted", "heard", "sent", "waiting")
+    __slots__ = ("acted", "heard", "sent", "told", "waiting")
 
     def __init__(self, heard: Heard) -> None:
         self.heard = heard
         self.sent: list[int] = []
         """since the last SYNC, or the last look"""
+        self.told: list[int] = []
+        """before that, and"""
         self.acted: list[int] = []
         """in this look"""
         self.waiting: int | None = None
@@ -183,7 +185,7 @@ class _Command:
         """The newest waits."""
         if self.sent:
             self.waiting = self.sent[-1]
-            self.heard.send(self.sent)
+            self.told += self.sent
             self.sent.clear()
 
     def sync(self) -> None:
@@ -196,6 +198,9 @@ class _Command:
     def look(self, now_ns: int) -> None:
         """What came in a look is over."""
         self.hold()
+        if self.told:
+            self.heard.send(self.told)
+            self.told.clear()
         if self.acted:
             self.heard.act(self.acted, now_ns)
             self.acted.clear()
