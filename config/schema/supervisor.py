@@ -221,7 +221,9 @@ class Supervisor(Section):
     sent lately; judged where its frames are not read"""
     passive_torque: Annotated[Positive, Field(le=100)] = 5.0
     """N at the cable, in a passive stop, by which a torque may exceed the passive tension while its
-    drum reels in, or pull the other way while it pays out"""
+    drum reels in, and while it pays out pull the other way, or be less than ``damped_share`` asks"""
+    damped_share: Annotated[Number, Field(ge=0, le=0.9)] = 0.5
+    """of ``control.stop.passive_damping``, with which a drum that pays out is braked at least"""
     logged_ticks: Annotated[int, Field(ge=1, le=64)]
     """records before the last two looks among which a torque on the bus may be too"""
     priority: Priority
@@ -233,6 +235,11 @@ class Supervisor(Section):
     supervisor need one each, or the drives in the lab answer too late"""
     spread: Annotated[NonNegative, Field(le=0.2)] = 0.15
     """m from the middle of the workspace to the poses at which the structure matrix is taken"""
+
+    @property
+    def longest_look_ms(self) -> float:
+        """SUP-24: looks that are further apart are late."""
+        return 2 * self.period_ms + self.patience_ms
 
     @model_validator(mode="after")
     def _stays_silent(self) -> Supervisor:

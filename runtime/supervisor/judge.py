@@ -83,6 +83,7 @@ class Judge:
         self._tare = control.sequence.tare_limit
         self._least_tension = control.tension.min / settings.margin
         self._slack, self._passive_tension = control.tension.slack, control.stop.passive_tension
+        self._least_damping = control.stop.passive_damping * settings.damped_share
         self._tick_ns = control.rates.period_ns
         self._opposed_ns = round(settings.opposed_ms * 1e6)
         self._pulling_ns = round(settings.patience_ms * 1e6)
@@ -515,7 +516,9 @@ class Judge:
         if claim.stop_mode == StopMode.PASSIVE:
             # Each drum has a share of the passive tension, and a damping against its motion.
             reeling_in, paying_out = seen.torques[1] - self._passive_tension, -seen.torques[0]
-            driving = np.where(seen.rate > 0.0, reeling_in, paying_out)
+            undamped = -self._least_damping * seen.rate - seen.torques[1]
+            undamped[claim.failed[seen.axes] | seen.incredible] = -np.inf
+            driving = np.where(seen.rate > 0.0, reeling_in, np.fmax(paying_out, undamped))
             # Which way a drum turns whose drive has not answered for long is not known.
             old = seen.measured_age > settings.patience_ms
             driving = np.where(old, np.fmax(reeling_in, paying_out), driving)

@@ -14,8 +14,6 @@ from tonus.runtime.supervisor.record import Floats
 
 _LOOKS = 2
 """over which a tension's change is taken"""
-_LATE = 2
-"""times as long may they be; what lies between is not known"""
 
 
 class PlatformSpeed:
@@ -30,7 +28,8 @@ class PlatformSpeed:
         """of these rows, by the cables that tell"""
         self._compliance = lengths / robot.axial_stiffness
         """m/N of each cable, in the middle of the workspace"""
-        self._longest_ns = round(_LATE * _LOOKS * settings.period_ms * 1e6)
+        # Of looks that come as late as SUP-24 lets them; what lies between is not known.
+        self._longest_ns = round(_LOOKS * settings.longest_look_ms * 1e6)
         self._tensions: deque[tuple[int, Floats]] = deque(maxlen=_LOOKS + 1)
 
     def __call__(

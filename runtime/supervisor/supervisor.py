@@ -249,10 +249,8 @@ class Supervisor:
     def _late(self, now_ns: int) -> Violation | None:
         """Looks that come late keep the drives alive, and find everything late. Where they are
         later than whoever watches waits, it is lost already."""
-        settings = self.settings
         since_ms = (now_ns - self._looked_ns) * 1e-6
-        most_ms = 2 * settings.period_ms + settings.patience_ms
-        if since_ms <= min(most_ms, self._voice.timeout_ns * 1e-6):
+        if since_ms <= min(self.settings.longest_look_ms, self._voice.timeout_ns * 1e-6):
             return None
         return Violation(Requirement.LATE, NOWHERE, since_ms)
 

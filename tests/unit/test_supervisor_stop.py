@@ -277,8 +277,8 @@ def test_the_contact_of_a_record_is_the_one_that_is_measured_in_every_state() ->
         (17.0, 0.01, False),
         (44.1, -0.01, False),
         (300.0, -2.0, False),
-        (-5.1, -0.01, True),
-        (-5.0, -0.01, False),
+        (-5.1, -0.001, True),
+        (-4.9, -0.001, False),
         (-300.0, 0.5, False),
         (300.0, 0.0, False),
         (-300.0, 0.0, False),
@@ -323,6 +323,39 @@ def test_which_way_a_drum_turns_that_has_not_answered_for_long(
     driven = torque == 17.1 and rate > 0.0 if known else torque != 17.0
     assert (found is not None) is driven
     assert found is None or found.requirement is Requirement.BRAKED
+
+
+@pytest.mark.parametrize(
+    ("torque", "given", "found"),
+    [
+        (12.9, {}, True),
+        (13.1, {}, False),
+        (12.9, {"incredible": np.arange(N) == 3}, False),
+        (12.9, {"measured_age": at(3, 5.1)}, False),
+        (12.9, {"failed": np.arange(N) == 3}, False),
+    ],
+)
+def test_a_drum_that_pays_out_is_damped(
+    config: Config, torque: float, given: dict[str, Any], found: bool
+) -> None:
+    """At 0.3 m/s by 36 N; half of it, less 5 N, has to be there, in any RPDO since the last look."""
+    state = {key: given[key] for key in given if key == "failed"}
+    turning = {key: given[key] for key in given if key != "failed"}
+    for least in (torque, 0.0):
+        torques = np.array([at(3, least, 12.0), at(3, torque, 12.0)])
+        looks = [
+            seen(
+                at_ms,
+                claim(State.SAFE_STOP, at_ms, stop_mode=StopMode.PASSIVE, **state),
+                **{"torque": torques[1], "torques": torques, "rate": at(3, -0.3)} | turning,
+            )
+            for at_ms in (100.0, 104.9, 105.0)
+        ]
+        verdict = judged(config, *looks)
+        assert verdict[:2] == [None, None]
+        assert (verdict[2] is not None) is found
+        if verdict[2] is not None:
+            assert (verdict[2].requirement, verdict[2].where) == (Requirement.BRAKED, 3)
 
 
 @pytest.mark.parametrize(("of", "bursts"), [(5, 3), (15, 4), (30, 5), (66, None)])
