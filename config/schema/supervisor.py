@@ -221,7 +221,7 @@ class Supervisor(Section):
     sent lately; judged where its frames are not read"""
     passive_torque: Annotated[Positive, Field(le=100)] = 5.0
     """N at the cable, in a passive stop, by which a torque may exceed the passive tension while its
-    drum reels in, and while it pays out pull the other way, or be less than ``damped_share`` asks"""
+    drum reels in, pull the other way while it pays out, or be less than ``damped_share`` asks"""
     damped_share: Annotated[Number, Field(ge=0, le=0.9)] = 0.5
     """of ``control.stop.passive_damping``, with which a drum that pays out is braked at least"""
     logged_ticks: Annotated[int, Field(ge=1, le=64)]

@@ -23,6 +23,8 @@ class CarriedBuses:
         self._buses = buses
         self.agreed = False
         """by the lab"""
+        self._apart = False
+        """each sends by itself"""
         self._before = True
         """what came in on each connection by itself may not have been taken yet"""
 
@@ -32,12 +34,18 @@ class CarriedBuses:
         for number, bus in enumerate(self._buses):
             bus.carry(self._buses[0], number)
 
+    def part(self) -> None:
+        """A channel is full: each sends by itself again, and is told of its own."""
+        self._apart = True
+        for bus in self._buses:
+            bus.carry(bus, 0)
+
     def send_joined(self, frames: NDArray[np.void], sent_ns: int) -> bool:
         """Queue data frames of 11-bit identifiers, (n,) of `FRAMES`, each on the bus that its
         channel counts; all have the time ``sent_ns``. False: nothing was done, and each has to be
         sent by itself. Raises `can.CanOperationError`."""
         del sent_ns
-        if not self.agreed:
+        if not self.agreed or self._apart:
             return False
         self._buses[0].send_packed(frames.data)
         return True

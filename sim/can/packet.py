@@ -11,7 +11,9 @@ a system call each way instead of one a channel. On each of its connections `WIS
 many there are in the third byte, which of them this is in the fourth, and in the last four bytes a
 number that they share. When the lab has heard of all it sends `AGREED` on the first, which is the
 carrier from then on: a frame's channel is the number of the connection that it is of. Until then,
-and without such wishes, it is 0.
+and without such wishes, it is 0. Where a channel's queue is full the lab sends `APART` on the
+carrier: the client sends on each connection by itself again, so that one which is full holds up no
+other, and goes on to receive by the carrier.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ ADDRESSED = struct.Struct("<QIBBH8s")
 """`FRAME` with its channel"""
 WISHES = ERROR
 AGREED = FRAME.pack(0, WISHES, 0, 0, b"")
+APART = FRAME.pack(0, WISHES, 1, 0, b"\1")
 FRAMES_PER_PACKET = 128
 PACKET_BYTES = FRAMES_PER_PACKET * FRAME.size
 

@@ -440,6 +440,9 @@ class SocketBus(TonusBus):
             if self._carried is not None and received == packet.AGREED:
                 self._carried.agree()
                 break
+            if self._carried is not None and received == packet.APART:
+                self._carried.part()
+                continue
             data += received
         if len(data) > most:
             data, self._rest = data[:most], data[most:]

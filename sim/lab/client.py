@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from itertools import repeat
 from operator import attrgetter
 from typing import NamedTuple
@@ -53,7 +54,7 @@ class Client:
         self.connection = connection
         self.port: Port = channel.attach(listens=True)
         self.port.reports = True
-        self.waiting: list[Sent | SentTogether] = []
+        self.waiting: list[Sent] = []
         """frames that have been read and found no room"""
         self.gather_ns = 0
         self.sent_ns = 0
@@ -61,7 +62,7 @@ class Client:
         self.members = [self]
         self.joined: JoinedBuses | None = None
         self._wishes = packet.Wishes()
-        self._left = False
+        self._left = self._apart = False
 
     def wish(self, wishes: packet.Wishes, others: list[Client], lab: Advancing) -> None:
         """Let it be so. Of ``others`` those may be whose carrier this one has."""
@@ -100,18 +101,32 @@ class Client:
             for member in self.members:
                 member.carrier = member
 
-    def take_waiting(self) -> list[Sent | SentTogether]:
-        """What its packets had and found no room."""
-        taken: list[Sent | SentTogether] = []
-        for member in self.members:
-            taken += member.waiting
-            member.waiting = []
+    def wait(self, sent: Sent) -> None:
+        """There is no room for it. Its carrier's packets must not wait as well."""
+        self.waiting.append(sent)
+        carrier = self.carrier
+        if len(carrier.members) > 1 and not carrier._apart:
+            with suppress(OSError):  # it is full or closed: the next one that waits tells it again
+                carrier.connection.send(packet.APART)
+                carrier._apart = True
+
+    def take_waiting(self) -> list[Sent]:
+        """What found no room."""
+        taken, self.waiting = self.waiting, []
         return taken
 
     @property
+    def waits(self) -> bool:
+        """Whether any channel of its packets has something waiting."""
+        return any(member.waiting for member in self.members)
+
+    @property
     def room(self) -> int:
-        """for frames on each of its channels"""
-        return min([member.port.room for member in self.members])
+        """for frames on one of its channels at least; 0 where it goes on to send to a full one"""
+        members = self.members
+        if len(members) > 1 and any(len(each.waiting) >= each.port.depth for each in members):
+            return 0
+        return max([member.port.room for member in members])
 
     @property
     def received(self) -> bool:

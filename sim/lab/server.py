@@ -220,17 +220,26 @@ class _Server:
     def _read(self, client: Client) -> list[Sent | SentTogether]:
         """What a client has sent, as far as its queue has room; the rest waits in its socket, where
         its own next send will find it full."""
-        frames = client.take_waiting()
-        if client.room <= len(frames):
+        carrier = client.carrier
+        if client.room <= len(client.waiting):
             self._lab.advance(self._clock())
-        room, last_ns = client.room - len(frames), max(map(sent_ns, frames), default=0)
+        room, room_of_carrier = client.room - len(client.waiting), carrier.room
+        waiting: list[Sent | SentTogether] = [*client.take_waiting()]
+        last_ns = max(map(sent_ns, waiting), default=0)
+        frames = self._received(client, room, last_ns)
+        if carrier is not client:
+            # What came by that was sent before.
+            frames = self._received(carrier, room_of_carrier, last_ns) + frames
+        return waiting + frames
+
+    def _received(self, client: Client, room: int, last_ns: int) -> list[Sent | SentTogether]:
+        """What has come by its connection after ``last_ns``, as far as there is ``room``."""
+        frames: list[Sent | SentTogether] = []
         try:
             while room > 0:
                 packet = client.connection.recv(PACKET_BYTES)
                 now_ns = self._clock()
                 if not packet:
-                    if client.carrier is not client and client.carrier not in self._stalled:
-                        frames += self._read(client.carrier)  # what it has sent stays sent
                     self._has_left(client)
                     return frames
                 for sent in client.sent(packet, now_ns, last_ns):
@@ -243,7 +252,8 @@ class _Server:
             self._has_left(client)
             return frames
         self._loop.remove_reader(client.connection)
-        self._stalled.append(client)
+        if client not in self._stalled:
+            self._stalled.append(client)
         return frames
 
     def _has_left(self, client: Client) -> None:
@@ -258,7 +268,7 @@ class _Server:
             if isinstance(sent, Sent):
                 self._queue_one(sent)
                 continue
-            joined = sent.client.joined
+            joined = None if sent.client.waits else sent.client.joined
             if joined is None or not joined.send_joined(sent.frames, lab.now_ns):
                 for each in apart(sent):
                     self._queue_one(each)
@@ -276,10 +286,10 @@ class _Server:
             sent.client.wish(Wishes.of(sent.data), self._clients, self._lab)
         elif not sound(sent.identifier, sent.dlc):
             self.unsound_frames += 1
-        elif port.room > 0:
+        elif port.room > 0 and not sent.client.waiting:
             port.channel.send(port, Frame(sent.identifier, sent.data, sent.dlc), now_ns)
         else:
-            sent.client.waiting.append(sent)
+            sent.client.wait(sent)
 
     def _fail(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """An error in a callback ends the serving; the loop would only log it."""

@@ -265,6 +265,41 @@ def test_the_lab_has_each_frame_in_its_order_when_a_queue_is_full(
     served(tmp_path, monkeypatch, use)
 
 
+@pytest.mark.parametrize("cut", [0, 2])
+def test_a_channel_that_is_full_holds_up_no_other(
+    cut: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody acknowledges on it. Until 2026-11-30 the others stood still after 11 ms."""
+
+    async def use(lab: Lab) -> None:
+        carried, sent = _Carried(), [0] * len(_NAMES)
+        await carried.agreed()
+        lab.inject(FAULT.validate_python({"kind": "disconnect", "channel": _NAMES[cut]}))
+        for burst in range(200):
+            now, frame = lab.clock(), (0x100, bytes((burst, 1)))
+            batch = [(number, *frame) for number in range(len(_NAMES))]
+            if not carried.joined.send_joined(_frames(now, *batch), now):
+                for number, bus in enumerate(carried.buses):
+                    with suppress(can.CanOperationError):
+                        bus.send_frames([frame], now)
+                        sent[number] += 1
+            await asyncio.sleep(0.001)
+            carried.take()
+
+        def heard(number: int) -> list[int]:
+            return [data[0] for _, each, data in carried.expected[number] if each == 0x100]
+
+        others = [number for number in range(len(_NAMES)) if number != cut]
+        await until(lambda: (carried.take(), len(heard(others[-1])) == 200)[1])
+        assert all(heard(number) == list(range(200)) for number in others)
+        assert heard(cut) == []
+        assert sent[others[0]] > 100, "each by itself"
+        assert sent[cut] < sent[others[0]], "it is told that its own is full"
+        carried.close()
+
+    served(tmp_path, monkeypatch, use)
+
+
 @pytest.mark.parametrize("first", [0, 2])
 def test_what_waits_for_a_full_queue_stays_sent_too(
     first: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -338,7 +338,7 @@ def test_which_way_a_drum_turns_that_has_not_answered_for_long(
 def test_a_drum_that_pays_out_is_damped(
     config: Config, torque: float, given: dict[str, Any], found: bool
 ) -> None:
-    """At 0.3 m/s by 36 N; half of it, less 5 N, has to be there, in any RPDO since the last look."""
+    """At 0.3 m/s by 36 N; half of it less 5 N has to be there, in any RPDO since the last look."""
     state = {key: given[key] for key in given if key == "failed"}
     turning = {key: given[key] for key in given if key != "failed"}
     for least in (torque, 0.0):
