@@ -57,7 +57,7 @@ REQUIREMENT_TEXTS: dict[Requirement, str] = {
     Requirement.STALE: "no torque is sent to a drive whose measurements have stopped",
     Requirement.LATE: "it looks in time itself",
     Requirement.ORDERS: "a stop follows an order to stop, and a fault, that are recorded",
-    Requirement.BRAKED: "in a passive stop no torque drives its drum",
+    Requirement.BRAKED: "a passive stop drives no drum, and brakes each that pays out",
     Requirement.COMMANDED: (
         "no device is commanded beside its process data, nor in its name, nor armed after it has "
         "restarted without being brought up"
@@ -222,7 +222,7 @@ class Supervisor(Section):
     passive_torque: Annotated[Positive, Field(le=100)] = 5.0
     """N at the cable, in a passive stop, by which a torque may exceed the passive tension while its
     drum reels in, pull the other way while it pays out, or be less than ``damped_share`` asks"""
-    damped_share: Annotated[Number, Field(ge=0, le=0.9)] = 0.5
+    damped_share: Annotated[Number, Field(ge=0.4, le=0.75)] = 0.5
     """of ``control.stop.passive_damping``, with which a drum that pays out is braked at least"""
     logged_ticks: Annotated[int, Field(ge=1, le=64)]
     """records before the last two looks among which a torque on the bus may be too"""

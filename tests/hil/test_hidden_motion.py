@@ -4,6 +4,7 @@ cables are reeled in with the others. As in `test_wrong_daemons.py`, in virtual 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from tonus.config.schema.supervisor import Requirement
 from tonus.drivers.process_image import AxisCommand
 from tonus.runtime.cycle import ControlCycle
 from tonus.runtime.states import State, StopMode
+from tonus.runtime.supervisor.supervisor import Supervisor
 from tonus.tools.campaign.observed import Observed
 
 pytestmark = pytest.mark.wide
@@ -174,6 +176,69 @@ def test_a_platform_that_swings_on_its_cables(
     assert found <= (within_ms, np.inf, np.inf)
     assert found[1] <= speed
     assert found[2] <= turning
+
+
+@pytest.mark.parametrize(
+    ("state", "mode", "amplitude", "newton", "speed"),
+    [
+        (State.ACTIVE, StopMode.NONE, 0.29, 110.0, 0.7),
+        (State.SAFE_STOP, StopMode.ON_PATH, 0.45, 120.0, 1.7),
+    ],
+)
+def test_a_platform_that_swings_while_looks_are_late(
+    monkeypatch: pytest.MonkeyPatch,
+    state: State,
+    mode: StopMode,
+    amplitude: float,
+    newton: float,
+    speed: float,
+) -> None:
+    """By as much as SUP-24 lets pass, on a host that is busy. Until 2026-11-30 it went on to the
+    end, as `test_a_platform_that_swings_on_its_cables` did before."""
+    config, _ = configured(**BRIEF)
+    change = Hidden(config, swung(config, 2, amplitude, 10.2, newton), state, mode).change()
+    looks, step = count(1), Supervisor.step
+
+    def late(self: Supervisor, now_ns: int) -> None:
+        if next(looks) % 4 == 0:
+            step(self, now_ns)
+
+    def change_both() -> None:
+        monkeypatch.setattr(Supervisor, "step", late)
+        change(monkeypatch)
+
+    run = Run(config, load_scenario("hold"), change_both, state=State.ACTIVE, at=0.3)
+    seen = run.play(1.6)
+    monkeypatch.undo()
+    assert {number for number, _ in run.said} == {Requirement.SPEED}
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    found = stopped(seen, run, SETTLING_S, max(run.stopped_ns.values()))
+    assert found[0] <= 330.0
+    assert found[1] <= speed
+
+
+def pumped(hidden: Hidden, elapsed_s: float) -> Any:
+    """Each drum is reeled in with more than it is paid out with."""
+    del elapsed_s
+    middle = (12.0 + 4.2) / 2.0
+    return np.where(hidden.rate > 0.0, 17.0, np.where(hidden.rate < 0.0, -4.2, middle)) - 0.4
+
+
+def test_a_passive_stop_that_does_not_damp(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The platform falls from 0.18 m. Until 2026-11-30 it was pumped to 0.92 m/s, and nothing was
+    found before it lay in its cradle."""
+    high = {"robot.home": [0.0, 0.0, 0.18], "control.sequence.lift_s": 3.5}
+    config, _ = configured(**BRIEF | high)
+    change = Hidden(config, pumped, State.SAFE_STOP, StopMode.PASSIVE).change()
+    run = Run(
+        config, load_scenario("hold"), lambda: change(monkeypatch), state=State.ACTIVE, at=0.3
+    )
+    seen = run.play(0.7)
+    monkeypatch.undo()
+    assert {number for number, _ in run.said} == {Requirement.BRAKED}
+    assert sorted(run.stopped_ns) == list(DRIVES), seen.error
+    assert stopped(seen, run, 0.0, max(run.stopped_ns.values()))[0] <= 60.0
+    assert stopped(seen, run, 0.0, float(seen.truth_ns[-1]))[1] <= 0.65  # on the drives' brakes
 
 
 @pytest.mark.parametrize("state", [State.PRETENSION, State.REFERENCING])

@@ -350,6 +350,8 @@ def test_drives_that_wait_for_less_than_its_period_allows() -> None:
         ("rotation_in_descent", 10.1),
         ("opposed_ms", 101),
         ("passive_torque", 101),
+        ("damped_share", 0.39),
+        ("damped_share", 0.76),
     ],
 )
 def test_a_bound_of_any_size_is_none(key: str, value: float) -> None:
