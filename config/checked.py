@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from tonus.config.alternatives import Loc, choices, in_words, is_tagged_by_key
 from tonus.config.document import Document, Key, dotted
 from tonus.config.errors import ConfigError, PlacedError
 
@@ -33,6 +34,24 @@ _REMEDY = {
     "too_long": "remove the surplus items",
     "value_error": "change one of the values",
 }
+_SHAPE = {
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+    "dict_type": "a mapping",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "string_type": "a text",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+}
+"""what a value of another type should be, in the words of YAML"""
+_ALTERNATIVES = "alternatives"
+"""the kind of an error that stands for one of each branch of a choice"""
 _OF_KEY = "[key]"
 _RELATION = " must hold"
 _EXPECTED = "give a value of that type"
@@ -44,24 +63,70 @@ def validated(document: Document, model: type[Model]) -> Model:
         return model.model_validate(document.data)
     except ValidationError as error:
         # A misspelt key is also a missing one; its own place is the better answer.
-        found = sorted(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+        reported = _once_a_choice(model, error.errors())
+        found = sorted(reported, key=lambda each: each["type"] != "extra_forbidden")
         misspelt = {each["loc"][:-1] for each in found if each["type"] == "extra_forbidden"}
         explained: dict[str, ConfigError] = {}
         for each in found:
             if each["type"] == "missing" and each["loc"][:-1] in misspelt:
                 continue
             one = _explain(document, model, each)
-            explained.setdefault(one.key, one)  # each branch of a union has its own words
+            explained.setdefault(one.key, one)
         first, *further = explained.values()
         first.others = tuple(further)
         raise first from error
+
+
+def _once_a_choice(model: type[BaseModel], errors: list[ErrorDetails]) -> list[ErrorDetails]:
+    """A value that fits no branch of a choice has an error in each of them: only those of the
+    branch that it is nearest to, or one that names them all."""
+    found: dict[Loc, list[ErrorDetails]] = {}
+    kinds: dict[Loc, Any] = {}
+    for each in errors:
+        if each["type"] == "too_short" and len(each["input"]) > each["ctx"]["actual_length"]:
+            continue  # it counts only the items that are as they should be
+        loc = each["loc"]
+        start, kind = next(
+            ((loc[:at], kind) for at, kind in choices(model, loc) if not is_tagged_by_key(kind)),
+            (loc, None),
+        )
+        found.setdefault(start, []).append(each)
+        if kind is not None:
+            kinds[start] = kind
+    chosen: list[ErrorDetails] = []
+    for start, group in found.items():
+        chosen += _nearest(start, kinds[start], group) if start in kinds else group
+    return chosen
+
+
+def _nearest(start: Loc, kind: Any, errors: list[ErrorDetails]) -> list[ErrorDetails]:
+    branches: dict[int | str, list[ErrorDetails]] = {}
+    for each in errors:
+        branches.setdefault(each["loc"][len(start)], []).append(each)
+    # An error further inside, or of the length, says that the value has the branch's shape.
+    near = [
+        group
+        for group in branches.values()
+        if any(
+            len(each["loc"]) > len(start) + 1 or each["type"] in ("too_short", "too_long")
+            for each in group
+        )
+    ]
+    if near:
+        return min(near, key=len)
+    if len(branches) == 1 and errors[0]["type"] not in _SHAPE:
+        return errors  # a value named its branch, and is of its shape
+    text = f"input should be {in_words(kind)}"
+    return [{"loc": start, "type": _ALTERNATIVES, "msg": text, "input": errors[0]["input"]}]
 
 
 def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) -> ConfigError:
     kind = error["type"]
     cause = error["ctx"]["error"] if kind == "value_error" else None
     path = cause.path if isinstance(cause, PlacedError) else ()
-    key = _real_key(document, (*error["loc"], *path))
+    branches = {at for at, _ in choices(model, error["loc"])}
+    loc = tuple(part for at, part in enumerate(error["loc"]) if at not in branches)
+    key = _real_key(document, (*loc, *path))
     remedy = _REMEDY.get(kind, _EXPECTED)
     problem = error["msg"].removeprefix("Value error, ")
     problem = problem[0].lower() + problem[1:]
@@ -87,11 +152,24 @@ def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) ->
         word = "least" if kind == "too_short" else "most"
         problem = f"has {error['ctx']['actual_length']} items, and takes at {word} {bound}"
     else:
-        problem = f"{problem}, not {reprlib.repr(error['input'])}"
+        if kind in _SHAPE:
+            problem = f"input should be {_SHAPE[kind]}"
+        problem = f"{problem}, not {_in_yaml(error['input'])}"
+        remedy = "write its keys below it" if _is_left_empty(error) else remedy
         if error["input"] != error["input"]:  # nan alone
             remedy = _REMEDY["finite_number"]
     file, line = document.place(key)
     return ConfigError(file, line, dotted(key), problem, remedy)
+
+
+def _in_yaml(value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
+    return reprlib.repr(value)
+
+
+def _is_left_empty(error: ErrorDetails) -> bool:
+    return error["input"] is None and _SHAPE.get(error["type"]) == "a mapping"
 
 
 def _in_values(relation: str, section: Any) -> str:
@@ -101,8 +179,8 @@ def _in_values(relation: str, section: Any) -> str:
 
 
 def _real_key(document: Document, loc: tuple[int | str, ...]) -> Key:
-    """pydantic names union branches in its locations, and marks an error of a key; the document has
-    no such steps."""
+    """pydantic marks an error of a key, and names what a validator put in; the document has no such
+    steps."""
     key: list[str | int] = []
     place: Any = document.data
     for index, part in enumerate(loc):

@@ -216,7 +216,7 @@ def test_a_registered_kind_is_among_those_that_an_error_lists(mine: Mine) -> Non
     [
         ({"fieldbus.axes": [0, 1, 2, 3, 4, 5, 6]}, "fieldbus.nodes: no node for axis 7; add one"),
         ({"fieldbus.cells": [*range(10)]}, "fieldbus: .*cell 9"),
-        ({"fieldbus.link": None}, "fieldbus.link: .*valid string"),
+        ({"fieldbus.link": None}, "fieldbus.link: .*a text, not null"),
         ({"fieldbus.speed": 3}, "fieldbus.speed: is not a key here"),
     ],
 )
