@@ -80,6 +80,8 @@ class Framing:
     """a chunk that the file's end cuts, as far as it goes"""
     damage: str | None = None
     """what is wrong and where; everything before it was read"""
+    resumed: list[int] = field(default_factory=list)
+    """bytes at which, behind a damage, the next chunk was found"""
     data_end: int | None = None
     """where the records end that hold data, None if the file ends earlier"""
     data_crc: int = 0
@@ -129,6 +131,7 @@ def scan(path: Path, *, salvage: bool = False) -> Framing:
             while salvage and at is not None:
                 at = scanner.find_chunk(at)
                 if at is not None:
+                    scanner.framing.resumed.append(at)
                     at = scanner.walk(at)
             scanner.summary()
             scanner.disbelieve()

@@ -47,6 +47,8 @@ class Salvage:
     """messages by topic, as far as the rest of the file tells"""
     complete: bool = False
     """whether ``lost`` is all: the file told how many there were"""
+    beginning_lost: bool = False
+    """whether something before the first message kept is lost, and the file does not tell what"""
     chunks_lost: int = 0
     holes: list[tuple[float, float]] = field(default_factory=list)
     """s from the first message on: between these nothing was kept of a topic that is periodic"""
@@ -95,6 +97,7 @@ class _Rewriter:
         # A chunk may announce topics of its own; they are known only when all were unpacked.
         trusted = [self._is_sound(content(self._source, place)) for place in places]
         self._salvage.chunks_lost = trusted.count(False)
+        self._salvage.beginning_lost = framing.statistics is None and self._begins_late(trusted)
         known = {n: c for n, c in framing.channels.items() if c.schema_id in {0, *framing.schemas}}
         self._file.adopt(framing.schemas.values(), known.values())
         for name in sorted(framing.attachments):
@@ -114,6 +117,11 @@ class _Rewriter:
         self._file.metadata("tonus.recovered", {"from": self._source.name})
         self._file.finish()
         return self._salvage
+
+    def _begins_late(self, trusted: list[bool]) -> bool:
+        places, resumed = self._framing.chunks, self._framing.resumed
+        first = next((place.offset for place, good in zip(places, trusted, strict=True) if good), 0)
+        return not all(trusted[:1]) or any(at <= first for at in resumed)
 
     def _is_sound(self, data: bytes | None) -> bool:
         if data is None:
@@ -161,18 +169,12 @@ class _Rewriter:
             salvage.end_s = (max(int(each.max()) for each in times) - first) * _NS
         if self._ticks:
             salvage.ticks = min(self._ticks), max(self._ticks)
-        for channel, parts in self._numbers.items():
-            topic = framing.channels[channel].topic
-            numbers, stamps = np.concatenate(parts), np.concatenate(self._times[channel])
-            # Bus frames are numbered through all buses, so a step says nothing about one of them.
-            steps = np.diff(np.concatenate(([-1], numbers)))
-            if statistics is None and not topic.startswith("/can/"):
-                salvage.lost[topic] = int(np.maximum(steps - 1, 0).sum())
-            if topic == TIMING:
-                gaps = np.flatnonzero(np.diff(numbers) > 1)
-                edges = (np.stack((stamps[gaps], stamps[gaps + 1]), axis=1) - first) * _NS
-                salvage.holes = [(float(a), float(b)) for a, b in edges]
-        if statistics is not None:
+        gaps = self._gaps()
+        salvage.holes = [((start - first) * _NS, (end - first) * _NS) for start, end in gaps]
+        if statistics is None:
+            for channel in self._numbers:
+                salvage.lost[framing.channels[channel].topic] = self._missing(channel, gaps)
+        else:
             for channel, count in statistics.channel_message_counts.items():
                 if channel in framing.channels:
                     topic = framing.channels[channel].topic
@@ -180,6 +182,36 @@ class _Rewriter:
                     got = sum(map(len, self._numbers.get(channel, [])))
                     salvage.lost[topic] = before + max(int(count) - got, 0)
         salvage.lost = {topic: count for topic, count in salvage.lost.items() if count}
+
+    def _gaps(self) -> list[tuple[int, int]]:
+        """Between which two times (ns) the numbers of the periodic topic step."""
+        found: list[tuple[int, int]] = []
+        for channel, parts in self._numbers.items():
+            if self._framing.channels[channel].topic == TIMING:
+                stamps = np.concatenate(self._times[channel])
+                at = np.flatnonzero(np.diff(np.concatenate(parts)) > 1)
+                found += [(int(stamps[k]), int(stamps[k + 1])) for k in at]
+        return found
+
+    def _missing(self, channel: int, gaps: list[tuple[int, int]]) -> int:
+        """How many messages the numbers of a topic leave out between the first and the last one.
+
+        A topic need not begin with 0: a later file of a run does not, nor does a scene, which
+        begins with the first pose.
+        """
+        topic = self._framing.channels[channel].topic
+        # Bus frames are numbered through all buses, so a step says nothing about one of them.
+        if topic.startswith("/can/"):
+            return 0
+        steps = np.diff(np.concatenate(self._numbers[channel])) - 1
+        if not topic.startswith("/tonus/") and self._ticks:
+            # Numbered by ticks: what has none in a tick, or a tick that was missed, is no loss.
+            stamps = np.concatenate(self._times[channel])
+            torn = np.zeros(len(steps), bool)
+            for start, end in gaps:
+                torn |= (stamps[:-1] <= end) & (stamps[1:] >= start)
+            steps = steps[torn]
+        return int(np.maximum(steps, 0).sum())
 
 
 def _prove(path: Path, salvage: Salvage) -> None:

@@ -48,5 +48,7 @@ def _tell(out: Path, salvage: Salvage) -> None:
         click.echo(f"  and {len(salvage.holes) - _SHOWN} more holes")
     for topic, lost in sorted(salvage.lost.items()):
         click.echo(f"  {lost} messages of {topic} are lost")
+    if salvage.beginning_lost:
+        click.echo("  what was before the first message kept is not known")
     if not salvage.complete:
         click.echo("  what was behind the end of the file is not known")
