@@ -158,7 +158,8 @@ def _explain(document: Document, model: type[BaseModel], error: ErrorDetails) ->
         remedy = "write its keys below it" if _is_left_empty(error) else remedy
         if error["input"] != error["input"]:  # nan alone
             remedy = _REMEDY["finite_number"]
-    file, line = document.place(key)
+    of_key = kind == "extra_forbidden" or _OF_KEY in error["loc"]
+    file, line = document.key_place(key) if of_key else document.place(key)
     return ConfigError(file, line, dotted(key), problem, remedy)
 
 

@@ -28,6 +28,8 @@ class Document:
 
     data: Any
     places: dict[Key, tuple[str, int]] = field(default_factory=dict)
+    included: dict[Key, tuple[str, int]] = field(default_factory=dict)
+    """where the keys stand whose values are of other files"""
     folders: dict[str, Path] = field(default_factory=dict)
     """of the files by their names in ``places``: what a relative name in one of them starts from"""
 
@@ -36,6 +38,10 @@ class Document:
         while key and key not in self.places:
             key = key[:-1]
         return self.places.get(key, ("", 0))
+
+    def key_place(self, key: Key) -> tuple[str, int]:
+        """Where the key itself stands, also if its value is of another file."""
+        return self.included.get(key) or self.place(key)
 
     def folder(self, key: Key) -> Path:
         """Where the file lies in which ``key`` stands."""
@@ -128,7 +134,7 @@ def _node(
         for name_node, value_node in node.value:
             name = _name(name_node, shown, key)
             if name in result:
-                first = document.places[(*key, name)][1]
+                first = document.key_place((*key, name))[1]
                 raise ConfigError(
                     shown,
                     name_node.start_mark.line + 1,
@@ -140,8 +146,8 @@ def _node(
             if name == DATA_SHEET and isinstance(result[name], str):
                 result[name] = _sheet(result[name], path, shown, (*key, name), document)
             # An included value keeps its own file; any other is where its key stands.
-            if value_node.tag != INCLUDE:
-                document.places[(*key, name)] = (shown, name_node.start_mark.line + 1)
+            places = document.included if value_node.tag == INCLUDE else document.places
+            places[(*key, name)] = (shown, name_node.start_mark.line + 1)
         return result
     if isinstance(node, yaml.SequenceNode):
         return [

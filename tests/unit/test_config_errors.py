@@ -96,6 +96,16 @@ CASES = [
         "robot.platform.mas", "is not a key here", "did you mean mass?",
     ),
     Broken(
+        "unknown key of an include",
+        Edit(CONFIG, "tracker: !include tracker.yaml", "traker: !include tracker.yaml"), CONFIG,
+        "traker:", "traker", "is not a key here", "did you mean tracker?",
+    ),
+    Broken(
+        "an include given twice",
+        Edit(CONFIG, "scenario:", "tracker: !include tracker.yaml\nscenario:"), CONFIG,
+        12, "tracker", "given twice, first on line 5", "keep one of the two",
+    ),
+    Broken(
         "misspelt optional key", Edit(ROBOT, "  mass: 2.35", "  mass: 2.35\n  inertai: 1"), ROBOT,
         "inertai", "robot.platform.inertai", "is not a key here", "did you mean inertia?",
     ),
