@@ -17,6 +17,7 @@ from tonus.runtime.timing import clock
 from tonus.tools import output
 from tonus.tools.errors import ToolError
 from tonus.tools.run.lab_process import work
+from tonus.tools.run.tracker_address import need_known
 from tonus.tools.settings import overrides_of
 
 
@@ -47,6 +48,7 @@ def lab(
     settings, played = load(config, scenario, overrides_of(settings_))
     if settings.lab is None:
         raise ToolError(f"{config}: has no lab: section; add one, see config/can.yaml")
+    need_known(settings)
     chosen = None if nodes is None else _chosen(settings, config, nodes)
     seed = settings.lab.seed if seed is None else seed
     clock.run(_until_interrupted(settings, played, seed, chosen), virtual=False)

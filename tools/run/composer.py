@@ -48,7 +48,7 @@ from tonus.tools.errors import ToolError
 from tonus.tools.event_lines import EventLines, for_journal
 from tonus.tools.folders import make_folder
 from tonus.tools.repeat import every
-from tonus.tools.run import fieldbuses, provenance
+from tonus.tools.run import fieldbuses, provenance, tracker_address
 from tonus.tools.run.child_process import ChildProcess
 from tonus.tools.run.description import Description, describe_run
 from tonus.tools.run.idle_pacing import IdlePacing
@@ -83,6 +83,8 @@ def run(order: Order) -> Result:
                 f"the {bus.kind} fieldbus needs virtual time and a lab: add --virtual and a lab: "
                 "section"
             )
+    if not order.virtual:
+        tracker_address.need_own(order.config)
     with ExitStack() as first:
         # Before anything of another daemon's could be touched.
         control = _control_socket(order)
