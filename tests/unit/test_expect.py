@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -40,6 +41,20 @@ class Recorded(Log):
             Event(at + 2_450_000_000, 2450, Level.WARNING, "late_pdo", "axis 12", "late"),
             Event(at + 2_480_000_000, 2480, Level.WARNING, "late_pdo", "can0/2 (axis 1)", "late"),
             Event(at + 2_490_000_000, 2490, Level.ERROR, "drive_lost", "can0/2 (axis 1)", "gone"),
+        ]
+        return sorted([*super().events(), *more], key=lambda event: event.time_ns)
+
+
+class Loud(Recorded):
+    """Long after the fault the host delays a node again and again."""
+
+    def events(self) -> list[Event]:
+        at, text = self.start_ns, "late"
+        more = [
+            Event(
+                at + (3000 + 20 * k) * 1_000_000, 3000 + 20 * k, Level.WARNING, "late_pdo", "", text
+            )
+            for k in range(40)
         ]
         return sorted([*super().events(), *more], key=lambda event: event.time_ns)
 
@@ -121,6 +136,35 @@ def test_an_event_before_the_fault_is_no_reaction_to_it(disturbed: Run) -> None:
     disturbed.expect("state", where="STANDBY to REFERENCING")
     with pytest.raises(ExpectationError, match="no event state"):
         disturbed.expect("state", where="STANDBY to REFERENCING", within=1.0)
+
+
+def test_what_followed_on_the_fault_is_shown_however_long_the_run_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = Run(Loud(GOLDEN))
+    struck = Strike("unplug", found.timeline.start_ns + 2_440_000_000)
+    monkeypatch.setitem(found.__dict__, "faults", [struck])
+    with pytest.raises(ExpectationError) as caught:
+        found.expect("cable_torn", within=0.1)
+    figure, head, *lines = str(caught.value).splitlines()
+    assert figure == "no event cable_torn after 2.440 s"
+    assert re.fullmatch(r"the events from 2\.440 s on, 10 of \d+, errors before others:", head)
+    assert len(lines) == 10
+    assert [event.name for event in caught.value.events[:3]] == [
+        "late_pdo",
+        "late_pdo",
+        "drive_lost",
+    ]
+    assert "ERROR drive_lost can0/2 (axis 1): gone" in str(caught.value)
+    with pytest.raises(ExpectationError) as caught:
+        found.expect("state", where="SAFE_STOP to STANDBY", within=1.0)
+    assert "ERROR drive_lost" in str(caught.value), "it is not among the last ten until then"
+    assert caught.value.events[-1].text == "SAFE_STOP to STANDBY", "this is what came late"
+    with pytest.raises(ExpectationError, match=r"until then:|the last events:") as caught:
+        found.expect("cable_torn", after=100.0)
+    assert len(caught.value.events) == 10, "there is none from then on"
+    with pytest.raises(ExpectationError, match="ERROR drive_lost"):
+        found.undisturbed()
 
 
 def test_what_must_not_happen(disturbed: Run) -> None:

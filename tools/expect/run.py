@@ -130,10 +130,11 @@ class Run:
                     f"{event}{place} came {took:.3f} s after {since:.3f} s, "
                     f"and not within {within:g} s"
                 )
-                raise self.failure(figure, time)
+                raise self.failure(figure, time, since=searched or None)
             return Found(each, time, took)
         limits = f" after {searched:.3f} s" if searched else ""
-        raise self.failure(f"no event {event}{place}{limits}{self._nearest(event)}")
+        figure = f"no event {event}{place}{limits}{self._nearest(event)}"
+        raise self.failure(figure, since=searched or None)
 
     def never(self, event: str, *, where: str = "") -> None:
         """No event of this name (``*`` and ``?`` as in file names) whose place or text has
@@ -168,7 +169,7 @@ class Run:
             names = ", ".join(dict.fromkeys(event.name for event in found))
             time = self.timeline.seconds(found[0].time_ns)
             figure = f"{len(found)} unexpected warnings or errors from {time:.3f} s on: {names}"
-            raise self.failure(figure)
+            raise self.failure(figure, since=time)
 
     def signal(self, topic: str, field: str) -> Signal:
         """A signal of docs/log.md. ``topic`` may leave out ``/tonus/``. Raises `ToolError` where
@@ -219,9 +220,12 @@ class Run:
             figure = f"{one.place} was {one.recorded!r} and is replayed as {one.replayed!r}"
             raise self.failure(f"{figure}, first in tick {one.tick}", self._time_of(one.tick))
 
-    def failure(self, figure: str, time: float | None = None) -> ExpectationError:
-        """The error to raise for a figure at a time (s); None: of the whole run."""
-        return ExpectationError(figure, self.timeline, self.events, time)
+    def failure(
+        self, figure: str, time: float | None = None, *, since: float | None = None
+    ) -> ExpectationError:
+        """The error to raise for a figure at a time (s); None: of the whole run. ``since``: the
+        time (s) from which on something was expected."""
+        return ExpectationError(figure, self.timeline, self.events, time, since)
 
     @property
     def _ticked(self) -> bool:

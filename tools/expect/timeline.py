@@ -26,6 +26,10 @@ class Timeline:
         """How many of the events, which are in order of time, happened up to ``time`` s."""
         return sum(self.seconds(event.time_ns) <= time for event in events)
 
+    def until(self, events: Sequence[Event], time: float) -> int:
+        """How many of the events, which are in order of time, happened before ``time`` s."""
+        return sum(self.seconds(event.time_ns) < time for event in events)
+
     def last(self, events: Sequence[Event], count: int) -> list[list[Event]]:
         """The last ``count`` of what was told: each an event, with those of its name that follow at
         once, as when one delay of the host concerns every node of a channel."""
@@ -42,8 +46,12 @@ class Timeline:
 
     def lines(self, events: Sequence[Event], count: int) -> list[str]:
         """`last`, each in a line."""
+        return self.each(self.last(events, count))
+
+    def each(self, told: Sequence[Sequence[Event]]) -> list[str]:
+        """A line for each of what `last` gives."""
         found = []
-        for first, *others in self.last(events, count):
+        for first, *others in told:
             found.append(f"  {self.line(first)}" + (f"; {len(others)} more" if others else ""))
         return found
 
