@@ -26,6 +26,13 @@ pytestmark = pytest.mark.tonus(config="config/direct.yaml", overrides=QUICK)
 SECTIONS = ["time", "envelope", "spectra", "timing", "events", "settings"]
 if available():
     SECTIONS = ["look", *SECTIONS]
+WINDOWS = {
+    "tracking error, RMS": "ACTIVE",
+    "tension, lowest": "HOLD and ACTIVE",
+    "K_eq, highest": "HOLD and ACTIVE",
+    "contact force, highest": "the whole run",
+    "speed, highest": "the whole run",
+}
 
 
 class Page(HTMLParser):
@@ -81,6 +88,8 @@ def test_a_page_is_whole_in_itself_and_begins_with_the_verdict(quiet: Path, tmp_
     assert all(source.startswith("data:image/") for source in page.fetched)
     assert "Completed without a fault; ended in STANDBY" in page.text
     assert page.text.index("Completed") < page.text.index("tracking error, RMS")
+    for figure, window in WINDOWS.items():
+        assert re.search(rf"{figure} [^,]*? (truth|commanded|estimate) {window} ", page.text)
     assert "OUTSIDE" not in page.text
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)

@@ -151,11 +151,11 @@ def _subtitle(story: Story) -> str:
 
 
 def _figures(verdict: Verdict) -> Rows:
-    rows = Rows.of(("figure", "value", "limit", "", "from"), (), numbers=(1,))
+    rows = Rows.of(("figure", "value", "limit", "", "from", "in"), (), numbers=(1,))
     for figure in verdict.figures:
         value = "not known" if figure.value is None else f"{figure.value:.5g} {figure.unit}"
         sign = {True: "within", False: "OUTSIDE", None: ""}[figure.ok]
-        texts = (figure.name, value, figure.limit, sign, figure.against)
+        texts = (figure.name, value, figure.limit, sign, figure.against, figure.window)
         cells = [(text, NUMBER if place == 1 else "") for place, text in enumerate(texts)]
         rows.lines.append(Row(cells, "out" if figure.ok is False else ""))
     return rows

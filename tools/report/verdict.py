@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tonus.runtime.states import State
 from tonus.tools.report.story import Story
 from tonus.tools.run.summary import Indicators, Summary, summarise
 
 _ENDED_WELL = (State.OFF, State.STANDBY)
+_ACTIVE, _REGULATED = "ACTIVE", "HOLD and ACTIVE"
+"""windows of the figures that `Indicators` does not take over the whole run"""
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,8 @@ class Figure:
     ok: bool | None = None
     against: str = ""
     """what it was computed from"""
+    window: str = "the whole run"
+    """when"""
 
 
 @dataclass(frozen=True)
@@ -80,36 +84,30 @@ def _headline(story: Story, summary: Summary, ended: State) -> str:
 def _figures(story: Story, summary: Summary, speed: float) -> list[Figure]:
     source = "truth" if story.has_truth else "measured"
     tension, k_eq = summary["tension_n"], summary["k_eq_n_per_m"]
-    found = [
-        Figure("tracking error, RMS", _mm(summary["tracking_rmse_m"]), "mm", against="truth"),
-        Figure("tension error, RMS", summary["tension_rmse_n"], "N", against="truth"),
-    ]
+    tracking, held = _mm(summary["tracking_rmse_m"]), summary["tension_rmse_n"]
     low, high = _ends(tension)
     k_low, k_high = _ends(k_eq)
     peak = summary["contact_peak_n"]
-    if story.config is None:
-        return [
-            *found,
-            Figure("tension, lowest", low, "N", against=source),
-            Figure("tension, highest", high, "N", against=source),
-            Figure("K_eq, lowest", k_low, "N/m", against="commanded"),
-            Figure("K_eq, highest", k_high, "N/m", against="commanded"),
-            Figure("contact force, highest", peak, "N", against=source),
-            Figure("speed, highest", speed, "m/s", against="estimate"),
-            *_timing(story, summary),
-        ]
-    control = story.config.control
-    bounds, law, envelope = control.tension, control.stiffness, control.envelope
-    return [
-        *found,
-        _least("tension, lowest", low, "N", bounds.min, source),
-        _most("tension, highest", high, "N", bounds.max, source),
-        _least("K_eq, lowest", k_low, "N/m", law.minimum, "commanded"),
-        _most("K_eq, highest", k_high, "N/m", law.maximum, "commanded"),
-        _most("contact force, highest", peak, "N", envelope.contact_limit, source),
-        _most("speed, highest", speed, "m/s", envelope.speed_limit, "estimate"),
-        *_timing(story, summary),
+    found = [
+        Figure("tracking error, RMS", tracking, "mm", against="truth", window=_ACTIVE),
+        Figure("tension error, RMS", held, "N", against="truth", window=_REGULATED),
+        Figure("tension, lowest", low, "N", against=source, window=_REGULATED),
+        Figure("tension, highest", high, "N", against=source, window=_REGULATED),
+        Figure("K_eq, lowest", k_low, "N/m", against="commanded", window=_REGULATED),
+        Figure("K_eq, highest", k_high, "N/m", against="commanded", window=_REGULATED),
+        Figure("contact force, highest", peak, "N", against=source),
+        Figure("speed, highest", speed, "m/s", against="estimate"),
     ]
+    if story.config is not None:
+        control = story.config.control
+        bounds, law, envelope = control.tension, control.stiffness, control.envelope
+        limited = [
+            *(_least(found[2], bounds.min), _most(found[3], bounds.max)),
+            *(_least(found[4], law.minimum), _most(found[5], law.maximum)),
+            *(_most(found[6], envelope.contact_limit), _most(found[7], envelope.speed_limit)),
+        ]
+        found = [*found[:2], *limited]
+    return [*found, *_timing(story, summary)]
 
 
 def _timing(story: Story, summary: Summary) -> list[Figure]:
@@ -119,22 +117,22 @@ def _timing(story: Story, summary: Summary) -> list[Figure]:
     found = [missed, Figure("ticks missed, by the host", summary["missed_by_host"], "")]
     if story.log.metadata.get("time") == "virtual":
         return found
-    period = story.period * 1e6
+    period, cycle = story.period * 1e6, summary["cycle_us"]["p99_9"]
     return [
         *found,
         Figure("wake-up, p99.9", summary["wakeup_us"]["p99_9"], "µs"),
-        _most("cycle, p99.9", summary["cycle_us"]["p99_9"], "µs", period, "wall clock"),
+        _most(Figure("cycle, p99.9", cycle, "µs", against="wall clock"), period),
     ]
 
 
-def _least(name: str, value: float | None, unit: str, bound: float, against: str) -> Figure:
-    ok = None if value is None else value >= bound
-    return Figure(name, value, unit, f"at least {bound:g}", ok, against)
+def _least(figure: Figure, bound: float) -> Figure:
+    ok = None if figure.value is None else figure.value >= bound
+    return replace(figure, limit=f"at least {bound:g}", ok=ok)
 
 
-def _most(name: str, value: float | None, unit: str, bound: float, against: str) -> Figure:
-    ok = None if value is None else value <= bound * (1.0 + 1e-12)
-    return Figure(name, value, unit, f"at most {bound:g}", ok, against)
+def _most(figure: Figure, bound: float) -> Figure:
+    ok = None if figure.value is None else figure.value <= bound * (1.0 + 1e-12)
+    return replace(figure, limit=f"at most {bound:g}", ok=ok)
 
 
 def _ends(span: dict[str, float] | None) -> tuple[float | None, float | None]:
