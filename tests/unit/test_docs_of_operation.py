@@ -9,6 +9,8 @@ from pathlib import Path
 
 from click.testing import CliRunner
 
+from tonus.config import load
+from tonus.config.loader import load_catalogue
 from tonus.tools.cli.ctl import ctl
 from tonus.tools.cli.run import run
 from tonus.tools.report.operation import tables
@@ -39,6 +41,25 @@ def test_every_option_of_run_on_the_pages_is_one() -> None:
     for line in re.findall(r"tonus run ([^`\n]+)", PAGE + COMMISSIONING):
         for word in line.split():
             assert not word.startswith("--") or word in help_text, line
+
+
+def test_the_status_shown_is_that_of_the_configuration_it_is_of() -> None:
+    (shown,) = re.findall(r"\$ tonus ctl status\n(.*?)\n\$ ", PAGE, re.DOTALL)
+    (path,) = re.findall(r"`tonus run (config/\S+) --serve", PAGE)
+    config, _ = load(path)
+    (chosen,) = re.findall(r"^to choose(.*?)^\w", shown, re.DOTALL | re.MULTILINE)
+    first, *others = re.split(r",\s+", chosen.strip())
+    known = [scenario.name for scenario in load_catalogue(path)]
+    assert first == config.scenario
+    assert others == [name for name in known if name != first]
+    at = {
+        "control.stiffness.velocity_gain": config.control.stiffness.velocity_gain,
+        "control.stiffness.force_gain": config.control.stiffness.force_gain,
+    }
+    assert re.findall(r"^to set +(.*)$", shown, re.MULTILINE) == [
+        f"{each.key} {at[each.key]:g} ({each.minimum:g} to {each.maximum:g})"
+        for each in config.operation.tunable
+    ]
 
 
 def test_the_examples_of_the_protocol_are_json() -> None:

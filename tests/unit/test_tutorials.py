@@ -183,6 +183,18 @@ def test_an_edit_of_a_line_that_is_not_there_is_found() -> None:
         edited("a: 1\n", "-a: 2\n+a: 3\n")
 
 
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_the_end_of_a_run_is_shown_whole(page: Path) -> None:
+    """With the command that shows the run again, which is easily left out of a page."""
+    for step in steps(page):
+        if isinstance(step, Command) and is_run(step):
+            for number, line in enumerate(step.shown):
+                if re.match(r"  files +run\.mcap", line):
+                    folder = step.shown[number - 1].split()[-1]
+                    again = f"  {'see it again':<15} tonus view {folder}/run.mcap"
+                    assert step.shown[number + 1] == again, step.line
+
+
 def test_every_page_of_the_tutorials_is_played() -> None:
     brought = ("robot", "drive", "fieldbus", "controller", "hil_test", "log")
     assert {page.stem for page in TUTORIALS} == {"first_run", *(f"your_{each}" for each in brought)}
