@@ -62,6 +62,15 @@ def test_a_notebook_is_one_for_jupyter_too(path: Path) -> None:
     assert counts == [*range(1, len(counts) + 1)]
 
 
+@pytest.mark.parametrize("name", ["cable", "axis", "drum", "cell"])
+def test_what_is_drawn_is_numbered_from_0_as_everywhere(name: str) -> None:
+    root = notebook.DOCS.parent
+    files = [*notebook.NOTEBOOKS, *notebook.DOCS.rglob("*.md"), *(root / "tools").rglob("*.py")]
+    from_1 = re.compile(rf"\b{name} \{{\w+ \+ 1\}}")
+    found = [str(file) for file in files if from_1.search(file.read_text(encoding="utf-8"))]
+    assert not found
+
+
 @pytest.mark.wide
 def test_the_first_look_runs_as_it_stands(tmp_path: Path) -> None:
     shown, space = notebook.run(FIRST_LOOK, tmp_path)

@@ -102,7 +102,7 @@ def _friction(part: SubFigure, drums: tuple[tuple[Drum, Fit], ...]) -> None:
             at = np.array([0.0, end])
             held = viscous * at / drum.radius**2 + side * (load * tension + coulomb) + tension
             model = (held / driving if side > 0.0 else held * driven) - tension
-            label = f"drum {number + 1}" if side > 0.0 else None
+            label = f"drum {number}" if side > 0.0 else None
             panel.plot(at, model, color=colour, linewidth=1.0, label=label)
     panel.set_xlabel("speed of the cable, reeling in positive / (m/s)")
     panel.set_ylabel("loss at the cable / N")

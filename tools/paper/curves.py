@@ -231,7 +231,7 @@ def literal(results: Results) -> Figure | None:
             color=colour,
             linestyle=line,
             linewidth=0.8,
-            label=f"cable {cable + 1}",
+            label=f"cable {cable}",
         )
     end = float(curves["time"][-1])
     how = f"ended after {end:.2f} s: {row.fault}" if row.fault else "ran to its end"
