@@ -20,6 +20,7 @@ _NAMES = ("tag:yaml.org,2002:str", "tag:yaml.org,2002:int")
 """What a key may be: a plain word, or an axis' number, which then is a text too."""
 Scalar = str | int | float | bool | None
 INCLUDE = "!include"
+IS_DIRECTORY, IS_DEVICE = "is a directory", "is a device or a pipe, not a file"
 
 
 @dataclass
@@ -75,6 +76,16 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+def no_file(path: Path) -> str:
+    """What a name that is not one of a file stands for."""
+    try:
+        if path.is_dir():
+            return IS_DIRECTORY
+        return IS_DEVICE if path.exists() else "there is no such file"
+    except OSError:
+        return "cannot be the name of a file"
 
 
 def _file(path: Path, shown: str, key: Key, document: Document, chain: tuple[Path, ...]) -> Any:
@@ -167,8 +178,11 @@ def _included(
     name = node.value
     other = path.parent / name
     if not is_file(other):
-        problem = f"!include {name}: there is no such file"
-        raise ConfigError(shown, line, dotted(key), problem, f"looked for it at {other}")
+        problem = f"!include {name}: {no_file(other)}"
+        remedy = f"looked for it at {other}"
+        if problem.endswith(IS_DIRECTORY):
+            remedy = "name a file in it"
+        raise ConfigError(shown, line, dotted(key), problem, remedy)
     if other.resolve() in chain:
         problem = f"!include {name}: that file includes this one"
         raise ConfigError(shown, line, dotted(key), problem, "break the circle")

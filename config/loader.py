@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from tonus.config.checked import Model, choose, validated
-from tonus.config.document import Document, Key, dotted, is_file, read
+from tonus.config.document import (
+    IS_DEVICE,
+    IS_DIRECTORY,
+    Document,
+    Key,
+    dotted,
+    is_file,
+    no_file,
+    read,
+)
 from tonus.config.errors import ConfigError
 from tonus.config.relaxed import unnamed_risks
 from tonus.config.schema.bounds import Bounds
@@ -116,6 +125,8 @@ def _named(kind: str, name: str, file: str, line: int, key: str, base: Path = Pa
         # The suffix, or a folder, says that a file was meant, and not a shipped one's name.
         of_file = Path(name).suffix or Path(name).name != name
         problem = f"there is no {'file' if of_file else kind} {reprlib.repr(name)}"
+        if of_file and no_file(base / name) in (IS_DIRECTORY, IS_DEVICE):
+            problem = f"{reprlib.repr(name)} {no_file(base / name)}"
         raise ConfigError(file, line, key, problem, choose(path.stem, known))
     return read(path, shown)
 
@@ -211,14 +222,10 @@ def locate(name: str | Path) -> tuple[Path, str]:
         return ours, f"config/{path.name}"
     known = sorted(file.stem for file in HERE.glob("*.yaml") if _complete(file))
     remedy = choose(path.stem, known, shown="config/{}.yaml")
-    try:
-        problem = "there is no such file"
-        if path.is_dir():
-            problem = "is a directory"
-            within = sorted(str(file) for file in path.glob("*.yaml") if _complete(file))
-            remedy = f"name one of {', '.join(within)}" if within else remedy
-    except OSError:
-        problem = "cannot be the name of a file"
+    problem = no_file(path)
+    if problem == IS_DIRECTORY:
+        within = sorted(str(file) for file in path.glob("*.yaml") if _complete(file))
+        remedy = f"name one of {', '.join(within)}" if within else remedy
     raise ConfigError(str(path), 0, "", problem, remedy)
 
 

@@ -296,6 +296,14 @@ CASES = [
         "looked for it at",
     ),
     Broken(
+        "include of a directory", Edit(CONFIG, "!include robots/paper.yaml", "!include robots"),
+        CONFIG, "robot:", "robot", "!include robots: is a directory", "name a file in it",
+    ),
+    Broken(
+        "include of a device", Edit(CONFIG, "!include robots/paper.yaml", "!include /dev/null"),
+        CONFIG, "robot:", "robot", "!include /dev/null: is a device or a pipe", "/dev/null",
+    ),
+    Broken(
         "include of a list", Edit(CONFIG, "!include robots/paper.yaml", "!include [a]"), CONFIG,
         "robot:", "robot", "!include takes one file name", "write !include other.yaml",
     ),
