@@ -18,6 +18,8 @@ from tonus.config.errors import ConfigError
 Key = tuple[str | int, ...]
 _NAMES = ("tag:yaml.org,2002:str", "tag:yaml.org,2002:int")
 """What a key may be: a plain word, or an axis' number, which then is a text too."""
+_PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
+"""What a mapping or a list may be; any other tag asks for an object of a program."""
 Scalar = str | int | float | bool | None
 INCLUDE = "!include"
 IS_DIRECTORY, IS_DEVICE = "is a directory", "is a device or a pipe, not a file"
@@ -140,6 +142,10 @@ def _node(
     document.places[key] = (shown, line)
     if node.tag == INCLUDE:
         return _included(node, path, shown, key, document, chain)
+    if not isinstance(node, yaml.ScalarNode) and node.tag not in _PLAIN:
+        kind = node.tag.removeprefix("tag:yaml.org,2002:")
+        problem = f"is a mapping or list of kind {kind}"
+        raise ConfigError(shown, line, dotted(key), problem, "remove the tag that begins with !")
     if isinstance(node, yaml.MappingNode):
         result: dict[str, Any] = {}
         for name_node, value_node in node.value:

@@ -203,6 +203,15 @@ CASES = [
         "robot.platform.mass", "of kind !kg", "!include",
     ),
     Broken(
+        "a tag on a mapping",
+        Edit(CONFIG, "!include tracker.yaml", "!!python/object:os.system {}"), CONFIG, "tracker:",
+        "tracker", "of kind python/object:os.system", "remove the tag",
+    ),
+    Broken(
+        "a tag on a list", Edit(ROBOT, "home: [", "home: !point ["), ROBOT, "home:", "robot.home",
+        "of kind !point", "remove the tag",
+    ),
+    Broken(
         "impossible date", Edit(ROBOT, "name: paper", "name: 2026-13-45"), ROBOT, "name",
         "robot.name", "of kind timestamp", "text in quotes",
     ),
