@@ -27,6 +27,8 @@ CASES: tuple[tuple[str, int, str], ...] = (
     ("run .", 2, "is a directory"),
     ("run TEXT --virtual", 2, "TEXT"),
     ("run LOG --virtual", 2, "UTF-8"),
+    ("run config/direct.yaml --virtual --out FILE", 2, "is no folder; choose another with --out"),
+    ("run config/direct.yaml --virtual --out FILE/x", 2, "is no folder; choose another"),
     ("run config/direct.yaml --virtual --duration nan", 2, "no finite number"),
     ("run config/direct.yaml --virtual --duration inf", 2, "no finite number"),
     ("run config/direct.yaml --virtual --duration -1", 2, "not in the range"),
@@ -172,7 +174,9 @@ def test_it_ends_in_one_line_and_the_documented_code(
     monkeypatch.setenv("TONUS_RUNTIME_DIR", str(tmp_path / "runtime"))
     monkeypatch.chdir(tmp_path)
     before = contents(given)
-    arguments = [given.get(word, word) for word in typed.split()]
+    arguments = [
+        "/".join([given.get(name, name) for name in word.split("/")]) for word in typed.split()
+    ]
     monkeypatch.setattr(sys, "argv", ["tonus", *arguments])
     with pytest.raises(SystemExit) as ending:
         main()
