@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import re
 import reprlib
+from functools import partial
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -64,7 +65,7 @@ def validated(document: Document, model: type[Model]) -> Model:
     except ValidationError as error:
         # A misspelt key is also a missing one; its own place is the better answer.
         reported = _once_a_choice(model, error.errors())
-        found = sorted(reported, key=lambda each: each["type"] != "extra_forbidden")
+        found = sorted(reported, key=partial(_rank, document))
         misspelt = {each["loc"][:-1] for each in found if each["type"] == "extra_forbidden"}
         explained: dict[str, ConfigError] = {}
         for each in found:
@@ -75,6 +76,13 @@ def validated(document: Document, model: type[Model]) -> Model:
         first, *further = explained.values()
         first.others = tuple(further)
         raise first from error
+
+
+def _rank(document: Document, error: ErrorDetails) -> tuple[bool, str, int]:
+    """Unknown keys first, in the order of the document, which pydantic does not keep."""
+    if error["type"] != "extra_forbidden":
+        return True, "", 0
+    return False, *document.key_place(error["loc"])
 
 
 def _once_a_choice(model: type[BaseModel], errors: list[ErrorDetails]) -> list[ErrorDetails]:

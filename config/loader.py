@@ -18,6 +18,7 @@ from tonus.config.document import (
     read,
 )
 from tonus.config.errors import ConfigError
+from tonus.config.parts import SCENARIO, part_of
 from tonus.config.relaxed import unnamed_risks
 from tonus.config.schema.bounds import Bounds
 from tonus.config.schema.budget import Budget
@@ -75,7 +76,15 @@ def load_catalogue(path: str | Path) -> list[Scenario]:
 def _configuration(path: str | Path) -> Document:
     """A configuration's document. Under ``set`` it may give values of its own, by dotted keys, to
     what it includes. Raises `ConfigError`."""
-    document = read(*locate(path))
+    file, shown = locate(path)
+    document = read(file, shown)
+    part = part_of(document.data)
+    if part is not None:
+        problem = f"is no whole configuration but its part {part}"
+        remedy = f"name the file that has {part.split('.')[-1]}: !include {file.name}"
+        if part == SCENARIO:
+            problem, remedy = "is a scenario", "name a configuration, and this with --scenario"
+        raise ConfigError(shown, 0, "", problem, remedy)
     changes = document.data.pop("set", {}) if isinstance(document.data, dict) else {}
     if not isinstance(changes, dict):
         problem = "is no mapping"

@@ -44,6 +44,8 @@ CASES: tuple[tuple[str, int, str], ...] = (
     ("check config/can.yaml --set tracker.address=999.1.1.1", 2, "nor a host name; write one, as"),
     ("check nope", 2, "no such file"),
     ("check TEXT", 2, "TEXT"),
+    ("check config/tracker.yaml", 2, "its part tracker; name the file that has tracker: !include"),
+    ("check config/scenarios/hold.yaml", 2, "there is no such file"),
     ("check /dev/null", 2, "is a device or a pipe, not a file; choose one of config/"),
     ("check FIFO", 2, "is a device or a pipe, not a file; choose one of config/"),
     ("check config/direct.yaml --scenario /dev", 2, "'/dev' is a directory"),
