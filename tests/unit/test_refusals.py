@@ -105,7 +105,10 @@ CASES: tuple[tuple[str, int, str], ...] = (
     ("log info TEXT", 2, "is not an MCAP file"),
     ("log info FIFO", 2, "is a pipe"),
     ("log info /dev/null", 2, "is empty"),
-    ("log info .", 2, "directory"),
+    ("log info .", 2, "is a directory; name a log that"),
+    ("log info RUN", 2, "/LOG/run.mcap"),
+    ("log report RUN", 2, "/LOG/run.mcap"),
+    ("view RUN", 2, "/LOG/run.mcap"),
     ("log report TEXT", 2, "is not an MCAP file"),
     ("log report LOG --out /dev/null/x", 2, "/dev/null/x"),
     ("log compare TEXT", 2, "is not an MCAP file"),
@@ -151,7 +154,7 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     (folder / "TEXT.yaml").write_text("not: [a configuration\n")
     (folder / "FILE").write_text("a file")
     os.mkfifo(folder / "FIFO")
-    names = {"LOG": log, "CUT": cut, "TEXT": folder / "TEXT.yaml"}
+    names = {"RUN": log.parent, "LOG": log, "CUT": cut, "TEXT": folder / "TEXT.yaml"}
     return {key: str(path) for key, path in names.items()} | {
         key: str(folder / key) for key in ("FILE", "FIFO")
     }

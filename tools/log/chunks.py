@@ -37,6 +37,8 @@ _CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 4 + 8
 """bytes of a chunk's record before its content, its compression's name included"""
 _FOOTER = 9 + 8 + 8 + 4
 _DATA_END = 4
+RUN = "run.mcap"
+"""the log in the folder of a run"""
 _SEARCH = 1 << 20
 _STEP = 1 << 16
 _NOTHING_LOST = "every message is there"
@@ -121,6 +123,10 @@ def scan(path: Path, *, salvage: bool = False) -> Framing:
     try:
         if stat.S_ISFIFO(path.stat().st_mode):
             raise ToolError(f"{path}: is a pipe; a log is read in any order, so name a file")
+        if path.is_dir():
+            inside = path / RUN
+            remedy = inside if inside.is_file() else "a log that `tonus run` wrote"
+            raise ToolError(f"{path}: is a directory; name {remedy}")
         with path.open("rb") as file:
             start = file.read(len(MCAP0_MAGIC))
             if start != MCAP0_MAGIC:
