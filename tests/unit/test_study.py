@@ -124,6 +124,12 @@ def test_a_wrong_study_is_one_line_with_its_place(
         ({"shown": ["tracking_rms"]}, "did you mean tracking_rms_mm?"),
         ({"measures": {"k": {"topic": "stiffness", "field": "keq", "take": "mean"}}}, "k_eq"),
         ({"parameters": {"control.stiffness.bas": [1.0]}}, "control.stiffness.bas"),
+        ({"parameters": {BASE: [3210.0, float("nan")]}}, f"parameters.{BASE}: input should be"),
+        ({"parameters": {BASE: [float("nan"), 3210.0]}}, f"parameters.{BASE}: input should be"),
+        (
+            {"parameters": {BASE: {"low": -1.0, "high": 3210.0}}, "drawn": {"count": 2}},
+            f"parameters.{BASE}: input should be greater than 0, not -1.0; choose a larger value",
+        ),
         ({"configs": ["nowhere.yaml"]}, "nowhere.yaml"),
         ({"scenarios": ["hold", "hole"]}, "hole"),
     ],
@@ -138,6 +144,15 @@ def test_what_a_study_names_is_looked_for_before_its_first_run(
     assert done.exit_code != 0
     assert told in str(done.exception)
     assert not out.exists()
+
+
+def test_values_that_fit_only_together_are_judged_by_their_runs(tmp_path: Path) -> None:
+    """With the first minimum no base would do."""
+    path = tmp_path / "study.yaml"
+    both = {"control.stiffness.minimum": [5000.0, 420.0], BASE: [3210.0, 3300.0]}
+    path.write_text(json.dumps(MINIMAL | {"parameters": both}))
+    done = CliRunner().invoke(tonus, ["campaign", str(path), "--count"])
+    assert "parameters." not in str(done.exception)
 
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1/0", "1", "a/b"])

@@ -89,6 +89,13 @@ def _combinations(study: ParameterStudy) -> list[dict[str, Any]]:
     ]
 
 
+def bounds(value: tuple[Any, ...] | Steps | Span) -> list[Any]:
+    """Every value that a parameter is to have, of a range to draw from its two ends."""
+    return (
+        [_scaled(value, end) for end in (0.0, 1.0)] if isinstance(value, Span) else _values(value)
+    )
+
+
 def _drawn(value: object) -> bool:
     return isinstance(value, Span)
 
