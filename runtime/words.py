@@ -44,7 +44,7 @@ REMEDY = {
     Fault.DRIVE_LOST: "check the drive's power and bus cable; then reset",
     Fault.DRIVE_FAULT: "look the drive's error code up; correct the cause, then reset",
     Fault.CELL_LOST: "check the amplifier's power and bus cable; then reset",
-    Fault.CELL_BAD: "check the cell's wiring; let the cables hang slack and tare again",
+    Fault.CELL_BAD: "reset; if found again: check the cell's wiring; tare with slack cables",
     Fault.ENABLE_TIMEOUT: "check the drive's supply, enable input and error code; then reset",
     Fault.REFERENCING_FAILED: "put the platform into its cradle, free every cable; then reset",
     Fault.CONTACT_LIMIT: "free the platform; lower the contact force or raise its limit",

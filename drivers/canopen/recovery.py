@@ -23,7 +23,8 @@ class Recovery:
     Some errors (of an EPOS4 0x8120 and 0x8130) keep a fault reset from working until NMT reset
     communication, which loses the PDO mapping and the heartbeats: such a node goes the whole way of
     a bring-up again. So does every node that another master may have written to, from its reset of
-    all objects on.
+    all objects on, and every amplifier that has reported an error and not taken it back: after that
+    reset it reports anew what lasts.
     """
 
     def __init__(
@@ -55,8 +56,8 @@ class Recovery:
             if not reason:
                 return True
             node.started = False
-            self._supervision.trust(watched)
-            device = doubt or Reset.DEVICE_RESET in watched.standing
+            device = doubt or Reset.DEVICE_RESET in watched.standing or bool(self._error(watched))
+            self._supervision.resetting(watched)
             await node.configure(
                 lambda _: None,
                 Command.RESET_NODE if device else Command.RESET_COMMUNICATION,
@@ -81,6 +82,9 @@ class Recovery:
             return "not operational"
         if doubt:
             return "another master may have written to it"
+        error = self._error(watched)
+        if error:
+            return f"error 0x{error:04X}, not taken back"
         if watched.axis is None:
             return ""
         if decode(self._exchange.statuswords[watched.axis]) in _IN_FAULT:
@@ -88,3 +92,7 @@ class Recovery:
             if needed in (Reset.COMMUNICATION_RESET, Reset.DEVICE_RESET):
                 watched.standing.add(needed)
         return next((f"an error that {RESETS[each]}" for each in watched.standing), "")
+
+    def _error(self, watched: Watched) -> int:
+        """That the amplifier of a node's cells has reported and not taken back; 0 for none."""
+        return max((int(self._exchange.cell_emergency[each]) for each in watched.cells), default=0)

@@ -114,6 +114,12 @@ class Supervision:
         if watched.axis is not None:
             self._exchange.untrusted[watched.axis] = not watched.trusted
 
+    def resetting(self, watched: Watched) -> None:
+        """The node is about to be reset: what it reports from now on is of after that."""
+        for cell in watched.cells:
+            self._exchange.cell_emergency[cell] = 0
+        self.trust(watched)
+
     def restored(self, watched: Watched) -> None:
         """The node was reset and is operational again."""
         watched.silent = watched.restarted = False
@@ -121,7 +127,6 @@ class Supervision:
         watched.heard_at = self._tick
         self._events.end("heartbeat_lost", watched.node.where)
         for cell in watched.cells:
-            self._exchange.cell_emergency[cell] = 0
             self._exchange.cell_status[cell] = 0
         self.trust(watched)
 

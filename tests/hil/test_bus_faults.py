@@ -18,6 +18,7 @@ from tonus.config.schema.bus import CanopenBus
 from tonus.config.timeouts import master_timeout_ms
 from tonus.drivers.canopen.master import CanopenFieldbus
 from tonus.drivers.devices.tracker import TrackerInput
+from tonus.drivers.exchange import UNTRUSTED
 from tonus.drivers.fieldbus import BusEvent
 from tonus.drivers.process_image import AxisCommand, AxisState, ProcessImage
 from tonus.runtime.control.tuning import NO_CHANGE
@@ -108,6 +109,34 @@ def test_a_drive_in_passive_error_needs_its_communication_reset_and_no_other_nod
         assert [event.where for event in told(bench, "recovered")] == ["can1/5"]
         await bench.ticks(10)
         assert set(bench.image.axes["state"]) == {AxisState.SWITCH_ON_DISABLED}
+
+    on_lab(script)
+
+
+@pytest.mark.parametrize("lasts", [False, True])
+def test_an_amplifier_with_an_error_is_reset_and_reports_anew_what_lasts(lasts: bool) -> None:
+    """Of an amplifier that was unplugged nobody takes the error back. Of a bridge that is still
+    broken the amplifier tells after its reset, which counts."""
+
+    async def script(bench: Bench) -> None:
+        await enabled(bench)
+        contact, node = bench.image.cells[8:9], bench.lab.nodes[CHANNEL[25], 25]
+        node.device.fail(0x8120)
+        await bench.ticks(20)
+        assert contact["status"] == UNTRUSTED
+        boot = node.boot
+
+        def broken() -> None:
+            boot()
+            node.device.fail(0x5000)
+
+        if lasts:
+            node.boot = broken  # type: ignore[method-assign]
+        await recovered(bench)
+        assert [event.where for event in told(bench, "recovered")] == [f"{CHANNEL[25]}/25"]
+        await bench.ticks(20)
+        assert contact["age"] == 0
+        assert contact["status"] == (UNTRUSTED if lasts else 0)
 
     on_lab(script)
 

@@ -232,6 +232,7 @@ def test_a_restored_amplifier_has_its_emergency_taken_back(robot: Robot) -> None
     robot.exchange.cell_status[:] = [7] * 6
     assert robot.exchange.cell_emergency == [0, 0, 0, 0x5010, 0x5010, 0]
     robot.look(1, 3 * ALLOWED, alive=robot.drive)
+    robot.supervision.resetting(robot.amplifier)
     robot.supervision.restored(robot.amplifier)
     assert robot.exchange.cell_emergency == [0] * 6
     assert robot.exchange.cell_status == [7, 7, 7, 0, 0, 7]
