@@ -32,10 +32,14 @@ class Changes:
         self._foul: Violation | None = None
         """others commanded devices, or wrote to them, and FAULT, in which a daemon brings them up
         again, was not recorded since"""
+        self._told: Violation | None = None
+        """what of that was told last"""
         self._told_ns = 0
-        """when that was told last"""
+        """when"""
         self._unbooted: set[tuple[str, int]] = set()
         """heartbeats of devices that have not booted since"""
+        self._standing = False
+        """the newest record is of STANDBY"""
 
     @property
     def awaited(self) -> bool:
@@ -63,6 +67,7 @@ class Changes:
         if self._recorded:
             self._changed = self._changed or changed
         self._recorded = newest is not None and newest.state != State.FAULT
+        self._standing = newest is not None and newest.state == State.STANDBY
         return found
 
     def _note_restarts(self, claims: list[Claim], *, recovered: bool, powered: bool) -> None:
@@ -84,12 +89,16 @@ class Changes:
         self._unreset = True
         first = found.requirement is Requirement.COMMANDED and not self._foul
         if first:
-            self._foul, self._told_ns, self._unbooted = found, looked_ns, self._boots.devices
+            self._foul = self._told = found
+            self._told_ns, self._unbooted = looked_ns, self._boots.devices
         return first
 
     def again(self, now_ns: int) -> Violation | None:
-        """What others have done, each ``quiet_s``: a frame may be lost."""
-        if self._foul is None or now_ns - self._told_ns < self._quiet_ns:
+        """What others have done, each ``quiet_s``: a frame may be lost. After FAULT only in STANDBY
+        while devices have not booted, since the daemon does not know then that it has to bring
+        them up; in FAULT it may be doing so, and would have to do it once more."""
+        known = self._foul is None and not (self._unbooted and self._standing)
+        if known or now_ns - self._told_ns < self._quiet_ns:
             return None
         self._told_ns = now_ns
-        return self._foul
+        return self._told

@@ -14,6 +14,8 @@ from tests.relayed import PATH, RelayRun
 from tests.supervised import BRIEF, configured
 from tonus.config import load
 from tonus.config.loader import load_scenario
+from tonus.config.schema.faults import Loss
+from tonus.config.schema.root import Config
 from tonus.config.schema.supervisor import Requirement
 from tonus.runtime.states import Operator, State
 from tonus.runtime.timing import clock
@@ -28,6 +30,9 @@ pytestmark = pytest.mark.wide
 
 class _Written(RelayRun):
     """Another master writes the scale of the contact cell once, after an emergency stop."""
+
+    loses = False
+    """it writes in ACTIVE, and the supervisor's next emergency frame is lost"""
 
     def __init__(self, *given: Any, **named: Any) -> None:
         super().__init__(*given, **named)
@@ -46,15 +51,26 @@ class _Written(RelayRun):
         scale = lab.nodes[_CHANNEL, _CONTACT].device.objects.read(_SCALE, 1)
         if self.scales[-1:] != [scale]:
             self.scales.append(scale)
-        waited = state["state"] == State.STANDBY and state["elapsed"] >= 0.3
-        if State.FAULT in self.states and not self.changed_ns and waited:
+        within = State.ACTIVE if self.loses else State.STANDBY
+        waited = state["state"] == within and state["elapsed"] >= 0.3
+        if (State.FAULT in self.states or self.loses) and not self.changed_ns and waited:
             self.changed_ns = clock.now_ns()
+            if self.loses:
+                lab.inject(Loss(channel=self._channels()[0], identifier=0x0FE, frames=1))
             data = struct.pack("<BHBI", 0x23, _SCALE, 1, 0x43160000)
             request = 0x600 + _CONTACT
             self._buses.append(can.Bus(interface="tonus", channel=_CHANNEL))
             self._buses[-1].send(
                 can.Message(arbitration_id=request, data=data, is_extended_id=False)
             )
+
+
+def _configuration() -> Config:
+    relay = load(PATH)[0].sto_relay
+    assert relay is not None
+    own = relay.model_dump(mode="json") | {"timeout_ms": 7}
+    stated = {"sto_relay": own, "supervisor.policy": "require"}
+    return configured("config/mixed.yaml", **BRIEF, **stated)[0]
 
 
 def test_another_master_writes_to_the_contact_cell(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,13 +84,29 @@ def test_another_master_writes_to_the_contact_cell(monkeypatch: pytest.MonkeyPat
         (State.STANDBY, 0.5, Operator.ARM),
     ]
     ordered(monkeypatch, orders)
-    relay = load(PATH)[0].sto_relay
-    assert relay is not None
-    own = relay.model_dump(mode="json") | {"timeout_ms": 7}
-    stated = {"sto_relay": own, "supervisor.policy": "require"}
-    config, _ = configured("config/mixed.yaml", **BRIEF, **stated)
-    run = _Written(config, load_scenario("hold"), at=60.0)
+    run = _Written(_configuration(), load_scenario("hold"), at=60.0)
     run.play(3.0)
+    after = run.states[run.states.index(State.FAULT) :]
+    assert after[1:5] == [State.STANDBY, State.FAULT, State.STANDBY, State.REFERENCING]
+    assert {number for number, _ in run.said} == {Requirement.COMMANDED}
+    assert len(run.scales) == 3
+    assert run.scales[-1] == run.scales[0]
+
+
+def test_the_one_frame_that_tells_of_it_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The operator presses emergency stop 20 ms later. After the reset the daemon is told once
+    more, and the next reset brings the amplifiers up."""
+    orders = [
+        (State.ACTIVE, 0.32, Operator.ESTOP),
+        (State.FAULT, 0.7, Operator.RESET),
+        (State.STANDBY, 0.5, Operator.ESTOP),
+        (State.FAULT, 0.7, Operator.RESET),
+        (State.STANDBY, 0.5, Operator.ARM),
+    ]
+    ordered(monkeypatch, orders)
+    run = _Written(_configuration(), load_scenario("hold"), at=60.0)
+    run.loses = True
+    run.play(4.0)
     after = run.states[run.states.index(State.FAULT) :]
     assert after[1:5] == [State.STANDBY, State.FAULT, State.STANDBY, State.REFERENCING]
     assert {number for number, _ in run.said} == {Requirement.COMMANDED}

@@ -275,9 +275,11 @@ def test_nor_while_one_of_them_has_not_booted(watchdog: Watchdog, amplifier: boo
     assert beginnings(watchdog, 1000, 1100)[:1] == [1000]
 
 
-def test_what_others_did_is_told_until_the_daemon_knows(watchdog: Watchdog) -> None:
+@pytest.mark.parametrize("state", [State.STANDBY, State.OFF])
+def test_what_others_did_is_told_until_the_daemon_knows(watchdog: Watchdog, state: State) -> None:
     """Every quiet_s, as it was told first."""
     changed(watchdog)
+    watchdog.state = state
     told = [bus.sent[-1] for bus in watchdog.buses]
     assert {message.arbitration_id for message in told} == {0x0FE}
     steps = list(watchdog.steps(314, 1000, enabled=False))
@@ -287,6 +289,26 @@ def test_what_others_did_is_told_until_the_daemon_knows(watchdog: Watchdog) -> N
     assert all(len(bus.sent) == len(watchdog.buses[0].sent) for bus in watchdog.buses[1:])
     watchdog.state = State.FAULT
     assert not any(watchdog.steps(1000, 2000, enabled=False))
+
+
+def test_what_others_did_is_told_in_standby_while_a_device_has_not_booted(
+    watchdog: Watchdog,
+) -> None:
+    """The daemon went to FAULT by itself, and the one frame before that was lost. In FAULT nothing
+    is told, since it may be bringing the devices up."""
+    changed(watchdog)
+    told = [(0x0FE, bytes(watchdog.buses[0].sent[-1].data))]
+    watchdog.state = State.FAULT
+    assert not any(watchdog.steps(314, 800, enabled=False))
+    watchdog.state = State.STANDBY
+    again = list(watchdog.steps(800, 1500, enabled=False))
+    assert [800 + 2 * place for place, sent in enumerate(again) if sent] == [800, 1100, 1400]
+    assert all(sent in ([], told) for sent in again)
+    watchdog.state = State.FAULT
+    assert not any(watchdog.steps(1500, 2000, enabled=False))
+    watchdog.boot()
+    watchdog.state = State.STANDBY
+    assert all(sent == BEAT for sent in watchdog.steps(2000, 2400, enabled=False))
 
 
 @pytest.mark.parametrize("state", [State.OFF, State.STANDBY])
