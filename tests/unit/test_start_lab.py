@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 from pathlib import Path
 
 import pytest
@@ -62,3 +64,11 @@ def test_one_that_is_ready_is_handed_out(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert lab.process.poll() is None
     lab.stop()
     assert lab.process.returncode is not None
+
+
+def test_one_that_hangs_is_killed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    lab = start(monkeypatch, tmp_path, ("sh", "-c", "echo ready; read word"), 60.0)
+    os.kill(lab.process.pid, signal.SIGSTOP)
+    lab.stop(0.2)
+    assert lab.process.returncode == -signal.SIGKILL
+    lab.stop()

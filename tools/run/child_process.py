@@ -31,9 +31,14 @@ class ChildProcess:
             os.write(self.process.stdin.fileno(), what)
 
     def stop(self, timeout_s: float = 10.0) -> None:
+        """One that does not end in that time, because it hangs, is killed."""
         if self.process.stdin is not None:
             self.process.stdin.close()
-        self.process.wait(timeout_s)
+        try:
+            self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
 
 
 def start_child(
