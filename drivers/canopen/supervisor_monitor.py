@@ -201,12 +201,13 @@ class SupervisorMonitor:
         heard.anybody = True
         if data != _OPERATIONAL:
             return
-        self._stopped &= not heard.beating  # a single heartbeat begins nothing
-        heard.holds |= heard.beating
+        follows = heard.beating  # another one in time: a single one begins nothing
+        self._stopped &= not follows
+        heard.holds |= follows
         heard.fresh = heard.beating = True
         heard.lost = False
         self._events.end("unsupervised", heard.channel)
-        if self._events.end("supervisor_lost", heard.channel):
+        if follows and self._events.end("supervisor_lost", heard.channel):
             self._events.counted("supervisor_back", heard.channel, "heartbeat received again")
 
     def _on_emergency(self, heard: _Heard, data: bytes) -> None:

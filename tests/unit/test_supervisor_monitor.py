@@ -33,7 +33,8 @@ class Watching:
         assert SUPERVISOR is not None
         settings = SUPERVISOR.model_copy(update={"policy": policy})
         self.image = ProcessImage(5)
-        self.monitor = SupervisorMonitor(settings, 1000, self.image, EventLog())
+        self.events = EventLog()
+        self.monitor = SupervisorMonitor(settings, 1000, self.image, self.events)
         self.channels: list[Any] = [SimpleNamespace(name=f"can{n}", handlers={}) for n in (0, 1)]
         for channel, axes in zip(self.channels, ([0, 1], [2, 3]), strict=True):
             self.monitor.listen(channel, axes)
@@ -200,3 +201,25 @@ def test_single_heartbeats_arm_no_robot() -> None:
     assert not watching.image.obstacles
     watching.look()
     assert watching.image.obstacles
+
+
+def test_single_heartbeats_do_not_bring_it_back() -> None:
+    """After a stop, under `require`, they go to drives that may have power."""
+    watching = Watching("require")
+    watching.axes["state"] = AxisState.SWITCH_ON_DISABLED
+    watching.beat(0, 1)
+    watching.look(TWICE)
+    assert [each.name for each in watching.events.take()] == ["supervisor_lost"] * 2
+    for _ in range(4):
+        watching.single(0, 1)
+        watching.look(TWICE)
+    assert not watching.events.take()
+    watching.single(0)
+    watching.beat(1)
+    (back,) = watching.events.take()
+    assert (back.name, back.where) == ("supervisor_back", "can1")
+    watching.single(0)
+    (back,) = watching.events.take()
+    assert (back.name, back.where) == ("supervisor_back", "can0")
+    watching.look(TWICE)
+    assert [each.name for each in watching.events.take()] == ["supervisor_lost"] * 2
