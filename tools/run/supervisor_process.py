@@ -4,6 +4,7 @@
 
 JOB is a JSON file that `start_supervisor` writes. The process says "ready" on standard output when
 it listens, and ends, and its heartbeat with it, when its standard input closes: with the daemon.
+What ends it later it says on standard error, which is the daemon's.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ from tonus.tools.run.supervision import open_bus, require_reach, wanted, without
 
 _COMMAND = (sys.executable, "-m", "tonus.tools.run.supervisor_process")
 _START_S = 60.0
+_REASONS = (DaemonError, ToolError, can.CanError, OSError)
+"""for which it ends with a line instead of a traceback"""
 
 
 def start_supervisor(config: Config, rings: Path) -> ChildProcess:
@@ -86,8 +89,9 @@ def supervisor_of(config: Config, rings: Path, report: Progress) -> ChildProcess
         return None
 
 
-async def _until_left_alone(job: dict[str, Any]) -> None:
-    """Judge until standard input closes."""
+async def _until_left_alone(job: dict[str, Any]) -> str:
+    """Judge until standard input closes. Returns what has ended it before, in words; "" for
+    nothing."""
     config = Config.model_validate(job["config"])
     ring = RingReader.look(Path(job["ring"]))
     records = of_ring(ring, config.robot.cables)
@@ -115,21 +119,27 @@ async def _until_left_alone(job: dict[str, Any]) -> None:
             due_ns = max(due_ns + period_ns, clock.now_ns())
             await pacing.until(due_ns)
             supervisor.step(clock.now_ns())
+    except _REASONS as error:
+        return f"the supervisor has ended: {error}"
     finally:
         pacing.close()
         supervisor.close()
+    return ""
 
 
 def main() -> None:
-    """The process that `start_supervisor` starts."""
+    """The process that `start_supervisor` starts. Whoever started it reads standard output until
+    it is ready, and not later."""
     output.install()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     job = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     try:
-        clock.run(_until_left_alone(job), virtual=False)
-    except (DaemonError, ToolError, can.CanError, OSError) as error:
+        ended = clock.run(_until_left_alone(job), virtual=False)
+    except _REASONS as error:
         say(str(error).encode())
         sys.exit(2)
+    if ended:
+        sys.exit(ended)
 
 
 if __name__ == "__main__":
