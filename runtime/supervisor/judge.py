@@ -25,7 +25,7 @@ _AT_ONCE = (
     *(Requirement.STIFFNESS, Requirement.STOP_ENDS),
 )
 """what lasts already when it is seen, and what may not be for any time"""
-_FORGETTING, _ANSWERED_FORGETTING, _BURST_FORGETTING = 4, 16, 64
+FORGETTING, _ANSWERED_FORGETTING, _BURST_FORGETTING = 4, 16, 64
 """times slower than it was counted is the time forgotten for which a condition held; for which a
 drive's own figure was not what it was sent; and for which one that has to be off, or to brake,
 pulled: its drum keeps the speed of each burst"""
@@ -169,7 +169,7 @@ class Judge:
         self._looked_ns = now_ns
         least_ns = -min(elapsed_ns, self._period_ns)
         held = {
-            key: max(held_ns - elapsed_ns // self._slowness.get(key, _FORGETTING), least_ns)
+            key: max(held_ns - elapsed_ns // self._slowness.get(key, FORGETTING), least_ns)
             for key, held_ns in self._held.items()
             if held_ns > least_ns
         }

@@ -154,9 +154,8 @@ class Supervisor:
             self.violation = None
         if self.settings.policy == "require":
             powered = seen.enabled | self._powered.led
-            each = [
-                powered[self._channel_of == place].any() for place in range(len(self._listeners))
-            ]
+            channels = range(len(self._voice.beating))
+            each = [powered[self._channel_of == place].any() for place in channels]
             self._voice.begin_watches(now_ns, each, quiet=quiet)
         # The drives of a channel without a heartbeat stop by themselves; the others are judged.
         seen.beating = np.array(self._voice.beating)[self._channel_of]

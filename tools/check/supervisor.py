@@ -18,6 +18,7 @@ from tonus.config.schema.supervisor import (
     SMALLEST_SHARES,
     Supervisor,
 )
+from tonus.runtime.supervisor.judge import FORGETTING
 from tonus.runtime.supervisor.wiring import Wiring, forces_of
 from tonus.tools.check.feasibility import poses
 from tonus.tools.check.finding import Finding
@@ -45,8 +46,6 @@ _DRIFTING_S = 0.25
 """for which a tension may be away from its reference. R"""
 _LEAST_SLACK = 0.2
 """of the tension while referencing. R"""
-_FORGOTTEN = 4.0
-"""times slower than it is counted is the time forgotten for which a condition held"""
 _IN_TICKS = ("frozen_frames", "logged_ticks")
 _MOST_CONTACT = 1.4
 """times the limit of contact, found by a cell that was tared with what leaned on it. R"""
@@ -156,7 +155,7 @@ def _wide(config: Config, settings: Supervisor) -> Iterator[Finding]:
         (
             f"{_KEY}.quiet_s",
             settings.quiet_s,
-            _FORGOTTEN * 1e-3 * settings.disarmed_ms,
+            FORGETTING * 1e-3 * settings.disarmed_ms,
             "after {:g} s without power it forgets power that a disarmed daemon gives for less "
             "than disarmed_ms, again and again",
         ),
