@@ -217,7 +217,7 @@ def test_how_fast_a_stop_may_be(
     rates = along @ np.array([0.0, 0.0, speed]) / np.linalg.norm(along, axis=1)
     said = {"state": State.SAFE_STOP, "stop_mode": mode}
     # A passive stop's torques brake its drums.
-    torque = np.where(rates > 0.0, 0.0, 20.0)
+    torque = np.maximum(-120.0 * rates, 0.0)
     verdict = found(config, for_ms, said, rate=rates, torque=torque)
     assert (verdict is not None) is (mode in found_in)
     assert verdict is None or verdict.requirement is Requirement.SPEED
